@@ -4,7 +4,11 @@
 //! `cargo bench --bench recordings --all-features -- 0.1` files of 0.1 GB. Targets: 200 MB/s of CSV, 400 MB/s of MDF,
 //! and 500 MB of memory at any length.
 
-#![allow(clippy::expect_used, clippy::print_stdout, reason = "a bench prints, and may stop at what cannot happen")]
+#![allow(
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "a bench prints, and may stop at what cannot happen"
+)]
 
 use std::fs::File;
 use std::io::{BufWriter, Result, Write};
@@ -25,26 +29,41 @@ leader_speed = { column = "c3" }
 "#;
 
 /// Time measurements, shared with the bench of the targets.
-#[allow(dead_code, unreachable_pub, reason = "this bench uses one of its functions")]
+#[allow(
+    dead_code,
+    unreachable_pub,
+    reason = "this bench uses one of its functions"
+)]
 #[path = "targets/clock.rs"]
 mod clock;
 
 use clock::cpu_time_s;
 
 fn main() {
-    let size = std::env::args().filter_map(|word| word.parse::<f64>().ok()).next().unwrap_or(1.0);
+    let size = std::env::args()
+        .filter_map(|word| word.parse::<f64>().ok())
+        .next()
+        .unwrap_or(1.0);
     let bytes = (size * 1e9) as u64;
-    let ngsim = RecordingMap::built_in("ngsim").expect("built in").expect("a map");
+    let ngsim = RecordingMap::built_in("ngsim")
+        .expect("built in")
+        .expect("a map");
     let pairs = RecordingMap::from_toml(PAIRS, Path::new("pairs.toml")).expect("a map");
     let folder = tempfile::tempdir().expect("a folder");
     for (name, map, write) in [
-        ("pairs.csv", &pairs, write_pairs as fn(&mut BufWriter<File>, u64) -> Result<()>),
+        (
+            "pairs.csv",
+            &pairs,
+            write_pairs as fn(&mut BufWriter<File>, u64) -> Result<()>,
+        ),
         ("vehicle-by-vehicle.csv", &ngsim, write_tracks),
         ("pairs.mf4", &pairs, write_mdf),
     ] {
         let path = folder.path().join(name);
         let mut out = BufWriter::new(File::create(&path).expect("a file"));
-        write(&mut out, bytes).and_then(|()| out.flush()).expect("space on the disk");
+        write(&mut out, bytes)
+            .and_then(|()| out.flush())
+            .expect("space on the disk");
         let length = path.metadata().expect("the file").len() as f64 / 1e6;
         let begin = cpu_time_s();
         let mut scenarios = 0;
@@ -52,13 +71,26 @@ fn main() {
             scenarios += 1;
             true
         };
-        import(std::slice::from_ref(&path), Some(map), &ImportOptions::default(), None, &mut take).expect("readable");
+        import(
+            std::slice::from_ref(&path),
+            Some(map),
+            &ImportOptions::default(),
+            None,
+            &mut take,
+        )
+        .expect("readable");
         let seconds = cpu_time_s() - begin;
-        println!("{name}: {length:.0} MB in {seconds:.2} s, {:.0} MB/s, {scenarios} scenarios", length / seconds);
+        println!(
+            "{name}: {length:.0} MB in {seconds:.2} s, {:.0} MB/s, {scenarios} scenarios",
+            length / seconds
+        );
         std::fs::remove_file(&path).expect("the file");
     }
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    status.lines().filter(|line| line.starts_with("VmHWM")).for_each(|line| println!("peak memory {line}"));
+    status
+        .lines()
+        .filter(|line| line.starts_with("VmHWM"))
+        .for_each(|line| println!("peak memory {line}"));
 }
 
 /// Returns time, gap, both speeds and other signals of a row at 10 Hz; the leader brakes each ten minutes.
@@ -69,7 +101,10 @@ fn row(index: u64) -> [f64; CHANNELS] {
     let mut row = [at_s; CHANNELS];
     row[1] = 25.0 + 0.5 * (leader_mps - own_mps);
     (row[2], row[3]) = (own_mps, leader_mps);
-    row.iter_mut().enumerate().skip(4).for_each(|(channel, value)| *value = (channel as f64 * at_s).sin());
+    row.iter_mut()
+        .enumerate()
+        .skip(4)
+        .for_each(|(channel, value)| *value = (channel as f64 * at_s).sin());
     row
 }
 
@@ -78,7 +113,10 @@ fn write_pairs(out: &mut BufWriter<File>, bytes: u64) -> Result<()> {
     writeln!(out, "{}", names.join(","))?;
     let mut written = 0;
     for index in 0.. {
-        let fields: Vec<_> = row(index).iter().map(|value| format!("{value:.3}")).collect();
+        let fields: Vec<_> = row(index)
+            .iter()
+            .map(|value| format!("{value:.3}"))
+            .collect();
         let line = fields.join(",");
         writeln!(out, "{line}")?;
         written += line.len() as u64 + 1;
@@ -132,7 +170,10 @@ fn write_mdf(out: &mut BufWriter<File>, bytes: u64) -> Result<()> {
         let at = blocks.len() as u64;
         let length = 24 + 8 * links.len() + data.len();
         blocks.extend([&b"##"[..], kind, &[0; 4], &(length as u64).to_le_bytes()].concat());
-        [links.len() as u64].iter().chain(links).for_each(|number| blocks.extend(number.to_le_bytes()));
+        [links.len() as u64]
+            .iter()
+            .chain(links)
+            .for_each(|number| blocks.extend(number.to_le_bytes()));
         blocks.extend(data);
         blocks.resize(blocks.len().div_ceil(8) * 8, 0);
         at
@@ -158,11 +199,19 @@ fn write_mdf(out: &mut BufWriter<File>, bytes: u64) -> Result<()> {
     let group = add(b"CG", &[0, next, 0, 0, 0, 0], &data);
     let samples = group + (24 + 48 + 32) + (24 + 32 + 8);
     add(b"DG", &[0, group, samples, 0], &[0; 8]);
-    let begin = [&b"##DT"[..], &[0; 4], &(24 + rows * record_bytes).to_le_bytes(), &[0; 8]].concat();
+    let begin = [
+        &b"##DT"[..],
+        &[0; 4],
+        &(24 + rows * record_bytes).to_le_bytes(),
+        &[0; 8],
+    ]
+    .concat();
     out.write_all(&blocks)?;
     out.write_all(&begin)?;
     for index in 0..rows {
-        row(index).iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+        row(index)
+            .iter()
+            .try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
     }
     Ok(())
 }

@@ -13,8 +13,8 @@ use crumple::world::control::Ego;
 use crumple::world::observation::Observation;
 use crumple::world::scenario::{built_in_scenario, space::built_in_space};
 use crumple::{
-    AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController, Quiet,
-    RecordingLevel, Run, RunOptions, assess, simulate,
+    AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource,
+    NamedController, Quiet, RecordingLevel, Run, RunOptions, assess, simulate,
 };
 
 /// Keeps a time gap to the vehicle ahead and brakes softly; fails if it observes no vehicle ahead.
@@ -26,7 +26,10 @@ struct SoftFollower {
 impl ControllerSource for SoftFollower {
     /// Covers everything that affects its commands: its settings, and a name that changes with the code.
     fn identity(&self) -> Option<String> {
-        Some(sha256(format!("soft follower, version 1, {} s", self.time_gap_s)))
+        Some(sha256(format!(
+            "soft follower, version 1, {} s",
+            self.time_gap_s
+        )))
     }
 
     fn interval_s(&self) -> Option<f64> {
@@ -41,7 +44,9 @@ impl ControllerSource for SoftFollower {
 impl Controller for SoftFollower {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let Some(ahead) = seen.ahead else {
-            return Err(ControllerFailure::Died { message: "no vehicle ahead".to_owned() });
+            return Err(ControllerFailure::Died {
+                message: "no vehicle ahead".to_owned(),
+            });
         };
         let spacing_error_m = ahead.gap_m - 2.0 - self.time_gap_s * seen.speed_mps;
         let wanted_mps2 = 0.2 * spacing_error_m + 0.8 * (ahead.speed_mps - seen.speed_mps);
@@ -50,20 +55,39 @@ impl Controller for SoftFollower {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "own-controller".to_owned()));
-    let own = NamedController::from_source("soft-follower", Arc::new(SoftFollower { time_gap_s: 0.8 }));
+    let folder = PathBuf::from(
+        std::env::args()
+            .nth(1)
+            .unwrap_or_else(|| "own-controller".to_owned()),
+    );
+    let own =
+        NamedController::from_source("soft-follower", Arc::new(SoftFollower { time_gap_s: 0.8 }));
 
     for name in ["paper-1", "paper-2", "paper-3"] {
         let scenario = built_in_scenario(name).ok_or("not built in")?;
         let run = Run::new(&scenario, RunOptions::new(own.kind.clone()))?;
-        println!("{name}: {:?}", simulate(&run, RecordingLevel::Summary).outcome);
+        println!(
+            "{name}: {:?}",
+            simulate(&run, RecordingLevel::Summary).outcome
+        );
     }
 
-    let campaign =
-        Campaign { budget: 200, ..Campaign::new(own.clone(), built_in_space("high-risk").ok_or("not built in")?) };
+    let campaign = Campaign {
+        budget: 200,
+        ..Campaign::new(
+            own.clone(),
+            built_in_space("high-risk").ok_or("not built in")?,
+        )
+    };
     // The controller's identity lets a second execution resume the campaign.
-    let summary =
-        campaign.run(&folder.join("campaign"), CampaignOptions { resume: true, ..Default::default() }, &Quiet)?;
+    let summary = campaign.run(
+        &folder.join("campaign"),
+        CampaignOptions {
+            resume: true,
+            ..Default::default()
+        },
+        &Quiet,
+    )?;
     println!("{}", summary.to_text());
 
     let mut config = AssessConfig::default();
@@ -78,6 +102,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         disk::make_folder(path.parent().unwrap_or(&folder))?;
         disk::write(&path, text)?;
     }
-    println!("{}wrote {}", assessment.first_page.to_plain_text(), folder.join("assessment.html").display());
+    println!(
+        "{}wrote {}",
+        assessment.first_page.to_plain_text(),
+        folder.join("assessment.html").display()
+    );
     Ok(())
 }

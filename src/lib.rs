@@ -59,30 +59,36 @@ pub use crumple_world as world;
 
 pub use crumple_core::observer::{Listener, Observer, Quiet, RunProgress, Stopped};
 pub use crumple_evidence::{
-    CountProgress, CountTally, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan,
+    CountProgress, CountTally, InvalidRate, RateConfig, RateCount, RateError, RateFolderError,
+    RatePlan,
 };
-pub use crumple_learn::rl::{EvaluationSet, Trainer, TrainingConfig, TrainingError, TrainingEvent, train};
+pub use crumple_learn::rl::{
+    EvaluationSet, Trainer, TrainingConfig, TrainingError, TrainingEvent, train,
+};
 pub use crumple_report::assessment::{
-    AssessConfig, AssessConfigError, AssessError, AssessmentPlan, AssessmentReport, EarlierAssessment, EvidenceCache,
-    assess,
+    AssessConfig, AssessConfigError, AssessError, AssessmentPlan, AssessmentReport,
+    EarlierAssessment, EvidenceCache, assess,
 };
 pub use crumple_search::falsify::campaign::{
-    Campaign, CampaignError, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, SearchObjective,
+    Campaign, CampaignError, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog,
+    SearchObjective,
 };
 pub use crumple_search::falsify::{
     CustomMethod, FailureCriterion, InvalidMethodName, Method, SearchAlgorithm, UnitCube,
 };
 pub use crumple_search::worst_case::{
-    Attack, AttackError, AttackObjective, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
-    Envelope, attack, avoid,
+    Attack, AttackError, AttackObjective, AttackResult, AvoidError, AvoidOptions, Avoidance,
+    AvoidanceVerdict, Envelope, attack, avoid,
 };
 pub use crumple_verify::{Certificate, ProvedClaim, Rejection, WorkLimit, check, check_with};
-pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
+pub use crumple_world::control::{
+    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+};
 pub use crumple_world::measure::{Specification, SpecificationError};
 pub use crumple_world::observation::{EstimatorKind, Observation};
 pub use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 pub use crumple_world::scenario::{InvalidField, Scenario, built_in_scenario};
 pub use crumple_world::sim::{
-    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, simulate,
-    simulate_batch,
+    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult,
+    Trace, simulate, simulate_batch,
 };

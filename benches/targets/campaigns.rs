@@ -33,22 +33,40 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
             )
         };
         let start_s = wall_time_s();
-        campaign.run(&at, CampaignOptions::default(), &Quiet).expect("runs");
+        campaign
+            .run(&at, CampaignOptions::default(), &Quiet)
+            .expect("runs");
         let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
         let look = CampaignReader::open(&at).expect("is there");
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
-        let scenarios: Vec<Scenario> =
-            look.evaluations()[..RESIMULATED].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();
-        let simulated_s: f64 = scenarios.chunks(BLOCK).map(|block| simulation_time_s(block, controller)).sum();
-        let name =
-            format!("{} scenarios of `{space}` under {controller} end to end, share of their simulation", 2 * BUDGET);
-        say(Measurement::at_least(70.0, "%", name, 100.0 * simulated_s / RESIMULATED as f64 / each_s));
+        let scenarios: Vec<Scenario> = look.evaluations()[..RESIMULATED]
+            .iter()
+            .map(|(_, evaluated)| scenario(&evaluated.values))
+            .collect();
+        let simulated_s: f64 = scenarios
+            .chunks(BLOCK)
+            .map(|block| simulation_time_s(block, controller))
+            .sum();
+        let name = format!(
+            "{} scenarios of `{space}` under {controller} end to end, share of their simulation",
+            2 * BUDGET
+        );
+        say(Measurement::at_least(
+            70.0,
+            "%",
+            name,
+            100.0 * simulated_s / RESIMULATED as f64 / each_s,
+        ));
     }
 }
 
 fn simulation_time_s(scenarios: &[Scenario], controller: &str) -> f64 {
     let runs = runs(scenarios, built_in(controller), EstimatorKind::Truth);
     let start_s = wall_time_s();
-    std::hint::black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
+    std::hint::black_box(simulate_batch(
+        &runs,
+        RecordingLevel::Summary,
+        |_, result| result.outcome,
+    ));
     wall_time_s() - start_s
 }

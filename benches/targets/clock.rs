@@ -35,7 +35,11 @@ pub fn min_wall_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N
     min_time_by(wall_time_s, rounds, work)
 }
 
-fn min_time_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mut dyn FnMut(); N]) -> [f64; N] {
+fn min_time_by<const N: usize>(
+    clock: fn() -> f64,
+    rounds: usize,
+    mut work: [&mut dyn FnMut(); N],
+) -> [f64; N] {
     work.iter_mut().for_each(|work| work());
     let mut least = [f64::INFINITY; N];
     for _ in 0..rounds {

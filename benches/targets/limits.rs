@@ -40,8 +40,10 @@ pub fn register_operations_per_second() -> f64 {
 pub fn normals_per_second() -> f64 {
     const COUNT: usize = 100_000;
     let (normals, mut stream) = (NormalSampler::new(), stream(1, Purpose::ReplaySampling, 0));
-    let [seconds] =
-        min_cpu_time_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.sample(&mut stream)).sum::<f64>())]);
+    let [seconds] = min_cpu_time_s(
+        40,
+        [&mut || _ = black_box((0..COUNT).map(|_| normals.sample(&mut stream)).sum::<f64>())],
+    );
     COUNT as f64 / seconds
 }
 
@@ -70,15 +72,23 @@ fn bytes_per_second(bytes: usize) -> f64 {
     let array = &array[begin..begin + bytes / 4];
     // Read 32 MiB in total, so that the clock's overhead is negligible.
     let passes = (1_usize << 25).div_ceil(bytes);
-    let [seconds] = min_cpu_time_s(20, [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))]);
+    let [seconds] = min_cpu_time_s(
+        20,
+        [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))],
+    );
     (passes * bytes) as f64 / seconds
 }
 
 pub fn processor_model() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let of = |field: &str| {
-        let line = text.lines().find(|line| line.split(':').next().is_some_and(|name| name.trim() == field));
-        line.and_then(|line| line.split(':').nth(1)).map_or("?", str::trim)
+        let line = text.lines().find(|line| {
+            line.split(':')
+                .next()
+                .is_some_and(|name| name.trim() == field)
+        });
+        line.and_then(|line| line.split(':').nth(1))
+            .map_or("?", str::trim)
     };
     let (name, family, model) = (of("model name"), of("cpu family"), of("model"));
     let lanes = crumple_world::policy::f64_lanes();
@@ -87,11 +97,23 @@ pub fn processor_model() -> String {
 
 /// Passes the rows of the table.
 pub fn measure(say: &mut dyn FnMut(String)) {
-    let mut limit =
-        |name: &str, value: f64, unit: &str| say(format!("| {name} | {} {unit} |", format_three_digits(value)));
+    let mut limit = |name: &str, value: f64, unit: &str| {
+        say(format!(
+            "| {name} | {} {unit} |",
+            format_three_digits(value)
+        ))
+    };
     let operations = register_operations_per_second() / 1e9;
-    limit("fused multiply-adds in registers, single precision", operations, "billion operations a second");
-    limit("normal numbers from one stream", 1e9 / normals_per_second(), "ns each");
+    limit(
+        "fused multiply-adds in registers, single precision",
+        operations,
+        "billion operations a second",
+    );
+    limit(
+        "normal numbers from one stream",
+        1e9 / normals_per_second(),
+        "ns each",
+    );
     for (name, bytes) in [
         ("read from the first-level cache (16 KiB)", 1 << 14),
         ("read from the second-level cache (256 KiB)", 1 << 18),

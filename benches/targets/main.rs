@@ -12,7 +12,11 @@
 //! The limits are explained in reports/speed.md.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
-#![allow(missing_docs, unreachable_pub, reason = "nobody uses a bench as a library")]
+#![allow(
+    missing_docs,
+    unreachable_pub,
+    reason = "nobody uses a bench as a library"
+)]
 
 mod campaigns;
 mod clock;
@@ -35,10 +39,16 @@ mod work {
 
 fn main() {
     // Cargo passes `--bench` first.
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|word| !word.starts_with("--"))
+        .collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     // One thread, so that parallel code stays on it and its processor time can be measured.
-    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let alone = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .expect("a thread");
     alone.install(|| match words[..] {
         [] => print_limits_and_table(&PARTS[..PARTS.len() - 1]),
         ["all"] => print_limits_and_table(&PARTS),
@@ -88,6 +98,12 @@ fn print_table(parts: &[BenchmarkGroup]) {
 
 fn print_comparison() {
     println!("scenarios_per_s {}", rollouts::scenarios_per_second());
-    println!("decisions_per_s_64 {}", learning::decisions_per_second(64, 128));
-    println!("decisions_per_s_256 {}", learning::decisions_per_second(256, 512));
+    println!(
+        "decisions_per_s_64 {}",
+        learning::decisions_per_second(64, 128)
+    );
+    println!(
+        "decisions_per_s_256 {}",
+        learning::decisions_per_second(256, 512)
+    );
 }

@@ -21,8 +21,21 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     for (name, text) in SPECIFICATIONS {
         let formula: Formula = text.parse().expect("a formula");
         let [seconds] = min_cpu_time_s(200, [&mut || _ = black_box(formula.robustness(&signals))]);
-        say(Measurement::at_most(0.1, "ms", format!("STL monitor, 10 001 samples, {name}"), 1e3 * seconds));
+        say(Measurement::at_most(
+            0.1,
+            "ms",
+            format!("STL monitor, 10 001 samples, {name}"),
+            1e3 * seconds,
+        ));
     }
-    let [seconds] = min_cpu_time_s(200, [&mut || _ = black_box(simulate(black_box(&switching_inputs())))]);
-    say(Measurement::at_most(0.5, "ms", "Chasing Cars, one simulation of 10 000 steps", 1e3 * seconds));
+    let [seconds] = min_cpu_time_s(
+        200,
+        [&mut || _ = black_box(simulate(black_box(&switching_inputs())))],
+    );
+    say(Measurement::at_most(
+        0.5,
+        "ms",
+        "Chasing Cars, one simulation of 10 000 steps",
+        1e3 * seconds,
+    ));
 }

@@ -7,14 +7,33 @@ use crate::table::Measurement;
 
 fn run_crumple(arguments: &[&str]) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-    let status = command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let status = command
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
     assert!(status.expect("starts").success(), "{arguments:?}");
 }
 
 pub fn measure(say: &mut dyn FnMut(Measurement)) {
-    let [help_s, list_s] = min_wall_time_s(40, [&mut || run_crumple(&["--help"]), &mut || run_crumple(&["list"])]);
-    say(Measurement::at_most(10.0, "ms", "`crumple --help` (wall clock)", 1e3 * help_s));
-    say(Measurement::at_most(10.0, "ms", "`crumple list` (wall clock)", 1e3 * list_s));
+    let [help_s, list_s] = min_wall_time_s(
+        40,
+        [&mut || run_crumple(&["--help"]), &mut || {
+            run_crumple(&["list"])
+        }],
+    );
+    say(Measurement::at_most(
+        10.0,
+        "ms",
+        "`crumple --help` (wall clock)",
+        1e3 * help_s,
+    ));
+    say(Measurement::at_most(
+        10.0,
+        "ms",
+        "`crumple list` (wall clock)",
+        1e3 * list_s,
+    ));
 }
 
 /// Measures the peak memory of a campaign, on Linux only.
@@ -22,9 +41,20 @@ pub fn campaign_memory(say: &mut dyn FnMut(Measurement)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("campaign").display().to_string();
     // The second reference search makes the same number of evaluations.
-    let arguments = ["--controller", "baseline", "--space", "paper", "--method", "uniform", "--budget", "5000000"];
+    let arguments = [
+        "--controller",
+        "baseline",
+        "--space",
+        "paper",
+        "--method",
+        "uniform",
+        "--budget",
+        "5000000",
+    ];
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-    command.args(["falsify", "-q", "--estimator", "truth", "--out", &out]).args(arguments);
+    command
+        .args(["falsify", "-q", "--estimator", "truth", "--out", &out])
+        .args(arguments);
     command.stdout(Stdio::null()).stderr(Stdio::null());
     let mut campaign = command.spawn().expect("starts");
     let account = format!("/proc/{}/status", campaign.id());
@@ -39,7 +69,10 @@ pub fn campaign_memory(say: &mut dyn FnMut(Measurement)) {
         most_kib = most_kib.max(kib.unwrap_or(0.0));
         std::thread::sleep(std::time::Duration::from_millis(50));
     };
-    assert!(status.success() && most_kib > 0.0, "{status}, {most_kib} KiB");
+    assert!(
+        status.success() && most_kib > 0.0,
+        "{status}, {most_kib} KiB"
+    );
     say(Measurement::at_most(
         500.0,
         "MB",
@@ -53,5 +86,10 @@ pub fn assessment(say: &mut dyn FnMut(Measurement)) {
     let out = folder.path().join("report").display().to_string();
     let start_s = crate::clock::wall_time_s();
     run_crumple(&["--quiet", "assess", "--out", &out]);
-    say(Measurement::at_most(60.0, "s", "`crumple assess` (wall clock)", crate::clock::wall_time_s() - start_s));
+    say(Measurement::at_most(
+        60.0,
+        "s",
+        "`crumple assess` (wall clock)",
+        crate::clock::wall_time_s() - start_s,
+    ));
 }

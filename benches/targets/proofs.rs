@@ -16,12 +16,25 @@ use crate::work::networks::widened_reference;
 pub fn measure(say: &mut dyn FnMut(Measurement)) {
     let scenario = crumple_world::scenario::built_in_scenario("paper-1").expect("built in");
     for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
-        let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };
-        let [seconds] = min_cpu_time_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
-        say(Measurement::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
+        let options = AvoidOptions {
+            grid_s: Some(grid_s),
+            ..AvoidOptions::default()
+        };
+        let [seconds] = min_cpu_time_s(
+            3,
+            [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))],
+        );
+        say(Measurement::at_most(
+            target_s,
+            "s",
+            format!("avoidability of paper-1, grid of {grid_s} s"),
+            seconds,
+        ));
     }
     // 0.1 s as in the policy's training, and a decision at every step as in the paper.
-    [0.1, PAPER_STEP_S].into_iter().for_each(|interval_s| say(reach(interval_s)));
+    [0.1, PAPER_STEP_S]
+        .into_iter()
+        .for_each(|interval_s| say(reach(interval_s)));
 }
 
 fn reach(interval_s: f64) -> Measurement {

@@ -15,23 +15,54 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    pub fn at_most(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
-        Self { name: name.into(), side: TargetBound::AtMost, target, unit, measured }
+    pub fn at_most(
+        target: f64,
+        unit: &'static str,
+        name: impl Into<String>,
+        measured: f64,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            side: TargetBound::AtMost,
+            target,
+            unit,
+            measured,
+        }
     }
 
-    pub fn at_least(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
-        Self { name: name.into(), side: TargetBound::AtLeast, target, unit, measured }
+    pub fn at_least(
+        target: f64,
+        unit: &'static str,
+        name: impl Into<String>,
+        measured: f64,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            side: TargetBound::AtLeast,
+            target,
+            unit,
+            measured,
+        }
     }
 
     pub fn markdown_row(&self) -> String {
-        let Self { name, side, target, unit, measured } = self;
+        let Self {
+            name,
+            side,
+            target,
+            unit,
+            measured,
+        } = self;
         let ratio = measured / target;
         let (sign, met) = match side {
             TargetBound::AtMost => ("at most", ratio <= 1.0),
             TargetBound::AtLeast => ("at least", ratio >= 1.0),
         };
         let met = if met { "met" } else { "not met" };
-        format!("| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |", format_three_digits(*measured))
+        format!(
+            "| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |",
+            format_three_digits(*measured)
+        )
     }
 }
 

@@ -31,9 +31,18 @@ const STEPS_PER_PIECE: usize = STEPS / PIECES;
 pub const SPECIFICATIONS: [(&str, &str); 6] = [
     ("CC1", "always[0,100] y5 - y4 <= 40"),
     ("CC2", "always[0,70] eventually[0,30] y5 - y4 >= 15"),
-    ("CC3", "always[0,80] (always[0,20] y2 - y1 <= 20 or eventually[0,20] y5 - y4 >= 40)"),
-    ("CC4", "always[0,65] eventually[0,30] always[0,5] y5 - y4 >= 8"),
-    ("CC5", "always[0,72] eventually[0,8] (always[0,5] y2 - y1 >= 9 implies always[5,20] y5 - y4 >= 9)"),
+    (
+        "CC3",
+        "always[0,80] (always[0,20] y2 - y1 <= 20 or eventually[0,20] y5 - y4 >= 40)",
+    ),
+    (
+        "CC4",
+        "always[0,65] eventually[0,30] always[0,5] y5 - y4 >= 8",
+    ),
+    (
+        "CC5",
+        "always[0,72] eventually[0,8] (always[0,5] y2 - y1 >= 9 implies always[5,20] y5 - y4 >= 9)",
+    ),
     (
         "CCx",
         "always[0,50] y2 - y1 > 7.5 and always[0,50] y3 - y2 > 7.5 and always[0,50] y4 - y3 > 7.5 \
@@ -55,7 +64,10 @@ impl ChasingCarsInputs {
     #[must_use]
     pub fn from_unit(point: &[f64]) -> Self {
         let at = |index: usize| point.get(index).copied().unwrap_or(0.0);
-        Self { throttle: std::array::from_fn(at), brake: std::array::from_fn(|piece| at(PIECES + piece)) }
+        Self {
+            throttle: std::array::from_fn(at),
+            brake: std::array::from_fn(|piece| at(PIECES + piece)),
+        }
     }
 }
 
@@ -97,10 +109,20 @@ struct LeaderStep {
 impl LeaderStep {
     fn new(throttle: f64, brake: f64) -> Self {
         let x = brake * STEP_S;
-        let k1 = if x == 0.0 { STEP_S } else { -(-x).exp_m1() / brake };
+        let k1 = if x == 0.0 {
+            STEP_S
+        } else {
+            -(-x).exp_m1() / brake
+        };
         // (x - 1 + e^-x) / b² cancels at small x; its series does not.
-        let k2 = STEP_S * STEP_S * (0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0))));
-        Self { decay: (-x).exp(), k1, k2, throttle }
+        let k2 =
+            STEP_S * STEP_S * (0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0))));
+        Self {
+            decay: (-x).exp(),
+            k1,
+            k2,
+            throttle,
+        }
     }
 
     #[inline]
@@ -137,7 +159,10 @@ pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
                     }
                 }
             }
-            position.iter_mut().zip(y).for_each(|(track, y)| track[piece * STEPS_PER_PIECE + step] = y);
+            position
+                .iter_mut()
+                .zip(y)
+                .for_each(|(track, y)| track[piece * STEPS_PER_PIECE + step] = y);
         }
     }
     CarTrajectories { position }
@@ -150,7 +175,10 @@ impl CarTrajectories {
     /// [`SignalsError`] if a position is not a number.
     pub fn signals(&self) -> Result<SampledSignals<'_>, SignalsError> {
         let mut signals = SampledSignals::new(STEP_S, self.position[0].len())?;
-        for (name, track) in ["y1", "y2", "y3", "y4", "y5"].into_iter().zip(&self.position) {
+        for (name, track) in ["y1", "y2", "y3", "y4", "y5"]
+            .into_iter()
+            .zip(&self.position)
+        {
             signals.insert(name, track.as_slice())?;
         }
         Ok(signals)
@@ -161,6 +189,9 @@ impl CarTrajectories {
 ///
 /// # Errors
 /// An error if the formula does not fit the model.
-pub fn robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, Box<dyn Error + Send + Sync>> {
+pub fn robustness(
+    formula: &Formula,
+    inputs: &ChasingCarsInputs,
+) -> Result<f64, Box<dyn Error + Send + Sync>> {
     Ok(formula.robustness(&simulate(inputs).signals()?)?)
 }

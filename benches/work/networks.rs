@@ -22,7 +22,12 @@ pub fn config(width: usize, batch: usize) -> TrainingConfig {
 /// Returns a TD3 configuration: two critics, target smoothing, and an actor update in every update.
 pub fn td3(width: usize, batch: usize) -> TrainingConfig {
     let mut config = config(width, batch);
-    config.td3 = Td3Config { twin_critic: true, actor_every: 1, target_noise: 0.2, target_noise_limit: 0.5 };
+    config.td3 = Td3Config {
+        twin_critic: true,
+        actor_every: 1,
+        target_noise: 0.2,
+        target_noise_limit: 0.5,
+    };
     config
 }
 
@@ -34,9 +39,13 @@ pub fn batch(count: usize) -> Batch {
     let mut stream = stream(1, Purpose::ReplaySampling, 0);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let mut seen = || -> [f32; STATE_LEN] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
+        let mut seen =
+            || -> [f32; STATE_LEN] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
         let (state, next_state) = (seen(), seen());
-        let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
+        let (action, reward) = (
+            stream.random_range(-1.0..1.0),
+            stream.random_range(-1.0..1.0),
+        );
         batch.push(&Transition {
             state: &state,
             next_state: &next_state,
@@ -57,14 +66,40 @@ pub fn batch(count: usize) -> Batch {
 /// critics and actor, and the inputs of the first critic for the actor's gradient; the inputs of the first layers need
 /// none. Output layers are matrix-vector products and not counted.
 pub fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
-    let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
+    let forward = |inputs: usize| {
+        vec![
+            [count, inputs, width],
+            [count, width, width],
+            [count, width, width],
+        ]
+    };
     let hidden_inputs = vec![[count, width, width]; 2];
-    let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
+    let weights = |inputs: usize| {
+        vec![
+            [inputs, count, width],
+            [width, count, width],
+            [width, count, width],
+        ]
+    };
     let (actor, critic) = (STATE_LEN, STATE_LEN + 1);
-    let mut all = [forward(actor), forward(actor), forward(critic), hidden_inputs.clone()].concat();
+    let mut all = [
+        forward(actor),
+        forward(actor),
+        forward(critic),
+        hidden_inputs.clone(),
+    ]
+    .concat();
     all.extend([hidden_inputs.clone(), weights(actor)].concat());
     for _ in 0..critics {
-        all.extend([forward(critic), forward(critic), hidden_inputs.clone(), weights(critic)].concat());
+        all.extend(
+            [
+                forward(critic),
+                forward(critic),
+                hidden_inputs.clone(),
+                weights(critic),
+            ]
+            .concat(),
+        );
     }
     all
 }
@@ -85,7 +120,10 @@ pub fn large_product() -> (Learner, Vec<f32>, usize) {
     (
         learner(&config),
         vec![0.5; LARGE_PRODUCT_SIZE * STATE_LEN],
-        operations(&[[LARGE_PRODUCT_SIZE, STATE_LEN, LARGE_PRODUCT_SIZE], [LARGE_PRODUCT_SIZE; 3]]),
+        operations(&[
+            [LARGE_PRODUCT_SIZE, STATE_LEN, LARGE_PRODUCT_SIZE],
+            [LARGE_PRODUCT_SIZE; 3],
+        ]),
     )
 }
 
@@ -93,7 +131,10 @@ pub fn random_policy(width: usize) -> Policy {
     let hidden = vec![width; 3];
     let mut network = Network::zeros(&[&[STATE_LEN], hidden.as_slice(), &[1]].concat());
     let mut stream = stream(1, Purpose::InitialWeights, 0);
-    network.parameters_mut().iter_mut().for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
+    network
+        .parameters_mut()
+        .iter_mut()
+        .for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
     let header = PolicyHeader {
         version: POLICY_VERSION,
         crumple: "bench".to_owned(),
@@ -127,7 +168,8 @@ pub fn widened_reference(interval_s: f64) -> Policy {
         let (in_copies, out_copies) = (wide_inputs / inputs, wide_outputs / outputs);
         for row in 0..wide_inputs {
             for column in 0..wide_outputs {
-                let weight = narrow.parameters()[from + row / in_copies * outputs + column / out_copies];
+                let weight =
+                    narrow.parameters()[from + row / in_copies * outputs + column / out_copies];
                 wide.parameters_mut()[to + row * wide_outputs + column] = weight / in_copies as f32;
             }
         }

@@ -4,33 +4,54 @@
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_world::sim::{
+    ControllerKind, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
+};
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {
     let draw = |index| {
         let drawn = PaperDistribution { seed: 1 }.draw(index).expect("valid");
-        drawn.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).expect("still valid")
+        drawn
+            .edited(|spec| spec.vehicles[2].driver = Driver::UnderTest)
+            .expect("still valid")
     };
     (0..count).map(draw).collect()
 }
 
 pub fn built_in(controller: &str) -> ControllerKind {
-    ControllerSpec::from_name(controller).expect("built in").into()
+    ControllerSpec::from_name(controller)
+        .expect("built in")
+        .into()
 }
 
-pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estimator: EstimatorKind) -> Vec<Run> {
+pub fn runs(
+    scenarios: &[Scenario],
+    controller: impl Into<ControllerKind>,
+    estimator: EstimatorKind,
+) -> Vec<Run> {
     let options = RunOptions::new(controller).with_estimator(estimator);
-    scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
+    scenarios
+        .iter()
+        .map(|scenario| Run::new(scenario, options.clone()).expect("valid"))
+        .collect()
 }
 
 /// Returns the number of steps of a run, up to its collision.
 pub fn steps(run: &Run, result: &SimulationResult) -> usize {
     let step_s = run.scenario().spec().step_s;
-    result.outcome.contact().map_or(run.scenario().steps(), |contact| (contact.time_s / step_s) as usize + 1)
+    result
+        .outcome
+        .contact()
+        .map_or(run.scenario().steps(), |contact| {
+            (contact.time_s / step_s) as usize + 1
+        })
 }
 
 pub fn vehicle_steps(runs: &[Run]) -> usize {
-    let made =
-        |index: usize, result: SimulationResult| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
-    simulate_batch(runs, RecordingLevel::Summary, made).into_iter().sum()
+    let made = |index: usize, result: SimulationResult| {
+        steps(&runs[index], &result) * runs[index].scenario().vehicles().len()
+    };
+    simulate_batch(runs, RecordingLevel::Summary, made)
+        .into_iter()
+        .sum()
 }

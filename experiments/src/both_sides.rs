@@ -27,7 +27,9 @@ use crumple::world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
-use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple::world::sim::{
+    NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+};
 
 const SEED: u64 = 0x626f_7468;
 /// Scenarios simulated at once: each keeps its trace.
@@ -100,7 +102,9 @@ impl FollowerChange {
                 Self::None => {}
                 Self::Later => behind.reaction_delay_s += 0.5,
                 Self::Softer => {
-                    let brake_mps2 = behind.max_brake_mps2.unwrap_or(behind.class.max_brake_mps2());
+                    let brake_mps2 = behind
+                        .max_brake_mps2
+                        .unwrap_or(behind.class.max_brake_mps2());
                     behind.max_brake_mps2 = Some(0.7 * brake_mps2);
                 }
                 Self::NoBrake => {
@@ -118,13 +122,20 @@ impl SpaceComparisonArgs {
         let draws = arguments.next().ok_or("how many draws?")?;
         let draws = match draws.parse() {
             Ok(count) if (1..=MAX_DRAWS).contains(&count) => count,
-            _ => return Err(format!("`{draws}` is no number of draws from 1 to {MAX_DRAWS}").into()),
+            _ => {
+                return Err(
+                    format!("`{draws}` is no number of draws from 1 to {MAX_DRAWS}").into(),
+                );
+            }
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut seed, mut estimator, mut follower) = (SEED, EstimatorKind::Kalman, FollowerChange::None);
+        let (mut seed, mut estimator, mut follower) =
+            (SEED, EstimatorKind::Kalman, FollowerChange::None);
         for argument in arguments {
             if let Some(number) = argument.strip_prefix("seed=") {
-                seed = number.parse().map_err(|_| format!("`{number}` is no seed"))?;
+                seed = number
+                    .parse()
+                    .map_err(|_| format!("`{number}` is no seed"))?;
             } else if argument == "estimator=truth" {
                 estimator = EstimatorKind::Truth;
             } else if let Some(name) = argument.strip_prefix("follower=") {
@@ -136,7 +147,11 @@ impl SpaceComparisonArgs {
                 };
             } else if let Some(name) = argument.strip_prefix("space=") {
                 let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
-                spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
+                spaces.push(
+                    known
+                        .ok_or_else(|| format!("there is no built-in space `{name}`"))?
+                        .0,
+                );
             } else if argument.ends_with(".svg") {
                 figures.push(argument);
             } else {
@@ -149,25 +164,44 @@ impl SpaceComparisonArgs {
         if spaces.is_empty() {
             spaces.extend(BUILT_IN_SPACES.iter().map(|(name, ..)| *name));
         }
-        if let Some(missing) =
-            [EMERGENCY_SPACE, TRAFFIC_SPACE].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
+        if let Some(missing) = [EMERGENCY_SPACE, TRAFFIC_SPACE]
+            .iter()
+            .find(|space| !figures.is_empty() && !spaces.contains(space))
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self { draws, controllers, figures, spaces, seed, estimator, follower })
+        Ok(Self {
+            draws,
+            controllers,
+            figures,
+            spaces,
+            seed,
+            estimator,
+            follower,
+        })
     }
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let SpaceComparisonArgs { draws, controllers, figures, spaces, seed, estimator, follower } =
-        SpaceComparisonArgs::parse(arguments.iter().cloned())?;
+    let SpaceComparisonArgs {
+        draws,
+        controllers,
+        figures,
+        spaces,
+        seed,
+        estimator,
+        follower,
+    } = SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
         "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | \
          progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
-        name: Path::new(name).file_name().map_or(name.as_str().into(), |name| name.to_string_lossy()).into_owned(),
+        name: Path::new(name)
+            .file_name()
+            .map_or(name.as_str().into(), |name| name.to_string_lossy())
+            .into_owned(),
         jerk_mps3: 0.0,
         contacts_percent: 0.0,
         is_untrained: !name.ends_with(".safetensors"),
@@ -209,45 +243,83 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
         let run = simulate(&Run::new(&line, options)?, RecordingLevel::Trace);
         let found = run.trace.as_ref().filter(|_| run.outcome.is_safe());
-        let found = found.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S));
+        let found =
+            found.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S));
         let gain = found.map_or("none".to_owned(), |found| format!("{:.2}", found.overall));
         println!("| {} | {gain} |", controller.name);
     }
     for file in figures {
-        std::fs::write(&file, draw_front(&front, draws).document()).map_err(|error| format!("{file}: {error}"))?;
+        std::fs::write(&file, draw_front(&front, draws).document())
+            .map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
 
 /// Plots safety against comfort on logarithmic axes; the lower left corner is best.
 fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
-    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
+    let frame = PixelRect {
+        left: LEFT_MARGIN + 24.0,
+        top: HEADING_HEIGHT,
+        width: 640.0,
+        height: 360.0,
+    };
     let axis = |unit: &str, ticks: &[f64]| {
         let ends = (ticks[0].log10(), ticks[ticks.len() - 1].log10());
-        Axis::with_ticks(unit, ends, ticks.iter().map(|tick| (tick.log10(), tick.to_string())).collect())
+        Axis::with_ticks(
+            unit,
+            ends,
+            ticks
+                .iter()
+                .map(|tick| (tick.log10(), tick.to_string()))
+                .collect(),
+        )
     };
     let title = "Collisions in high-risk (%) against rms of jerk in everyday traffic";
-    let (x, y) = ([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0], [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]);
+    let (x, y) = (
+        [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0],
+        [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0],
+    );
     let mut panel = Panel::new(frame, title, axis("m/s³", &x), axis("", &y));
     let position = |mark: &ParetoPoint| {
         let (jerk, contacts) = mark.position();
-        (jerk.clamp(x[0], x[7]).log10(), contacts.clamp(y[0], y[7]).log10())
+        (
+            jerk.clamp(x[0], x[7]).log10(),
+            contacts.clamp(y[0], y[7]).log10(),
+        )
     };
     for (index, mark) in front.iter().enumerate() {
         let at = position(mark);
-        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| position(other));
+        let others = front
+            .iter()
+            .enumerate()
+            .filter(|(other, _)| *other != index)
+            .map(|(_, other)| position(other));
         // The label is on the left if the nearest mark to the right would be under it.
-        let is_left = others.into_iter().any(|(x, y)| (0.0..0.6).contains(&(x - at.0)) && (y - at.1).abs() < 0.08);
-        let marker = if mark.is_untrained { Marker::Cross } else { Marker::Ring };
+        let is_left = others
+            .into_iter()
+            .any(|(x, y)| (0.0..0.6).contains(&(x - at.0)) && (y - at.1).abs() < 0.08);
+        let marker = if mark.is_untrained {
+            Marker::Cross
+        } else {
+            Marker::Ring
+        };
         panel.add_markers(&[at], marker, Ink::Series(usize::from(!mark.is_untrained)));
-        let (side, anchor) = if is_left { (-0.03, Anchor::End) } else { (0.03, Anchor::Start) };
+        let (side, anchor) = if is_left {
+            (-0.03, Anchor::End)
+        } else {
+            (0.03, Anchor::Start)
+        };
         panel.add_note((at.0 + side, at.1), anchor, &mark.name, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));
-    let description = format!("{draws} random scenarios of each space. Rings are policies from a file.");
+    let description =
+        format!("{draws} random scenarios of each space. Rings are policies from a file.");
     Svg::new(
         "front",
-        (LEFT_MARGIN + 24.0 + 640.0 + 24.0, HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN),
+        (
+            LEFT_MARGIN + 24.0 + 640.0 + 24.0,
+            HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN,
+        ),
         title,
         &description,
         content,
@@ -268,22 +340,31 @@ fn simulate_draws(
         let scenarios = (from..draws.min(from + BLOCK))
             .map(|index| follower.apply(space.draw(seed, index)?))
             .collect::<Result<Vec<_>, _>>()?;
-        let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let runs = scenarios
+            .iter()
+            .map(|one| Run::new(one, options.clone()))
+            .collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            let useful =
-                result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
+            let useful = result
+                .trace
+                .as_ref()
+                .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
             (result.outcome.contact().copied(), useful)
         });
         for (contact, useful) in results {
             sums.contacts += u64::from(contact.is_some());
-            sums.leader_contacts += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
+            sums.leader_contacts +=
+                u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
             let Some(useful) = useful else { continue };
             sums.hard += u64::from(!useful.hard.is_empty());
             sums.unnecessary += u64::from(!useful.unnecessary.is_empty());
             sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
             sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            sums.induced_braking_mps2.extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
-            let Some(following) = useful.following else { continue };
+            sums.induced_braking_mps2
+                .extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
+            let Some(following) = useful.following else {
+                continue;
+            };
             sums.fell_behind += u64::from(following.fell_behind);
             sums.progress.extend(following.progress);
             sums.time_gap_s.extend(following.mean_time_gap_s);

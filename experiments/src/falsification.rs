@@ -21,7 +21,11 @@ pub(crate) struct Problem<'a> {
 
 impl Problem<'_> {
     /// Returns the evaluations to the first counterexample; `None` within the budget.
-    fn first_violation(&self, method: &Method, seed: u64) -> Result<Option<usize>, ExperimentError> {
+    fn first_violation(
+        &self,
+        method: &Method,
+        seed: u64,
+    ) -> Result<Option<usize>, ExperimentError> {
         let mut search = method.start(&self.cube, seed);
         let mut evaluations = 0;
         while evaluations < BUDGET {
@@ -40,7 +44,12 @@ impl Problem<'_> {
     }
 
     /// Returns the evaluations of the successful searches with successive seeds.
-    pub(crate) fn successes(&self, method: &Method, first: u64, seeds: u64) -> Result<Vec<usize>, ExperimentError> {
+    pub(crate) fn successes(
+        &self,
+        method: &Method,
+        first: u64,
+        seeds: u64,
+    ) -> Result<Vec<usize>, ExperimentError> {
         (first..first + seeds)
             .into_par_iter()
             .filter_map(|seed| self.first_violation(method, seed).transpose())
@@ -54,7 +63,10 @@ pub(crate) fn mean(evaluations: &[usize]) -> f64 {
 
 /// Prints a table of the problems: successful searches, and mean and standard error of their evaluations. Arguments are
 /// the first seed, the number of seeds and perhaps a method.
-pub(crate) fn print_table(problems: &[Problem<'_>], arguments: &[String]) -> Result<(), ExperimentError> {
+pub(crate) fn print_table(
+    problems: &[Problem<'_>],
+    arguments: &[String],
+) -> Result<(), ExperimentError> {
     let mut arguments = arguments.iter();
     let first: u64 = arguments.next().ok_or("which first seed?")?.parse()?;
     let seeds: u64 = arguments.next().ok_or("how many seeds?")?.parse()?;
@@ -64,9 +76,16 @@ pub(crate) fn print_table(problems: &[Problem<'_>], arguments: &[String]) -> Res
     for problem in problems {
         let found = problem.successes(&method, first, seeds)?;
         let mean = mean(&found);
-        let square = found.iter().map(|&one| (one as f64 - mean).powi(2)).sum::<f64>();
+        let square = found
+            .iter()
+            .map(|&one| (one as f64 - mean).powi(2))
+            .sum::<f64>();
         let error = (square / (found.len() as f64 - 1.0) / found.len() as f64).sqrt();
-        println!("| {} | {} of {seeds} | {mean:.1} | {error:.1} |", problem.name, found.len());
+        println!(
+            "| {} | {} of {seeds} | {mean:.1} | {error:.1} |",
+            problem.name,
+            found.len()
+        );
     }
     Ok(())
 }

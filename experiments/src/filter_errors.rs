@@ -17,15 +17,23 @@ const DEVIATIONS: f64 = 6.0;
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let mut arguments = arguments.iter();
-    let name = arguments.next().ok_or("name a built-in scenario, and perhaps a factor")?;
+    let name = arguments
+        .next()
+        .ok_or("name a built-in scenario, and perhaps a factor")?;
     let factor: f64 = arguments.next().map_or(Ok(1.0), |text| text.parse())?;
-    let scenario = built_in_scenario(name).ok_or_else(|| format!("{name}: no built-in scenario"))?;
+    let scenario =
+        built_in_scenario(name).ok_or_else(|| format!("{name}: no built-in scenario"))?;
     let tuning = EgoTuning::new(scenario.spec().step_s, &scenario.spec().sensors);
     let [_, own_mps, own_mps2] = tuning.position().steady_deviations();
     let [gap_m, rate_mps, rate_mps2] = tuning.gap().steady_deviations();
     let (other_mps, other_mps2) = (own_mps.hypot(rate_mps), own_mps2.hypot(rate_mps2));
-    let deviations = [gap_m, gap_m, other_mps, own_mps, other_mps, other_mps2, own_mps2, other_mps2];
-    let errors: Vec<String> = deviations.iter().map(|one| format!("{:.4e}", factor * DEVIATIONS * one)).collect();
+    let deviations = [
+        gap_m, gap_m, other_mps, own_mps, other_mps, other_mps2, own_mps2, other_mps2,
+    ];
+    let errors: Vec<String> = deviations
+        .iter()
+        .map(|one| format!("{:.4e}", factor * DEVIATIONS * one))
+        .collect();
     println!("observation_error = [{}]", errors.join(", "));
     Ok(())
 }

@@ -24,8 +24,11 @@ struct EvaluationRow {
 }
 
 /// Stated in section "DDPG training result".
-const PAPER_CONVERGENCE: StatedConvergence<'static> =
-    StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
+const PAPER_CONVERGENCE: StatedConvergence<'static> = StatedConvergence {
+    source: "the paper",
+    reward: COLLISION_FREE_REWARD,
+    from_episode: 400,
+};
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let [table, configuration, picture] = arguments else {
@@ -33,8 +36,16 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     };
     let unreadable = |error: csv::Error| format!("{table}: {error}");
     let mut seeds = BTreeMap::<u64, BTreeMap<u64, f64>>::new();
-    for evaluation in csv::Reader::from_path(table).map_err(unreadable)?.deserialize() {
-        let EvaluationRow { configuration: of, seed, episode, mean_reward } = evaluation.map_err(unreadable)?;
+    for evaluation in csv::Reader::from_path(table)
+        .map_err(unreadable)?
+        .deserialize()
+    {
+        let EvaluationRow {
+            configuration: of,
+            seed,
+            episode,
+            mean_reward,
+        } = evaluation.map_err(unreadable)?;
         if of == *configuration {
             seeds.entry(seed).or_default().insert(episode, mean_reward);
         }

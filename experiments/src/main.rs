@@ -14,7 +14,11 @@ mod search_comparison;
 mod transmission;
 
 /// Problems that the benches measure, too.
-#[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
+#[allow(
+    dead_code,
+    unreachable_pub,
+    reason = "a problem has functions that only a bench uses"
+)]
 #[path = "../../benches/work"]
 mod work {
     pub(crate) mod chasing_cars;
@@ -37,22 +41,54 @@ const EXPERIMENTS: [Experiment; 8] = [
                     [follower=CHANGE]",
         run: both_sides::run,
     },
-    Experiment { name: "chasing_cars", arguments: "FIRST_SEED SEEDS [METHOD]", run: chasing_cars::run },
-    Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
-    Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
-    Experiment { name: "plants_and_sensors", arguments: "RUNS CONTROLLER...", run: plants_and_sensors::run },
-    Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
-    Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
-    Experiment { name: "transmission", arguments: "FIRST_SEED SEEDS [METHOD]", run: transmission::run },
+    Experiment {
+        name: "chasing_cars",
+        arguments: "FIRST_SEED SEEDS [METHOD]",
+        run: chasing_cars::run,
+    },
+    Experiment {
+        name: "filter_errors",
+        arguments: "SCENARIO [FACTOR]",
+        run: filter_errors::run,
+    },
+    Experiment {
+        name: "learning_curve",
+        arguments: "TABLE.csv CONFIGURATION FIGURE.svg",
+        run: learning_curve::run,
+    },
+    Experiment {
+        name: "plants_and_sensors",
+        arguments: "RUNS CONTROLLER...",
+        run: plants_and_sensors::run,
+    },
+    Experiment {
+        name: "scenario_of_input",
+        arguments: "INPUT",
+        run: scenario_of_input::run,
+    },
+    Experiment {
+        name: "search_comparison",
+        arguments: "EVALUATIONS SEEDS",
+        run: search_comparison::run,
+    },
+    Experiment {
+        name: "transmission",
+        arguments: "FIRST_SEED SEEDS [METHOD]",
+        run: transmission::run,
+    },
 ];
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let named = arguments.split_first();
-    let found = named.and_then(|(name, rest)| Some((EXPERIMENTS.iter().find(|one| one.name == name)?, rest)));
+    let found = named
+        .and_then(|(name, rest)| Some((EXPERIMENTS.iter().find(|one| one.name == name)?, rest)));
     let Some((experiment, rest)) = found else {
         eprintln!("error: name an experiment:");
-        for Experiment { name, arguments, .. } in &EXPERIMENTS {
+        for Experiment {
+            name, arguments, ..
+        } in &EXPERIMENTS
+        {
             eprintln!("  {name} {arguments}");
         }
         return ExitCode::from(2);
@@ -60,7 +96,10 @@ fn main() -> ExitCode {
     match (experiment.run)(rest) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}; usage: {} {}", experiment.name, experiment.arguments);
+            eprintln!(
+                "error: {error}; usage: {} {}",
+                experiment.name, experiment.arguments
+            );
             ExitCode::from(2)
         }
     }

@@ -10,9 +10,16 @@ use crate::ExperimentError;
 use crumple_fuzzing::CollisionSearch;
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let path = arguments.first().ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
+    let path = arguments
+        .first()
+        .ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
     let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
-    print!("{}", CollisionSearch::new(&controller, None)?.test_case(&bytes).reproducer());
+    print!(
+        "{}",
+        CollisionSearch::new(&controller, None)?
+            .test_case(&bytes)
+            .reproducer()
+    );
     Ok(())
 }

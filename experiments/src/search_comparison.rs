@@ -29,14 +29,21 @@ const PROBLEMS: [(&str, &str); 8] = [
 
 const METHODS: [Method; 4] = [Method::Auto, Method::CmaEs, Method::Uniform, Method::Halton];
 
-const MEASURES: [(&str, bool); 3] =
-    [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
+const MEASURES: [(&str, bool); 3] = [
+    ("evaluations to the first failure", false),
+    ("smallest robustness", false),
+    ("kinds of failures", true),
+];
 
 /// Returns the results of a method with one seed, in the order of [`MEASURES`].
 fn method_measures(summary: &CampaignSummary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
     let of_method = summary.methods.iter().find(|one| one.method == name)?;
-    let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
+    let kinds = summary
+        .failures
+        .iter()
+        .filter(|kind| kind.by_method.iter().any(|by| by.method == name))
+        .count();
     // No failure within the budget counts as one evaluation more.
     let first = of_method.first_falsification.unwrap_or(budget + 1);
     Some([first as f64, of_method.best_robustness?, kinds as f64])
@@ -48,8 +55,13 @@ fn permutation_p_value(above: &[f64], below: &[f64]) -> f64 {
     let total: f64 = all.iter().sum();
     let observed: f64 = above.iter().sum();
     let (mut deals, mut as_far) = (0_u32, 0_u32);
-    for chosen in (0..1_u32 << all.len()).filter(|chosen| chosen.count_ones() as usize == above.len()) {
-        let sum: f64 = (0..all.len()).filter(|i| chosen >> i & 1 == 1).map(|i| all[i]).sum();
+    for chosen in
+        (0..1_u32 << all.len()).filter(|chosen| chosen.count_ones() as usize == above.len())
+    {
+        let sum: f64 = (0..all.len())
+            .filter(|i| chosen >> i & 1 == 1)
+            .map(|i| all[i])
+            .sum();
         deals += 1;
         as_far += u32::from(sum >= observed - 1e-12 * total.abs());
     }
@@ -74,25 +86,48 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         let mut found: [[Vec<f64>; 3]; METHODS.len()] = Default::default();
         for seed in 0..seeds {
             // Both campaigns also run `uniform` and `halton`, as reference searches.
-            let [with_auto, with_cma_es] =
-                [Method::Auto, Method::CmaEs].map(|method| run_campaign(space, controller, method, budget, seed));
+            let [with_auto, with_cma_es] = [Method::Auto, Method::CmaEs]
+                .map(|method| run_campaign(space, controller, method, budget, seed));
             let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
             for (method, found) in METHODS.iter().zip(&mut found) {
-                let summary = if *method == Method::CmaEs { &with_cma_es } else { &with_auto };
-                let reached = method_measures(summary, method, budget).ok_or("a method that was not run")?;
-                found.iter_mut().zip(reached).for_each(|(all, one)| all.push(one));
+                let summary = if *method == Method::CmaEs {
+                    &with_cma_es
+                } else {
+                    &with_auto
+                };
+                let reached =
+                    method_measures(summary, method, budget).ok_or("a method that was not run")?;
+                found
+                    .iter_mut()
+                    .zip(reached)
+                    .for_each(|(all, one)| all.push(one));
             }
         }
         for (measure, (name, more_is_better)) in MEASURES.into_iter().enumerate() {
             // Change signs so that smaller is better.
             let sign = if more_is_better { -1.0 } else { 1.0 };
-            let signed: Vec<Vec<f64>> =
-                found.iter().map(|of| of[measure].iter().map(|value| sign * value).collect()).collect();
-            let best = signed[1..].iter().min_by(|a, b| mean(a).total_cmp(&mean(b))).ok_or("no other method")?;
+            let signed: Vec<Vec<f64>> = found
+                .iter()
+                .map(|of| of[measure].iter().map(|value| sign * value).collect())
+                .collect();
+            let best = signed[1..]
+                .iter()
+                .min_by(|a, b| mean(a).total_cmp(&mean(b)))
+                .ok_or("no other method")?;
             let behind = mean(&signed[0]) > mean(best);
-            let p = if behind { format!("{:.3}", permutation_p_value(&signed[0], best)) } else { String::new() };
-            let means: Vec<String> = found.iter().map(|of| format!("{:.1}", mean(&of[measure]))).collect();
-            println!("| {space} | {controller} | {name} | {} | {p} |", means.join(" | "));
+            let p = if behind {
+                format!("{:.3}", permutation_p_value(&signed[0], best))
+            } else {
+                String::new()
+            };
+            let means: Vec<String> = found
+                .iter()
+                .map(|of| format!("{:.1}", mean(&of[measure])))
+                .collect();
+            println!(
+                "| {space} | {controller} | {name} | {} | {p} |",
+                means.join(" | ")
+            );
         }
     }
     Ok(())

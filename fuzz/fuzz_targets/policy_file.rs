@@ -3,4 +3,5 @@
 use crumple_fuzzing::{Violation, targets};
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(|bytes: &[u8]| targets::policy_file(bytes).unwrap_or_else(|violation: Violation| violation.panic()));
+fuzz_target!(|bytes: &[u8]| targets::policy_file(bytes)
+    .unwrap_or_else(|violation: Violation| violation.panic()));

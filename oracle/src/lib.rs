@@ -30,9 +30,17 @@ struct NetworkWithTarget {
 impl NetworkWithTarget {
     fn new(trained: &TrainableNetwork, rate: f32) -> Result<Self> {
         let network = Mlp::new(&trained.network)?;
-        let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
+        let params = ParamsAdamW {
+            lr: f64::from(rate),
+            weight_decay: 0.0,
+            ..ParamsAdamW::default()
+        };
         let optimiser = AdamW::new(network.vars.clone(), params)?;
-        Ok(Self { network, target: Mlp::new(&trained.target)?, optimiser })
+        Ok(Self {
+            network,
+            target: Mlp::new(&trained.target)?,
+            optimiser,
+        })
     }
 }
 
@@ -50,7 +58,9 @@ impl Mlp {
             let (weights, after) = rest.split_at(sizes[0] * sizes[1]);
             let (biases, after) = after.split_at(sizes[1]);
             rest = after;
-            let weights = Tensor::from_slice(weights, (sizes[0], sizes[1]), &Device::Cpu)?.t()?.contiguous()?;
+            let weights = Tensor::from_slice(weights, (sizes[0], sizes[1]), &Device::Cpu)?
+                .t()?
+                .contiguous()?;
             vars.push(Var::from_tensor(&weights)?);
             vars.push(Var::from_slice(biases, sizes[1], &Device::Cpu)?);
         }
@@ -62,7 +72,10 @@ impl Mlp {
         let layers = self.vars.chunks_exact(2);
         let last = layers.len() - 1;
         for (index, layer) in layers.enumerate() {
-            let linear = Linear::new(layer[0].as_tensor().clone(), Some(layer[1].as_tensor().clone()));
+            let linear = Linear::new(
+                layer[0].as_tensor().clone(),
+                Some(layer[1].as_tensor().clone()),
+            );
             value = linear.forward(&value)?;
             if index < last {
                 value = value.relu()?;
@@ -82,7 +95,13 @@ impl Mlp {
     fn flatten(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
         let mut all = Vec::new();
         for layer in self.vars.chunks_exact(2) {
-            all.extend(of(&layer[0])?.t()?.contiguous()?.flatten_all()?.to_vec1::<f32>()?);
+            all.extend(
+                of(&layer[0])?
+                    .t()?
+                    .contiguous()?
+                    .flatten_all()?
+                    .to_vec1::<f32>()?,
+            );
             all.extend(of(&layer[1])?.to_vec1::<f32>()?);
         }
         Ok(all)
@@ -102,7 +121,8 @@ struct BatchTensors {
 impl BatchTensors {
     fn new(batch: &Batch) -> Result<Self> {
         let n = batch.len();
-        let rows = |values: &[f32]| Tensor::from_slice(values, (n, values.len() / n.max(1)), &Device::Cpu);
+        let rows =
+            |values: &[f32]| Tensor::from_slice(values, (n, values.len() / n.max(1)), &Device::Cpu);
         Ok(Self {
             states: rows(&batch.states)?,
             actions: rows(&batch.actions)?,
@@ -122,7 +142,10 @@ impl ReferenceLearner {
     /// # Errors
     /// Errors of candle.
     pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
-        let critics = learner.critics.iter().map(|critic| NetworkWithTarget::new(critic, learning.critic_rate));
+        let critics = learner
+            .critics
+            .iter()
+            .map(|critic| NetworkWithTarget::new(critic, learning.critic_rate));
         Ok(Self {
             actor: NetworkWithTarget::new(&learner.actor, learning.actor_rate)?,
             critics: critics.collect::<Result<_>>()?,
@@ -137,13 +160,16 @@ impl ReferenceLearner {
     fn td_targets(&self, rows: &BatchTensors, noise: &mut Stream) -> Result<Tensor> {
         let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
         if self.td3.target_noise > 0.0 {
-            let normals: Vec<f32> = (0..actions.dim(0)?).map(|_| StandardNormal.sample(noise)).collect();
+            let normals: Vec<f32> = (0..actions.dim(0)?)
+                .map(|_| StandardNormal.sample(noise))
+                .collect();
             let normals = Tensor::from_vec(normals, actions.shape(), &Device::Cpu)?;
             let limit = self.td3.target_noise_limit;
             let smoothing = (normals * f64::from(self.td3.target_noise))?.clamp(-limit, limit)?;
             actions = (actions + smoothing)?.clamp(-1_f32, 1_f32)?;
         }
-        let states_and_actions = Tensor::cat(&[&rows.next_states, &rows.privileged[1], &actions], 1)?;
+        let states_and_actions =
+            Tensor::cat(&[&rows.next_states, &rows.privileged[1], &actions], 1)?;
         let mut values: Option<Tensor> = None;
         for critic in &self.critics {
             let value = critic.target.forward(&states_and_actions)?;
@@ -152,7 +178,8 @@ impl ReferenceLearner {
                 None => value,
             });
         }
-        let values = values.ok_or_else(|| candle_core::Error::Msg("the learner has no critic".to_owned()))?;
+        let values = values
+            .ok_or_else(|| candle_core::Error::Msg("the learner has no critic".to_owned()))?;
         Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
     }
 
@@ -162,16 +189,22 @@ impl ReferenceLearner {
         rows: &BatchTensors,
         td_targets: &Tensor,
     ) -> Result<(Tensor, Tensor)> {
-        let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &rows.actions], 1)?)?;
+        let values = critic.network.forward(&Tensor::cat(
+            &[&rows.states, &rows.privileged[0], &rows.actions],
+            1,
+        )?)?;
         Ok(((&values - td_targets)?.sqr()?.mean_all()?, values))
     }
 
     fn actor_loss(&self, rows: &BatchTensors) -> Result<Tensor> {
         let raw = self.actor.network.forward(&rows.states)?;
-        let values =
-            self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &raw.tanh()?], 1)?)?;
+        let values = self.critics[0].network.forward(&Tensor::cat(
+            &[&rows.states, &rows.privileged[0], &raw.tanh()?],
+            1,
+        )?)?;
         let beyond = (raw.abs()? - 1.0)?.relu()?.sqr()?.mean_all()?;
-        let change = (raw.tanh()? - self.actor.network.forward(&rows.next_states)?.tanh()?)?.sqr()?;
+        let change =
+            (raw.tanh()? - self.actor.network.forward(&rows.next_states)?.tanh()?)?.sqr()?;
         let change = (change * &rows.continues)?.mean_all()?;
         let penalties = (beyond * f64::from(self.learning.saturation_penalty))?
             + (change * f64::from(self.learning.smoothness_penalty))?;
@@ -191,12 +224,17 @@ impl ReferenceLearner {
             let (loss, values) = self.critic_loss(&self.critics[index], &rows, &td_targets)?;
             self.critics[index].optimiser.backward_step(&loss)?;
             if index == 0 {
-                losses = Losses { critic_loss: number(loss)?, mean_value: number(values.mean_all()?)? };
+                losses = Losses {
+                    critic_loss: number(loss)?,
+                    mean_value: number(values.mean_all()?)?,
+                };
             }
         }
         self.updates += 1;
         if self.updates.is_multiple_of(u64::from(self.td3.actor_every)) {
-            self.actor.optimiser.backward_step(&self.actor_loss(&rows)?)?;
+            self.actor
+                .optimiser
+                .backward_step(&self.actor_loss(&rows)?)?;
             let share = f64::from(self.learning.tau);
             for pair in self.trained_networks() {
                 pair.target.polyak_update(&pair.network, share)?;
@@ -219,9 +257,16 @@ impl ReferenceLearner {
                 None => var.zeros_like(),
             })
         };
-        let critics =
-            self.critics.iter().map(|critic| of(&critic.network, self.critic_loss(critic, &rows, &td_targets)?.0));
-        Ok((critics.collect::<Result<_>>()?, of(&self.actor.network, self.actor_loss(&rows)?)?))
+        let critics = self.critics.iter().map(|critic| {
+            of(
+                &critic.network,
+                self.critic_loss(critic, &rows, &td_targets)?.0,
+            )
+        });
+        Ok((
+            critics.collect::<Result<_>>()?,
+            of(&self.actor.network, self.actor_loss(&rows)?)?,
+        ))
     }
 
     /// Returns the parameters of every network, each followed by those of its target: the actor, then the critics.
@@ -229,8 +274,12 @@ impl ReferenceLearner {
     /// # Errors
     /// Errors of candle.
     pub fn parameters(&self) -> Result<Vec<Vec<f32>>> {
-        let networks = self.trained_networks().flat_map(|pair| [&pair.network, &pair.target]);
-        networks.map(|network| network.flatten(|var| Ok(var.as_tensor().clone()))).collect()
+        let networks = self
+            .trained_networks()
+            .flat_map(|pair| [&pair.network, &pair.target]);
+        networks
+            .map(|network| network.flatten(|var| Ok(var.as_tensor().clone())))
+            .collect()
     }
 
     fn trained_networks(&self) -> impl Iterator<Item = &NetworkWithTarget> {

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crumple_core::observer::RunProgress;
 use crumple_report::assessment::{
-    self as report, AssessConfig, AssessConfigError, AssessmentPlan, EarlierAssessment, EvidenceCache,
+    self as report, AssessConfig, AssessConfigError, AssessmentPlan, EarlierAssessment,
+    EvidenceCache,
 };
 use crumple_store::program;
 use crumple_world::scenario::file;
@@ -52,7 +53,10 @@ impl PyAssessment {
 
     /// Returns every file of the report by its path in the report's folder.
     fn files<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let files = self.0.files().map_err(|error| errors::exception(py, ExceptionClass::Assessment, &error))?;
+        let files = self
+            .0
+            .files()
+            .map_err(|error| errors::exception(py, ExceptionClass::Assessment, &error))?;
         let dict = PyDict::new(py);
         for (name, contents) in files {
             dict.set_item(name, PyBytes::new(py, &contents))?;
@@ -64,7 +68,9 @@ impl PyAssessment {
     fn _repr_html_(&self) -> String {
         let page = self.0.first_page_to_html();
         let quoted = page.replace('&', "&amp;").replace('"', "&quot;");
-        format!("<iframe srcdoc=\"{quoted}\" sandbox style=\"width:100%;height:30em;border:0\"></iframe>")
+        format!(
+            "<iframe srcdoc=\"{quoted}\" sandbox style=\"width:100%;height:30em;border:0\"></iframe>"
+        )
     }
 
     fn __str__(&self) -> String {
@@ -72,13 +78,19 @@ impl PyAssessment {
     }
 
     fn __repr__(&self) -> String {
-        format!("<crumple.Assessment of {}>", self.0.provenance.config.controllers.join(", "))
+        format!(
+            "<crumple.Assessment of {}>",
+            self.0.provenance.config.controllers.join(", ")
+        )
     }
 }
 
 /// Gathers the evidence of a configuration: a file, a text in TOML or JSON, or by default the built-in one.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn assess(
     py: Python<'_>,
     path: Option<PathBuf>,
@@ -91,18 +103,32 @@ pub(crate) fn assess(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<PyAssessment> {
     let stop = StopFlag::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Assessment, &error.to_string());
-    let own = controllers.iter().map(|one| controller::resolve_controller(one, &stop)).collect::<PyResult<Vec<_>>>()?;
+    let wrong = |error: &dyn std::fmt::Display| {
+        errors::exception(py, ExceptionClass::Assessment, &error.to_string())
+    };
+    let own = controllers
+        .iter()
+        .map(|one| controller::resolve_controller(one, &stop))
+        .collect::<PyResult<Vec<_>>>()?;
     let plan = match &path {
-        Some(path) if own.is_empty() => AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?,
+        Some(path) if own.is_empty() => {
+            AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?
+        }
         _ => {
             let (config, folder) = read_config(py, path.as_deref(), toml, json)?;
-            AssessmentPlan::new(config, own, &folder).map_err(|error| config_exception(py, &error))?
+            AssessmentPlan::new(config, own, &folder)
+                .map_err(|error| config_exception(py, &error))?
         }
     };
-    let against = against.as_deref().map(EarlierAssessment::load).transpose().map_err(|error| wrong(&error))?;
+    let against = against
+        .as_deref()
+        .map(EarlierAssessment::load)
+        .transpose()
+        .map_err(|error| wrong(&error))?;
     if against.is_none() && plan.needs_earlier_assessment() {
-        return Err(wrong(&"the gate `nothing-worse` needs an earlier assessment: against"));
+        return Err(wrong(
+            &"the gate `nothing-worse` needs an earlier assessment: against",
+        ));
     }
     let cache = match evidence {
         None => EvidenceCache::disabled(),
@@ -113,7 +139,9 @@ pub(crate) fn assess(
     };
     let runs = plan.runs();
     let assessment = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        report::assess(&plan, &cache, against.as_ref(), &|state: &RunProgress| say((state.done, runs, 0)))
+        report::assess(&plan, &cache, against.as_ref(), &|state: &RunProgress| {
+            say((state.done, runs, 0))
+        })
     })?;
     Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
 }
@@ -133,18 +161,33 @@ fn read_config(
         return Ok((file::parse_toml(&text, path).map_err(of_file)?, folder));
     }
     if let Some(text) = toml {
-        return Ok((file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?, here));
+        return Ok((
+            file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?,
+            here,
+        ));
     }
-    let Some(text) = json else { return Ok((AssessConfig::default(), here)) };
-    Ok((file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?, here))
+    let Some(text) = json else {
+        return Ok((AssessConfig::default(), here));
+    };
+    Ok((
+        file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?,
+        here,
+    ))
 }
 
 fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
     match error {
-        AssessConfigError::File(error) => errors::file_exception(py, ExceptionClass::Assessment, error),
-        AssessConfigError::Field { path, line, field, .. } => {
-            errors::exception_at(py, ExceptionClass::Assessment, error, (Some(path), Some(*line), Some(field)))
+        AssessConfigError::File(error) => {
+            errors::file_exception(py, ExceptionClass::Assessment, error)
         }
+        AssessConfigError::Field {
+            path, line, field, ..
+        } => errors::exception_at(
+            py,
+            ExceptionClass::Assessment,
+            error,
+            (Some(path), Some(*line), Some(field)),
+        ),
         other => errors::exception(py, ExceptionClass::Assessment, other),
     }
 }

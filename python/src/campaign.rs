@@ -18,7 +18,10 @@ use crate::values::{parse_choice, serialize_to_python};
 
 /// Searches a space for counterexamples. Returns the campaign's summary as data and as text.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn falsify<'py>(
     py: Python<'py>,
     controller: &Bound<'py, PyAny>,
@@ -44,8 +47,13 @@ pub(crate) fn falsify<'py>(
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let options = CampaignOptions { resume, ..CampaignOptions::default() };
-        campaign.run(&folder, options, &|state: &CampaignProgress| say((state.evaluations, total, state.failures)))
+        let options = CampaignOptions {
+            resume,
+            ..CampaignOptions::default()
+        };
+        campaign.run(&folder, options, &|state: &CampaignProgress| {
+            say((state.evaluations, total, state.failures))
+        })
     })?;
     raised.take()?;
     let summary = summary.map_err(|error| wrong(py, &error))?;
@@ -54,7 +62,10 @@ pub(crate) fn falsify<'py>(
 
 /// Compares search methods. Returns the results as data and as text.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn compare<'py>(
     py: Python<'py>,
     controller: &Bound<'py, PyAny>,
@@ -69,10 +80,18 @@ pub(crate) fn compare<'py>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let (stop, raised) = (StopFlag::default(), RaisedException::default());
-    let campaign = Campaign { budget, seed, ..campaign(py, controller, &space, spec, against, estimator, &stop)? };
-    let methods = methods.iter().map(|method| resolve_method(method, &raised)).collect::<PyResult<Vec<_>>>()?;
+    let campaign = Campaign {
+        budget,
+        seed,
+        ..campaign(py, controller, &space, spec, against, estimator, &stop)?
+    };
+    let methods = methods
+        .iter()
+        .map(|method| resolve_method(method, &raised))
+        .collect::<PyResult<Vec<_>>>()?;
     let compared = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let observe = |state: &CampaignProgress| say((state.evaluations, state.total, state.failures));
+        let observe =
+            |state: &CampaignProgress| say((state.evaluations, state.total, state.failures));
         MethodComparison::run(&campaign, &methods, seeds, &observe)
     })?;
     raised.take()?;
@@ -91,12 +110,17 @@ fn campaign<'py>(
     stop: &StopFlag,
 ) -> PyResult<Campaign> {
     let space = space.0.clone();
-    let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
-    let against = against.map(|other| controller::resolve_controller(&other, stop)).transpose()?;
+    let nominal = space
+        .scenario(&space.nominal())
+        .map_err(|error| errors::field_exception(py, &error))?;
+    let against = against
+        .map(|other| controller::resolve_controller(&other, stop))
+        .transpose()?;
     Ok(Campaign {
         failure_criterion: against.map(FailureCriterion::Differential),
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
-        specification: Specification::parse(spec, &nominal).map_err(|error| wrong(py, &format!("spec: {error}")))?,
+        specification: Specification::parse(spec, &nominal)
+            .map_err(|error| wrong(py, &format!("spec: {error}")))?,
         ..Campaign::new(controller::resolve_controller(controller, stop)?, space)
     })
 }

@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_world::control::{BatchController, Controller, ControllerFailure, ControllerSource, Ego};
+use crumple_world::control::{
+    BatchController, Controller, ControllerFailure, ControllerSource, Ego,
+};
 use crumple_world::observation::{Neighbour, Observation as Seen};
 use crumple_world::sim::NamedController;
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
@@ -39,7 +41,10 @@ impl PyObservation {
         *, speed_mps, acceleration_mps2, gap_ahead_m = None, speed_ahead_mps = None, acceleration_ahead_mps2 = None,
         gap_behind_m = None, speed_behind_mps = None, acceleration_behind_mps2 = None
     ))]
-    #[expect(clippy::too_many_arguments, reason = "the arguments are the eight quantities")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "the arguments are the eight quantities"
+    )]
     fn from_quantities(
         speed_mps: f64,
         acceleration_mps2: f64,
@@ -83,7 +88,11 @@ impl PyObservation {
 
     /// Returns the row of a batch in the paper's order; values of an absent vehicle are NaN.
     fn row(seen: &Seen) -> [f64; ROW_WIDTH] {
-        const ABSENT: Neighbour = Neighbour { gap_m: f64::NAN, speed_mps: f64::NAN, acceleration_mps2: f64::NAN };
+        const ABSENT: Neighbour = Neighbour {
+            gap_m: f64::NAN,
+            speed_mps: f64::NAN,
+            acceleration_mps2: f64::NAN,
+        };
         let (ahead, behind) = (seen.ahead.unwrap_or(ABSENT), seen.behind.unwrap_or(ABSENT));
         [
             ahead.gap_m,
@@ -106,7 +115,10 @@ pub(crate) fn allow_external() {
 }
 
 /// Resolves a name as on the command line, or a `crumple.Controller`.
-pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag) -> PyResult<NamedController> {
+pub(crate) fn resolve_controller(
+    controller: &Bound<'_, PyAny>,
+    stop: &StopFlag,
+) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
         return NamedController::find_for_user(&name, Path::new(""))
@@ -114,22 +126,44 @@ pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag)
     }
     let decide = controller.getattr("decide")?;
     if !decide.is_callable() {
-        return Err(PyTypeError::new_err("a controller is a name, a callable or a crumple.Controller"));
+        return Err(PyTypeError::new_err(
+            "a controller is a name, a callable or a crumple.Controller",
+        ));
     }
     let interval_s: Option<f64> = controller.getattr("interval_s")?.extract()?;
     if interval_s.is_some_and(|interval_s| !(interval_s > 0.0 && interval_s.is_finite())) {
-        return Err(PyValueError::new_err("interval_s must be a positive number of seconds, or None"));
+        return Err(PyValueError::new_err(
+            "interval_s must be a positive number of seconds, or None",
+        ));
     }
-    let mode = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
+    let mode = match (
+        controller.getattr("batch")?.is_truthy()?,
+        controller.getattr("each_run")?.is_truthy()?,
+    ) {
         (false, false) => CallMode::Single,
         (true, false) => CallMode::Batch,
         (false, true) => CallMode::PerRun,
-        (true, true) => return Err(PyValueError::new_err("a batch has no run of its own: choose batch or each_run")),
+        (true, true) => {
+            return Err(PyValueError::new_err(
+                "a batch has no run of its own: choose batch or each_run",
+            ));
+        }
     };
-    let called = Arc::new(PythonCallable { decide: decide.unbind(), mode, stop: stop.clone() });
+    let called = Arc::new(PythonCallable {
+        decide: decide.unbind(),
+        mode,
+        stop: stop.clone(),
+    });
     let identity = controller.getattr("identity")?.extract()?;
     let name: String = controller.getattr("name")?.extract()?;
-    Ok(NamedController::from_source(&name, Arc::new(PythonSource { callable: called, interval_s, identity })))
+    Ok(NamedController::from_source(
+        &name,
+        Arc::new(PythonSource {
+            callable: called,
+            interval_s,
+            identity,
+        }),
+    ))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -174,34 +208,59 @@ impl ControllerSource for PythonSource {
         }
         self.callable.check_stop()?;
         let decide = Python::attach(|py| {
-            self.callable.decide.call1(py, (ego.vehicle, seed)).map_err(|error| failure_from_exception(py, &error))
+            self.callable
+                .decide
+                .call1(py, (ego.vehicle, seed))
+                .map_err(|error| failure_from_exception(py, &error))
         })?;
-        let called = PythonCallable { decide, mode: CallMode::Single, stop: self.callable.stop.clone() };
+        let called = PythonCallable {
+            decide,
+            mode: CallMode::Single,
+            stop: self.callable.stop.clone(),
+        };
         Ok(Box::new(PythonDriver(Arc::new(called))))
     }
 }
 
 impl PythonCallable {
     fn check_stop(&self) -> Result<(), ControllerFailure> {
-        if self.stop.is_set() { Err(failure("it was interrupted")) } else { Ok(()) }
+        if self.stop.is_set() {
+            Err(failure("it was interrupted"))
+        } else {
+            Ok(())
+        }
     }
 }
 
 impl BatchController for PythonCallable {
-    fn decide_batch(&self, seen: &[Seen], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+    fn decide_batch(
+        &self,
+        seen: &[Seen],
+        answers_mps2: &mut [f64],
+    ) -> Result<(), ControllerFailure> {
         self.check_stop()?;
         let rows: Vec<f64> = seen.iter().flat_map(PyObservation::row).collect();
         Python::attach(|py| {
             let raised = |error: PyErr| failure_from_exception(py, &error);
-            let rows = PyArray1::from_vec(py, rows).reshape([seen.len(), ROW_WIDTH]).map_err(raised)?;
+            let rows = PyArray1::from_vec(py, rows)
+                .reshape([seen.len(), ROW_WIDTH])
+                .map_err(raised)?;
             let answered = self.decide.bind(py).call1((rows,)).map_err(raised)?;
-            let answered: PyArrayLike1<'_, f64, AllowTypeChange> =
-                answered.extract().map_err(|_| failure(format!("it answered no array of {} numbers", seen.len())))?;
+            let answered: PyArrayLike1<'_, f64, AllowTypeChange> = answered
+                .extract()
+                .map_err(|_| failure(format!("it answered no array of {} numbers", seen.len())))?;
             let answered = answered.as_array();
             if answered.len() != answers_mps2.len() {
-                return Err(failure(format!("it answered {} numbers to {} rows", answered.len(), seen.len())));
+                return Err(failure(format!(
+                    "it answered {} numbers to {} rows",
+                    answered.len(),
+                    seen.len()
+                )));
             }
-            answers_mps2.iter_mut().zip(answered).for_each(|(answer_mps2, answered)| *answer_mps2 = *answered);
+            answers_mps2
+                .iter_mut()
+                .zip(answered)
+                .for_each(|(answer_mps2, answered)| *answer_mps2 = *answered);
             Ok(())
         })
     }
@@ -214,24 +273,32 @@ impl Controller for PythonDriver {
     fn decide(&mut self, seen: &Seen) -> Result<f64, ControllerFailure> {
         if self.0.mode == CallMode::Batch {
             let mut answer_mps2 = [0.0];
-            self.0.decide_batch(std::slice::from_ref(seen), &mut answer_mps2)?;
+            self.0
+                .decide_batch(std::slice::from_ref(seen), &mut answer_mps2)?;
             return Ok(answer_mps2[0]);
         }
         self.0.check_stop()?;
         Python::attach(|py| {
             let answered = self.0.decide.bind(py).call1((PyObservation::new(seen),));
-            answered.and_then(|answered| answered.extract()).map_err(|error| failure_from_exception(py, &error))
+            answered
+                .and_then(|answered| answered.extract())
+                .map_err(|error| failure_from_exception(py, &error))
         })
     }
 }
 
 fn failure(message: impl Into<String>) -> ControllerFailure {
-    ControllerFailure::Died { message: message.into() }
+    ControllerFailure::Died {
+        message: message.into(),
+    }
 }
 
 /// Returns a failure with the end of the exception's traceback.
 fn failure_from_exception(py: Python<'_>, error: &PyErr) -> ControllerFailure {
-    let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
+    let traceback = error
+        .traceback(py)
+        .and_then(|traceback| traceback.format().ok())
+        .unwrap_or_default();
     let text = format!("{traceback}{error}");
     let skipped = text.chars().count().saturating_sub(MAX_TRACEBACK_CHARS);
     failure(text.chars().skip(skipped).collect::<String>())

@@ -3,7 +3,8 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crumple_learn::rl::{
-    EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode, action_bounds, unsuitability,
+    EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode,
+    action_bounds, unsuitability,
 };
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::scenario::{Scenario, file};
@@ -22,7 +23,8 @@ use crate::values::parse_choice;
 /// Minimum number of episodes per thread when they begin; below it, distribution costs more than it saves.
 const MIN_EPISODES_PER_THREAD: usize = 16;
 
-const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
+const MUST_BE_RESET: &str =
+    "an episode that is over, or has not begun, must be reset before it is stepped";
 
 const MAX_EPISODES: usize = 1 << 20;
 
@@ -46,7 +48,10 @@ struct EpisodeTask {
 
 impl EpisodeTask {
     fn new_episode(&self, seed: u64, index: u64) -> Result<(Scenario, TrainingEpisode), String> {
-        let scenario = self.source.draw(seed, index).map_err(|error| error.to_string())?;
+        let scenario = self
+            .source
+            .draw(seed, index)
+            .map_err(|error| error.to_string())?;
         if let Some(why) = unsuitability(&scenario) {
             return Err(format!("{}: {why}", scenario.spec().name));
         }
@@ -69,7 +74,10 @@ struct SubEnvironment {
 
 /// Destination of the results of one sub-environment's step: state and last state; reward, and whether the episode was
 /// terminated or truncated, with the code of its ending.
-type StepBuffers<'a> = ((&'a mut [f32], &'a mut [f32]), (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)));
+type StepBuffers<'a> = (
+    (&'a mut [f32], &'a mut [f32]),
+    (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
+);
 
 impl SubEnvironment {
     fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
@@ -91,7 +99,12 @@ impl SubEnvironment {
         }
     }
 
-    fn step(&mut self, task: &EpisodeTask, action: f32, results: StepBuffers<'_>) -> Result<(), String> {
+    fn step(
+        &mut self,
+        task: &EpisodeTask,
+        action: f32,
+        results: StepBuffers<'_>,
+    ) -> Result<(), String> {
         let ((state, last_state), (reward, ((terminated, truncated), ending))) = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
@@ -148,7 +161,9 @@ impl Episodes {
             let problem = format!("there must be 1 to {MAX_EPISODES} environments, found {count}");
             return Err(PyValueError::new_err(problem));
         }
-        let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
+        let wrong = |error: &dyn std::fmt::Display| {
+            errors::exception(py, ExceptionClass::Training, &error.to_string())
+        };
         let config = load_training_config(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
@@ -158,14 +173,29 @@ impl Episodes {
         if let Some(estimator) = estimator {
             environment.estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
         }
-        let known =
-            [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
+        let known = [
+            ("next-step", Autoreset::NextStep),
+            ("same-step", Autoreset::SameStep),
+            ("disabled", Autoreset::Disabled),
+        ];
         let autoreset = parse_choice("autoreset", autoreset, &known)?;
         let constants = EpisodeConstants::new(environment, config.learning.discount);
-        let task = EpisodeTask { source, config: constants, autoreset };
+        let task = EpisodeTask {
+            source,
+            config: constants,
+            autoreset,
+        };
         task.new_episode(0, 0).map_err(|error| wrong(&error))?;
-        let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
-        Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })
+        let lane = |seed| SubEnvironment {
+            seed,
+            next_index: 0,
+            episode: None,
+            is_over: false,
+        };
+        Ok(Self {
+            task,
+            sub_environments: Mutex::new((0..count as u64).map(lane).collect()),
+        })
     }
 
     /// Clipping limit of the numbers of a state.
@@ -183,7 +213,8 @@ impl Episodes {
     /// Simulated time between two decisions, in seconds.
     #[getter]
     fn decision_s(&self) -> f64 {
-        f64::from(self.task.config.environment().action_repeat) * crumple_world::scenario::PAPER_STEP_S
+        f64::from(self.task.config.environment().action_repeat)
+            * crumple_world::scenario::PAPER_STEP_S
     }
 
     /// Accelerations of the actions -1 and 1, in m/s².
@@ -204,10 +235,16 @@ impl Episodes {
         let (mask, states, pool) = (mask.as_slice()?, states.as_slice_mut()?, threads::pool()?);
         let width = self.state_width();
         py.detach(|| {
-            let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut lanes = self
+                .sub_environments
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
             check_lengths(&[mask.len(), states.len() / width, seeds.len()], count)?;
-            let begin = |(index, ((lane, state), chosen)): (usize, ((&mut SubEnvironment, &mut [f32]), &bool))| {
+            let begin = |(index, ((lane, state), chosen)): (
+                usize,
+                ((&mut SubEnvironment, &mut [f32]), &bool),
+            )| {
                 if !chosen {
                     return Ok(());
                 }
@@ -217,17 +254,31 @@ impl Episodes {
                 lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                let mut rows = lanes.iter_mut().zip(states.chunks_exact_mut(width)).zip(mask).enumerate();
+                let mut rows = lanes
+                    .iter_mut()
+                    .zip(states.chunks_exact_mut(width))
+                    .zip(mask)
+                    .enumerate();
                 return rows.try_for_each(begin);
             }
-            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(width)).zip(mask).enumerate();
-            pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))
+            let rows = lanes
+                .par_iter_mut()
+                .zip(states.par_chunks_exact_mut(width))
+                .zip(mask)
+                .enumerate();
+            pool.install(|| {
+                rows.with_min_len(MIN_EPISODES_PER_THREAD)
+                    .try_for_each(begin)
+            })
         })
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
 
     /// Makes one decision in every sub-environment, from `actions` into the arrays.
-    #[expect(clippy::too_many_arguments, reason = "one array for each thing that a step tells")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one array for each thing that a step tells"
+    )]
     fn step(
         &self,
         py: Python<'_>,
@@ -239,36 +290,75 @@ impl Episodes {
         mut truncated: PyReadwriteArray1<'_, bool>,
         mut endings: PyReadwriteArray1<'_, u8>,
     ) -> PyResult<()> {
-        let (actions, states, last_states) = (actions.as_slice()?, states.as_slice_mut()?, last_states.as_slice_mut()?);
-        let (rewards, terminated, pool) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?, threads::pool()?);
+        let (actions, states, last_states) = (
+            actions.as_slice()?,
+            states.as_slice_mut()?,
+            last_states.as_slice_mut()?,
+        );
+        let (rewards, terminated, pool) = (
+            rewards.as_slice_mut()?,
+            terminated.as_slice_mut()?,
+            threads::pool()?,
+        );
         let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
         let width = self.state_width();
         py.detach(|| {
-            let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
-            let widths = [actions.len(), states.len() / width, last_states.len() / width];
+            let mut lanes = self
+                .sub_environments
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
+            let widths = [
+                actions.len(),
+                states.len() / width,
+                last_states.len() / width,
+            ];
             check_lengths(&widths, lanes.len())?;
-            check_lengths(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
+            check_lengths(
+                &[
+                    rewards.len(),
+                    terminated.len(),
+                    truncated.len(),
+                    endings.len(),
+                ],
+                lanes.len(),
+            )?;
             // Check all actions first: an error halfway would leave some sub-environments a step ahead.
             let refused = lanes.iter().zip(actions).enumerate();
-            let mut refused =
-                refused.filter_map(|(index, (lane, action))| Some((index, lane.step_error(&self.task, *action)?)));
+            let mut refused = refused.filter_map(|(index, (lane, action))| {
+                Some((index, lane.step_error(&self.task, *action)?))
+            });
             if let Some((index, why)) = refused.next() {
                 return Err(format!("environment {index}: {why}"));
             }
-            let step = |((lane, action), results): ((&mut SubEnvironment, &f32), StepBuffers<'_>)| {
-                lane.step(&self.task, *action, results)
-            };
+            let step =
+                |((lane, action), results): ((&mut SubEnvironment, &f32), StepBuffers<'_>)| {
+                    lane.step(&self.task, *action, results)
+                };
             // Passing all work to a single other thread would take a tenth of the step's time.
             if pool.current_num_threads() == 1 {
-                let states = states.chunks_exact_mut(width).zip(last_states.chunks_exact_mut(width));
+                let states = states
+                    .chunks_exact_mut(width)
+                    .zip(last_states.chunks_exact_mut(width));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
                 let results = states.zip(rewards.iter_mut().zip(ends));
-                return lanes.iter_mut().zip(actions).zip(results).try_for_each(step);
+                return lanes
+                    .iter_mut()
+                    .zip(actions)
+                    .zip(results)
+                    .try_for_each(step);
             }
-            let states = states.par_chunks_exact_mut(width).zip(last_states.par_chunks_exact_mut(width));
+            let states = states
+                .par_chunks_exact_mut(width)
+                .zip(last_states.par_chunks_exact_mut(width));
             let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
-            let rows = lanes.par_iter_mut().zip(actions).zip(states.zip(rewards.par_iter_mut().zip(ends)));
-            pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(step))
+            let rows = lanes
+                .par_iter_mut()
+                .zip(actions)
+                .zip(states.zip(rewards.par_iter_mut().zip(ends)));
+            pool.install(|| {
+                rows.with_min_len(MIN_EPISODES_PER_THREAD)
+                    .try_for_each(step)
+            })
         })
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
@@ -276,20 +366,35 @@ impl Episodes {
     /// Returns the positions of a sub-environment's vehicles, front to rear: front bumpers and lengths in metres. None
     /// before its first reset.
     fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
-        let lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
+        let lanes = self
+            .sub_environments
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let (scenario, episode) = lanes.get(lane)?.episode.as_ref()?;
         let position_m = episode.motion().iter().map(|at| at.position_m).collect();
-        Some((position_m, scenario.vehicles().iter().map(|vehicle| vehicle.length_m()).collect()))
+        Some((
+            position_m,
+            scenario
+                .vehicles()
+                .iter()
+                .map(|vehicle| vehicle.length_m())
+                .collect(),
+        ))
     }
 
     fn __len__(&self) -> usize {
-        self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.sub_environments
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .len()
     }
 }
 
 fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
     match lengths.iter().find(|length| **length != lanes) {
-        Some(length) => Err(format!("there are {lanes} environments, and an array for {length}")),
+        Some(length) => Err(format!(
+            "there are {lanes} environments, and an array for {length}"
+        )),
         None => Ok(()),
     }
 }
@@ -297,19 +402,24 @@ fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
 /// Returns the text of a preset of `crumple train`.
 #[pyfunction]
 pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static str> {
-    TrainingConfig::preset_text(name).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
+    TrainingConfig::preset_text(name)
+        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
 }
 
 /// Loads a preset of `crumple train` by name, from a file, or from a text of at least two lines.
 fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
-    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
+    let wrong = |error: &dyn std::fmt::Display| {
+        errors::exception(py, ExceptionClass::Training, &error.to_string())
+    };
     if preset.contains('\n') {
-        return TrainingConfig::parse(preset, std::path::Path::new("<toml>")).map_err(|error| wrong(&error));
+        return TrainingConfig::parse(preset, std::path::Path::new("<toml>"))
+            .map_err(|error| wrong(&error));
     }
     let path = std::path::Path::new(preset);
     if path.extension().is_none() {
         return TrainingConfig::preset(preset).map_err(|error| wrong(&error));
     }
-    let text = file::read(path).map_err(|error| errors::file_exception(py, ExceptionClass::Training, &error))?;
+    let text = file::read(path)
+        .map_err(|error| errors::file_exception(py, ExceptionClass::Training, &error))?;
     TrainingConfig::parse(&text, path).map_err(|error| wrong(&error))
 }

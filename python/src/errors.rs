@@ -26,19 +26,36 @@ pub(crate) enum ExceptionClass {
 pub(crate) type ErrorLocation<'a> = (Option<&'a Path>, Option<usize>, Option<&'a str>);
 
 /// Creates an exception without a location.
-pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display) -> PyErr {
+pub(crate) fn exception(
+    py: Python<'_>,
+    class: ExceptionClass,
+    error: &impl std::fmt::Display,
+) -> PyErr {
     exception_at(py, class, error, (None, None, None))
 }
 
 /// Creates an exception for a file that cannot be used.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
-        FileError::Read { path, .. } | FileError::Extension { path } => (Some(path.as_path()), None, None),
-        FileError::Syntax { path, line, message } => {
-            let field = message.split_once(": ").map(|(field, _)| field).filter(|field| !field.contains(' '));
+        FileError::Read { path, .. } | FileError::Extension { path } => {
+            (Some(path.as_path()), None, None)
+        }
+        FileError::Syntax {
+            path,
+            line,
+            message,
+        } => {
+            let field = message
+                .split_once(": ")
+                .map(|(field, _)| field)
+                .filter(|field| !field.contains(' '));
             (Some(path.as_path()), Some(*line), field)
         }
-        FileError::Invalid { path, line, invalid } => (Some(path.as_path()), Some(*line), Some(&*invalid.field)),
+        FileError::Invalid {
+            path,
+            line,
+            invalid,
+        } => (Some(path.as_path()), Some(*line), Some(&*invalid.field)),
         _ => (None, None, None),
     };
     if error.is_start_refused() {
@@ -57,7 +74,12 @@ pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
 }
 
 pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
-    exception_at(py, ExceptionClass::Scenario, error, (None, None, Some(&error.field)))
+    exception_at(
+        py,
+        ExceptionClass::Scenario,
+        error,
+        (None, None, Some(&error.field)),
+    )
 }
 
 /// Creates an exception with a location.
@@ -68,7 +90,10 @@ pub(crate) fn exception_at(
     (file, line, field): ErrorLocation<'_>,
 ) -> PyErr {
     let shorten = |text: &str| shorten_message(text).into_owned();
-    let (file, field) = (file.map(|file| file.display().to_string()), field.map(shorten));
+    let (file, field) = (
+        file.map(|file| file.display().to_string()),
+        field.map(shorten),
+    );
     let made = py
         .import("crumple.errors")
         .and_then(|module| module.getattr(format!("{class:?}Error")))

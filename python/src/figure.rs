@@ -33,8 +33,16 @@ impl PyFigure {
             ("column", PanelArrangement::Column),
         ];
         let labels = draw::vehicle_names(scenario);
-        let figure = MotionFigure { prefix: "motion", title, labels: &labels, trace, impacts };
-        Ok(Self { svg: draw::draw_motion(&figure, parse_choice("layout", layout, &known)?).document() })
+        let figure = MotionFigure {
+            prefix: "motion",
+            title,
+            labels: &labels,
+            trace,
+            impacts,
+        };
+        Ok(Self {
+            svg: draw::draw_motion(&figure, parse_choice("layout", layout, &known)?).document(),
+        })
     }
 }
 
@@ -43,7 +51,10 @@ impl PyFigure {
     /// Writes the figure to a file that ends in `.svg`.
     fn save(&self, path: PathBuf) -> PyResult<()> {
         if path.extension().is_none_or(|extension| extension != "svg") {
-            return Err(PyValueError::new_err(format!("{}: a figure is saved as .svg", path.display())));
+            return Err(PyValueError::new_err(format!(
+                "{}: a figure is saved as .svg",
+                path.display()
+            )));
         }
         Ok(crumple_store::disk::write(&path, &self.svg).map_err(std::io::Error::other)?)
     }

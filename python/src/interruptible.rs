@@ -44,7 +44,9 @@ struct ActiveWork(StopFlag);
 impl Drop for ActiveWork {
     fn drop(&mut self) {
         let (all, ended) = &ACTIVE_WORK;
-        all.lock().unwrap_or_else(PoisonError::into_inner).retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
+        all.lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
         ended.notify_all();
     }
 }
@@ -71,10 +73,16 @@ pub(crate) fn run_interruptible<T: Send>(
 ) -> PyResult<T> {
     // Nested work can deadlock with the threads that wait for it, so it is always refused.
     if rayon::current_thread_index().is_some() {
-        return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
+        return Err(PyRuntimeError::new_err(
+            "a controller cannot begin simulations of its own while it drives",
+        ));
     }
     let pool = threads::pool()?;
-    ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+    ACTIVE_WORK
+        .0
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .push(stop.clone());
     let _under_way = ActiveWork(stop.clone());
     let (text, heard) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
@@ -84,7 +92,11 @@ pub(crate) fn run_interruptible<T: Send>(
                     work(&|state| {
                         // After an exception the channel has no receiver.
                         let _ = text.send(state);
-                        if stop.is_set() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                        if stop.is_set() {
+                            ControlFlow::Break(())
+                        } else {
+                            ControlFlow::Continue(())
+                        }
                     })
                 })
             });
@@ -106,7 +118,9 @@ pub(crate) fn run_interruptible<T: Send>(
                     raised = Some(error);
                 }
             }
-            let done = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            let done = worker
+                .join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             raised.map_or(Ok(done), Err)
         })
     })

@@ -49,7 +49,10 @@ mod _crumple {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let leave = wrap_pyfunction!(crate::interruptible::stop_all_work, module)?;
-        module.py().import("atexit")?.call_method1("register", (leave,))?;
+        module
+            .py()
+            .import("atexit")?
+            .call_method1("register", (leave,))?;
         crumple_store::program::set_library_path(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }

@@ -26,7 +26,12 @@ struct SignalRows<'a> {
 
 impl SignalRows<'_> {
     /// Returns the robustness of one trace at its start, or at every sample.
-    fn robustness(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, RobustnessError> {
+    fn robustness(
+        &self,
+        formula: &Formula,
+        trace: usize,
+        over_time: bool,
+    ) -> Result<Vec<f64>, RobustnessError> {
         let mut signals = SampledSignals::new(self.step_s, self.samples)?;
         for (name, values, is_shared) in &self.signals {
             let first = if *is_shared { 0 } else { trace * self.samples };
@@ -51,37 +56,50 @@ pub(crate) fn monitor<'py>(
     traces: usize,
     over_time: bool,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Formula, &error.to_string());
+    let wrong = |error: &dyn std::fmt::Display| {
+        errors::exception(py, ExceptionClass::Formula, &error.to_string())
+    };
     let formula: Formula = formula.parse().map_err(|error| wrong(&error))?;
-    let samples = signals.first().map_or(0, |values| values.as_array().ncols());
+    let samples = signals
+        .first()
+        .map_or(0, |values| values.as_array().ncols());
     let mut named = Vec::with_capacity(signals.len());
     for (name, values) in names.iter().zip(&signals) {
         let [rows, columns] = [values.as_array().nrows(), values.as_array().ncols()];
         if columns != samples || !(rows == 1 || rows == traces) {
             let found = format!("signal `{name}` has {rows} rows of {columns} samples");
-            return Err(wrong(&format!("{found}: there are {traces} traces of {samples}")));
+            return Err(wrong(&format!(
+                "{found}: there are {traces} traces of {samples}"
+            )));
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }
-    let rows = SignalRows { step_s, samples, signals: named };
-    let of = |trace: usize| rows.robustness(&formula, trace, over_time);
-    let found: Result<Vec<Vec<f64>>, RobustnessError> = if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
-        // Another thread would take longer.
-        py.detach(|| (0..traces).map(of).collect())
-    } else {
-        let stop = StopFlag::default();
-        run_interruptible(py, &stop, None, |_| {
-            let mut found = Vec::with_capacity(traces);
-            for first in (0..traces).step_by(TRACES_PER_BATCH) {
-                if stop.is_set() {
-                    break;
-                }
-                let some = (first..traces.min(first + TRACES_PER_BATCH)).into_par_iter().map(of);
-                found.append(&mut some.collect::<Result<Vec<_>, _>>()?);
-            }
-            Ok(found)
-        })?
+    let rows = SignalRows {
+        step_s,
+        samples,
+        signals: named,
     };
+    let of = |trace: usize| rows.robustness(&formula, trace, over_time);
+    let found: Result<Vec<Vec<f64>>, RobustnessError> =
+        if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
+            // Another thread would take longer.
+            py.detach(|| (0..traces).map(of).collect())
+        } else {
+            let stop = StopFlag::default();
+            run_interruptible(py, &stop, None, |_| {
+                let mut found = Vec::with_capacity(traces);
+                for first in (0..traces).step_by(TRACES_PER_BATCH) {
+                    if stop.is_set() {
+                        break;
+                    }
+                    let some = (first..traces.min(first + TRACES_PER_BATCH))
+                        .into_par_iter()
+                        .map(of);
+                    found.append(&mut some.collect::<Result<Vec<_>, _>>()?);
+                }
+                Ok(found)
+            })?
+        };
     let found = found.map_err(|error| wrong(&error))?;
     let width = if over_time { samples } else { 1 };
     PyArray1::from_vec(py, found.concat()).reshape([traces, width])

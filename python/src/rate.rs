@@ -18,7 +18,10 @@ type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
 
 /// Counts the failures of a controller, or of two on the same random scenarios, and certifies the result.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn rate<'py>(
     py: Python<'py>,
     controller: &Bound<'py, PyAny>,
@@ -33,19 +36,28 @@ pub(crate) fn rate<'py>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<RateResult<'py>> {
     let stop = StopFlag::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Rate, &error.to_string());
-    let second_controller = against.map(|against| controller::resolve_controller(against, &stop)).transpose()?;
+    let wrong = |error: &dyn std::fmt::Display| {
+        errors::exception(py, ExceptionClass::Rate, &error.to_string())
+    };
+    let second_controller = against
+        .map(|against| controller::resolve_controller(against, &stop))
+        .transpose()?;
     let plan = RatePlan::new(RateConfig {
         second_controller,
         seed,
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         confidence,
-        ..RateConfig::new(controller::resolve_controller(controller, &stop)?, space.0.clone(), runs)
+        ..RateConfig::new(
+            controller::resolve_controller(controller, &stop)?,
+            space.0.clone(),
+            runs,
+        )
     })
     .map_err(|error| wrong(&error))?;
     let (counted, tally) = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let mut count = plan.register_in(&folder, resume)?;
-        let counted = count.certify(&|state: &CountProgress| say((state.runs, runs, state.failures)));
+        let counted =
+            count.certify(&|state: &CountProgress| say((state.runs, runs, state.failures)));
         let tally = count.tally().clone();
         match counted {
             Ok(certificate) => Ok((Ok(certificate), tally)),
@@ -57,7 +69,9 @@ pub(crate) fn rate<'py>(
     let tally = serialize_to_python(py, &tally)?;
     Ok(match counted {
         Ok(certificate) => {
-            let words = check(&certificate).map(|accepted| accepted.to_string()).unwrap_or_default();
+            let words = check(&certificate)
+                .map(|accepted| accepted.to_string())
+                .unwrap_or_default();
             (tally, Some(serialize_to_python(py, &certificate)?), words)
         }
         Err(rejection) => (tally, None, rejection.to_string()),

@@ -23,8 +23,14 @@ impl PyScenario {
             return Ok(Self(scenario));
         }
         if Path::new(name).extension().is_none() && !Path::new(name).exists() {
-            let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
-            let message = format!("`{name}` is neither a built-in scenario ({}) nor a file", known.join(", "));
+            let known: Vec<_> = built_in_scenario_names()
+                .iter()
+                .map(|(name, _)| *name)
+                .collect();
+            let message = format!(
+                "`{name}` is neither a built-in scenario ({}) nor a file",
+                known.join(", ")
+            );
             return Err(errors::exception(py, ExceptionClass::Scenario, &message));
         }
         Self::load(py, PathBuf::from(name))
@@ -69,7 +75,10 @@ impl PyScenario {
     }
 
     fn with_seed(&self, py: Python<'_>, seed: u64) -> PyResult<Self> {
-        self.0.edited(|spec| spec.seed = seed).map(Self).map_err(|error| errors::field_exception(py, &error))
+        self.0
+            .edited(|spec| spec.seed = seed)
+            .map(Self)
+            .map_err(|error| errors::field_exception(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -77,12 +86,16 @@ impl PyScenario {
     }
 
     fn to_toml(&self, py: Python<'_>) -> PyResult<String> {
-        file::to_toml(&self.0).map_err(|error| errors::exception(py, ExceptionClass::Scenario, &error))
+        file::to_toml(&self.0)
+            .map_err(|error| errors::exception(py, ExceptionClass::Scenario, &error))
     }
 
     /// Pickles the TOML text.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
-        Ok((py.import("crumple")?.getattr("scenario")?, (self.to_toml(py)?,)))
+        Ok((
+            py.import("crumple")?.getattr("scenario")?,
+            (self.to_toml(py)?,),
+        ))
     }
 
     fn __len__(&self) -> usize {
@@ -90,13 +103,18 @@ impl PyScenario {
     }
 
     fn __repr__(&self) -> String {
-        format!("<crumple.Scenario {:?}, {} vehicles>", self.name(), self.0.vehicles().len())
+        format!(
+            "<crumple.Scenario {:?}, {} vehicles>",
+            self.name(),
+            self.0.vehicles().len()
+        )
     }
 }
 
 impl PyScenario {
     fn from_read(py: Python<'_>, read: Result<world::Scenario, file::FileError>) -> PyResult<Self> {
-        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+        read.map(Self)
+            .map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 }
 
@@ -109,14 +127,17 @@ impl PySpace {
     /// Finds a built-in space by name, or loads a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
-        find_space(name).map(Self).map_err(|error| errors::space_exception(py, &error))
+        find_space(name)
+            .map(Self)
+            .map_err(|error| errors::space_exception(py, &error))
     }
 
     /// Parses a space from TOML. A base scenario in a file is relative to the working directory.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = space::file::from_toml(text, Path::new("<toml>"));
-        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Space, &error))
+        read.map(Self)
+            .map_err(|error| errors::file_exception(py, ExceptionClass::Space, &error))
     }
 
     #[getter]
@@ -131,17 +152,26 @@ impl PySpace {
 
     /// Returns the scenario at a point of the unit cube.
     fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<PyScenario> {
-        self.0.scenario_at(&point).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
+        self.0
+            .scenario_at(&point)
+            .map(PyScenario)
+            .map_err(|error| errors::field_exception(py, &error))
     }
 
     /// Returns the scenario with nominal parameters.
     fn nominal(&self, py: Python<'_>) -> PyResult<PyScenario> {
-        self.0.scenario(&self.0.nominal()).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
+        self.0
+            .scenario(&self.0.nominal())
+            .map(PyScenario)
+            .map_err(|error| errors::field_exception(py, &error))
     }
 
     /// Returns the random scenario with this index.
     fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<PyScenario> {
-        self.0.draw(seed, index).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
+        self.0
+            .draw(seed, index)
+            .map(PyScenario)
+            .map_err(|error| errors::field_exception(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -160,6 +190,10 @@ impl PySpace {
     }
 
     fn __repr__(&self) -> String {
-        format!("<crumple.Space {:?}, {} coordinates>", self.name(), self.0.dimension())
+        format!(
+            "<crumple.Space {:?}, {} coordinates>",
+            self.name(),
+            self.0.dimension()
+        )
     }
 }

@@ -14,29 +14,47 @@ pub(crate) struct RaisedException(Arc<Mutex<Option<PyErr>>>);
 
 impl RaisedException {
     fn set(&self, error: PyErr) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get_or_insert(error);
     }
 
     /// Fails with the exception, if there is one.
     pub(crate) fn take(&self) -> PyResult<()> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+            .map_or(Ok(()), Err)
     }
 }
 
 /// Resolves a name as on the command line, or a `crumple.SearchMethod`.
-pub(crate) fn resolve_method(method: &Bound<'_, PyAny>, raised: &RaisedException) -> PyResult<Method> {
-    let wrong = |error: &dyn fmt::Display| errors::exception(method.py(), ExceptionClass::Campaign, &error.to_string());
+pub(crate) fn resolve_method(
+    method: &Bound<'_, PyAny>,
+    raised: &RaisedException,
+) -> PyResult<Method> {
+    let wrong = |error: &dyn fmt::Display| {
+        errors::exception(method.py(), ExceptionClass::Campaign, &error.to_string())
+    };
     if let Ok(name) = method.extract::<String>() {
         return name.parse().map_err(|error| wrong(&error));
     }
     let name: String = method.getattr("name")?.extract()?;
     let start = method.getattr("start")?.unbind();
     let raised = raised.clone();
-    let custom = CustomMethod::new(&name, move |cube: &UnitCube, seed| -> Box<dyn SearchAlgorithm> {
-        let search = Python::attach(|py| start.call1(py, (cube.dimension(), seed)));
-        let search = search.map_err(|error| raised.set(error)).ok();
-        Box::new(PythonSearch { search, raised: raised.clone() })
-    });
+    let custom = CustomMethod::new(
+        &name,
+        move |cube: &UnitCube, seed| -> Box<dyn SearchAlgorithm> {
+            let search = Python::attach(|py| start.call1(py, (cube.dimension(), seed)));
+            let search = search.map_err(|error| raised.set(error)).ok();
+            Box::new(PythonSearch {
+                search,
+                raised: raised.clone(),
+            })
+        },
+    );
     Ok(Method::Custom(custom.map_err(|error| wrong(&error))?))
 }
 
@@ -55,21 +73,31 @@ impl fmt::Debug for PythonSearch {
 impl PythonSearch {
     /// Calls the search. After an exception it returns nothing, and a campaign ends without points.
     fn call<T: Default>(&self, call: impl FnOnce(&Bound<'_, PyAny>) -> PyResult<T>) -> T {
-        let Some(search) = &self.search else { return T::default() };
-        Python::attach(|py| call(search.bind(py))).map_err(|error| self.raised.set(error)).unwrap_or_default()
+        let Some(search) = &self.search else {
+            return T::default();
+        };
+        Python::attach(|py| call(search.bind(py)))
+            .map_err(|error| self.raised.set(error))
+            .unwrap_or_default()
     }
 }
 
 impl SearchAlgorithm for PythonSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.call(|search| {
-            let points =
-                search.py().import("numpy")?.call_method1("asarray", (search.call_method0("ask")?, "float64"))?;
+            let points = search
+                .py()
+                .import("numpy")?
+                .call_method1("asarray", (search.call_method0("ask")?, "float64"))?;
             points.call_method0("tolist")?.extract()
         })
     }
 
     fn tell(&mut self, robustness: &[f64]) {
-        self.call(|search| search.call_method1("tell", (robustness.to_vec(),)).map(drop));
+        self.call(|search| {
+            search
+                .call_method1("tell", (robustness.to_vec(),))
+                .map(drop)
+        });
     }
 }

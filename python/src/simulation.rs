@@ -23,8 +23,10 @@ use crate::values::{parse_choice, serialize_to_python};
 /// Number of runs between two checks for an interrupt.
 const BATCH_SIZE: usize = 512;
 
-pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] =
-    [("kalman", EstimatorKind::Kalman), ("truth", EstimatorKind::Truth)];
+pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] = [
+    ("kalman", EstimatorKind::Kalman),
+    ("truth", EstimatorKind::Truth),
+];
 
 /// Motion of one vehicle: arrays with one entry per sample.
 #[pyclass(name = "Track", frozen, get_all, module = "crumple")]
@@ -61,13 +63,19 @@ impl PyTrace {
         };
         Ok(Self {
             time_s: array(trace.time_s),
-            vehicles: trace.vehicles.into_iter().map(track).collect::<PyResult<_>>()?,
+            vehicles: trace
+                .vehicles
+                .into_iter()
+                .map(track)
+                .collect::<PyResult<_>>()?,
         })
     }
 
     /// Copies the present samples; the caller may have changed the arrays.
     fn to_native(&self, py: Python<'_>) -> PyResult<sim::Trace> {
-        let samples = |array: &Py<PyArray1<f64>>| Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec());
+        let samples = |array: &Py<PyArray1<f64>>| {
+            Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec())
+        };
         let track = |track: &Py<PyTrack>| {
             let track = track.get();
             Ok(sim::Track {
@@ -80,7 +88,10 @@ impl PyTrace {
             })
         };
         let vehicles = self.vehicles.iter().map(track).collect::<PyResult<_>>()?;
-        Ok(sim::Trace { time_s: samples(&self.time_s)?, vehicles })
+        Ok(sim::Trace {
+            time_s: samples(&self.time_s)?,
+            vehicles,
+        })
     }
 }
 
@@ -143,12 +154,19 @@ impl Simulation {
 
     #[getter]
     fn contact<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.result.outcome.contact().map(|contact| serialize_to_python(py, contact)).transpose()
+        self.result
+            .outcome
+            .contact()
+            .map(|contact| serialize_to_python(py, contact))
+            .transpose()
     }
 
     #[getter]
     fn failure(&self) -> Option<String> {
-        self.result.outcome.failed_controller().map(ToString::to_string)
+        self.result
+            .outcome
+            .failed_controller()
+            .map(ToString::to_string)
     }
 
     #[getter]
@@ -168,30 +186,53 @@ impl Simulation {
 
     /// Returns the robustness of a specification, as `crumple simulate --spec` does.
     fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
-        let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Formula, &error.to_string());
-        let specification = Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
+        let wrong = |error: &dyn std::fmt::Display| {
+            errors::exception(py, ExceptionClass::Formula, &error.to_string())
+        };
+        let specification =
+            Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
         let judged_until_contact = self.options.after_contact != specification.after_contact();
         if judged_until_contact && self.result.outcome.contact().is_some() {
-            let how = if specification.recording_level() == RecordingLevel::Trace { "continue" } else { "stop" };
-            return Err(wrong(&format!("`{spec}` is judged on a run with after_contact=\"{how}\"")));
+            let how = if specification.recording_level() == RecordingLevel::Trace {
+                "continue"
+            } else {
+                "stop"
+            };
+            return Err(wrong(&format!(
+                "`{spec}` is judged on a run with after_contact=\"{how}\""
+            )));
         }
         let run = Run::new(&self.scenario, self.options.clone()).map_err(|error| wrong(&error))?;
         let mut simulated = self.result.clone();
         if specification.recording_level() == RecordingLevel::Trace {
             simulated.trace = Some(self.native_trace(py)?);
         }
-        specification.evaluate(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
+        specification
+            .evaluate(&run, &simulated)
+            .map(|verdict| verdict.robustness)
+            .map_err(|error| wrong(&error))
     }
 
     /// Draws position, speed and gap over time.
     #[pyo3(signature = (layout = "wide"))]
     fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<PyFigure> {
         let title = format!("{}, {}", self.scenario.spec().name, self.controller);
-        PyFigure::from_motion(&self.scenario, &title, &self.native_trace(py)?, &self.result.impacts, layout)
+        PyFigure::from_motion(
+            &self.scenario,
+            &title,
+            &self.native_trace(py)?,
+            &self.result.impacts,
+            layout,
+        )
     }
 
     fn __repr__(&self) -> String {
-        format!("<crumple.Simulation {:?}, {}: {}>", self.scenario.spec().name, self.controller, self.outcome())
+        format!(
+            "<crumple.Simulation {:?}, {}: {}>",
+            self.scenario.spec().name,
+            self.controller,
+            self.outcome()
+        )
     }
 }
 
@@ -207,7 +248,10 @@ impl Simulation {
 
 /// Simulates scenarios; returns one result each, in their order.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn simulate(
     py: Python<'_>,
     scenarios: Vec<PyRef<'_, PyScenario>>,
@@ -220,23 +264,42 @@ pub(crate) fn simulate(
 ) -> PyResult<Vec<Simulation>> {
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;
-    let known = [("stop", AfterContact::Stop), ("continue", AfterContact::Continue)];
+    let known = [
+        ("stop", AfterContact::Stop),
+        ("continue", AfterContact::Continue),
+    ];
     let mut options = RunOptions::new(controller.kind.clone())
         .with_estimator(parse_choice("estimator", estimator, &ESTIMATORS)?)
         .with_after_contact(parse_choice("after_contact", after_contact, &known)?);
     options.dt_s = dt_s;
-    let scenarios: Vec<_> = scenarios.iter().map(|scenario| scenario.0.clone()).collect();
+    let scenarios: Vec<_> = scenarios
+        .iter()
+        .map(|scenario| scenario.0.clone())
+        .collect();
     let run = |scenario: &Scenario| {
-        let wrong = |error| errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name));
+        let wrong = |error| {
+            errors::exception(
+                py,
+                ExceptionClass::Run,
+                &format!("{}: {error}", scenario.spec().name),
+            )
+        };
         Run::new(scenario, options.clone()).map_err(wrong)
     };
     let runs = scenarios.iter().map(run).collect::<PyResult<Vec<_>>>()?;
-    let keep = if trace { RecordingLevel::Trace } else { RecordingLevel::Summary };
+    let keep = if trace {
+        RecordingLevel::Trace
+    } else {
+        RecordingLevel::Summary
+    };
     let results = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);
         for some in runs.chunks(BATCH_SIZE) {
             let of_some = simulate_batch(some, keep, |_, simulated| simulated);
-            failures += of_some.iter().filter(|simulated| !simulated.outcome.is_safe()).count();
+            failures += of_some
+                .iter()
+                .filter(|simulated| !simulated.outcome.is_safe())
+                .count();
             results.extend(of_some);
             if say((results.len() as u64, runs.len() as u64, failures as u64)).is_break() {
                 break;
@@ -247,8 +310,18 @@ pub(crate) fn simulate(
     drop(runs);
     let name: Arc<str> = controller.name.into();
     let simulation = |(scenario, mut simulated): (_, SimulationResult)| {
-        let trace = simulated.trace.take().map(|trace| Py::new(py, PyTrace::new(py, trace)?)).transpose()?;
-        Ok(Simulation { scenario, controller: Arc::clone(&name), options: options.clone(), result: simulated, trace })
+        let trace = simulated
+            .trace
+            .take()
+            .map(|trace| Py::new(py, PyTrace::new(py, trace)?))
+            .transpose()?;
+        Ok(Simulation {
+            scenario,
+            controller: Arc::clone(&name),
+            options: options.clone(),
+            result: simulated,
+            trace,
+        })
     };
     scenarios.into_iter().zip(results).map(simulation).collect()
 }

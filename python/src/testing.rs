@@ -1,6 +1,8 @@
 //! Families of scenarios and properties for tests.
 
-use crumple_testing::{ControllerUnderTest, MetamorphicRelation, Property, PropertyVerdict, Scenarios, ScenariosError};
+use crumple_testing::{
+    ControllerUnderTest, MetamorphicRelation, Property, PropertyVerdict, Scenarios, ScenariosError,
+};
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -48,7 +50,9 @@ impl PyFamily {
 
 impl PyFamily {
     fn new(py: Python<'_>, family: Result<Scenarios, ScenariosError>) -> PyResult<Self> {
-        family.map(Self).map_err(|error| errors::exception(py, ExceptionClass::Space, &error))
+        family
+            .map(Self)
+            .map_err(|error| errors::exception(py, ExceptionClass::Space, &error))
     }
 }
 
@@ -81,20 +85,29 @@ impl PyProperty {
     #[staticmethod]
     fn specification(py: Python<'_>, text: &str) -> PyResult<Self> {
         let property = Property::specification(text);
-        property.map(Self).map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))
+        property
+            .map(Self)
+            .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))
     }
 
     #[staticmethod]
     fn not_worse_than(reference: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let conversion = reference.py().import("crumple._controller")?.getattr("as_controller")?;
-        let reference = controller::resolve_controller(&conversion.call1((reference,))?, &StopFlag::default())?;
+        let conversion = reference
+            .py()
+            .import("crumple._controller")?
+            .getattr("as_controller")?;
+        let reference =
+            controller::resolve_controller(&conversion.call1((reference,))?, &StopFlag::default())?;
         Ok(Self(Property::not_worse_than(reference.kind)))
     }
 
     #[staticmethod]
     fn metamorphic(py: Python<'_>, relation: &str) -> PyResult<Self> {
         let (name, amount) = relation.split_once('=').unwrap_or((relation, ""));
-        let by = amount.parse::<f64>().ok().filter(|by| by.is_finite() && *by > 0.0);
+        let by = amount
+            .parse::<f64>()
+            .ok()
+            .filter(|by| by.is_finite() && *by > 0.0);
         let found = match (name, by) {
             ("larger-gap", Some(by_m)) => MetamorphicRelation::LargerGap { by_m },
             ("more-friction", Some(by)) => MetamorphicRelation::MoreFriction { by },
@@ -130,12 +143,17 @@ impl PyProperty {
     ) -> PyResult<(&'static str, String, String)> {
         let stop = StopFlag::default();
         let kind = controller::resolve_controller(controller, &stop)?.kind;
-        let tested = ControllerUnderTest { kind, estimator: parse_choice("estimator", estimator, &ESTIMATORS)? };
+        let tested = ControllerUnderTest {
+            kind,
+            estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
+        };
         let scenario = scenario.0.clone();
-        run_interruptible(py, &stop, None, |_| match self.0.evaluate(&tested, &scenario) {
-            PropertyVerdict::Holds => ("holds", String::new(), String::new()),
-            PropertyVerdict::NotApplicable(reason) => ("not applicable", reason, String::new()),
-            PropertyVerdict::Violated(reason) => ("violated", reason, tested.draw(&scenario)),
+        run_interruptible(py, &stop, None, |_| {
+            match self.0.evaluate(&tested, &scenario) {
+                PropertyVerdict::Holds => ("holds", String::new(), String::new()),
+                PropertyVerdict::NotApplicable(reason) => ("not applicable", reason, String::new()),
+                PropertyVerdict::Violated(reason) => ("violated", reason, tested.draw(&scenario)),
+            }
         })
     }
 }

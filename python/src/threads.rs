@@ -25,9 +25,11 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
         return Ok(Arc::clone(threads));
     }
     let builder = ThreadPoolBuilder::new();
-    let builder = builder.spawn_handler(|thread| thread::Builder::new().spawn(move || run(thread)).map(drop));
-    let started =
-        builder.build().map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
+    let builder =
+        builder.spawn_handler(|thread| thread::Builder::new().spawn(move || run(thread)).map(drop));
+    let started = builder
+        .build()
+        .map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
     let started = Arc::new(started);
     // The pool of a parent process has no threads here, so dropping it would wait forever.
     std::mem::forget(pool.replace((process::id(), Arc::clone(&started))));

@@ -33,15 +33,26 @@ pub(crate) fn json_to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bo
     })
 }
 
-pub(crate) fn serialize_to_python<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
-    let value = serde_json::to_value(value).map_err(|error| PyValueError::new_err(error.to_string()))?;
+pub(crate) fn serialize_to_python<'py>(
+    py: Python<'py>,
+    value: &impl serde::Serialize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let value =
+        serde_json::to_value(value).map_err(|error| PyValueError::new_err(error.to_string()))?;
     json_to_python(py, &value)
 }
 
 /// Parses a value that is one of a few words.
 pub(crate) fn parse_choice<T: Copy>(what: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
-    known.iter().find(|(name, _)| *name == word).map(|(_, value)| *value).ok_or_else(|| {
-        let names: Vec<_> = known.iter().map(|(name, _)| format!("'{name}'")).collect();
-        PyValueError::new_err(format!("{what} must be {}, found {word:?}", names.join(" or ")))
-    })
+    known
+        .iter()
+        .find(|(name, _)| *name == word)
+        .map(|(_, value)| *value)
+        .ok_or_else(|| {
+            let names: Vec<_> = known.iter().map(|(name, _)| format!("'{name}'")).collect();
+            PyValueError::new_err(format!(
+                "{what} must be {}, found {word:?}",
+                names.join(" or ")
+            ))
+        })
 }

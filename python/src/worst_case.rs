@@ -16,7 +16,10 @@ const MAX_SIMULATIONS: u32 = 10_000_000;
 
 /// Searches for a braking profile of the leader. Returns its scenario and `crumple worst-case`'s report.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the Python half names every argument"
+)]
 pub(crate) fn worst_case<'py>(
     py: Python<'py>,
     scenario: PyRef<'py, PyScenario>,
@@ -35,7 +38,11 @@ pub(crate) fn worst_case<'py>(
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;
     let estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
-    let aim = parse_choice("aim", aim, &AttackObjective::ALL.map(|aim| (aim.name(), aim)))?;
+    let aim = parse_choice(
+        "aim",
+        aim,
+        &AttackObjective::ALL.map(|aim| (aim.name(), aim)),
+    )?;
     let scenario = scenario.0.clone();
     let typical = Envelope::from_scenario(&scenario);
     let envelope = Envelope {
@@ -45,10 +52,24 @@ pub(crate) fn worst_case<'py>(
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let result = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let observer = |simulations: &RunProgress| say((simulations.done, u64::from(budget), 0));
-        attack(&scenario, &options, aim, envelope, budget as usize, &observer)
+        attack(
+            &scenario,
+            &options,
+            aim,
+            envelope,
+            budget as usize,
+            &observer,
+        )
     })?;
     let name = &scenario.spec().name;
-    let result = result.map_err(|error| errors::exception(py, ExceptionClass::Run, &format!("{name}: {error}")))?;
-    let report = serialize_to_python(py, &AttackReport::new(name, &controller, estimator, aim, &result))?;
-    Ok((result.attack.map(|attack| PyScenario(attack.scenario)), report))
+    let result = result
+        .map_err(|error| errors::exception(py, ExceptionClass::Run, &format!("{name}: {error}")))?;
+    let report = serialize_to_python(
+        py,
+        &AttackReport::new(name, &controller, estimator, aim, &result),
+    )?;
+    Ok((
+        result.attack.map(|attack| PyScenario(attack.scenario)),
+        report,
+    ))
 }

@@ -22,7 +22,10 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
     }
     let path = Path::new(name_or_path);
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
+        let known: Vec<_> = built_in_scenario_names()
+            .iter()
+            .map(|(name, _)| *name)
+            .collect();
         return Err(CliError::Input(format!(
             "`{name_or_path}` is neither a built-in scenario ({}) nor a file",
             known.join(", ")
@@ -35,8 +38,16 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
         if let Driver::File(driver) = &vehicle.driver
             && let Some(controller) = driver.controller()
         {
-            let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
-            let message = |error| CliError::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
+            let named = NamedController {
+                name: driver.path().to_owned(),
+                kind: controller.clone(),
+            };
+            let message = |error| {
+                CliError::Input(format!(
+                    "{}: vehicles[{index}].driver: {error}",
+                    path.display()
+                ))
+            };
             named.try_start().map_err(message)?;
             remember(named);
         }
@@ -45,7 +56,9 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
 }
 
 /// Returns a parser of whole numbers in a range, for clap.
-pub(super) fn whole_number<T: TryFrom<u64>>(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<T, String> + Clone {
+pub(super) fn whole_number<T: TryFrom<u64>>(
+    range: RangeInclusive<u64>,
+) -> impl Fn(&str) -> Result<T, String> + Clone {
     move |words| {
         let (low, high) = (range.start(), range.end());
         let number = words.parse().ok().filter(|number| range.contains(number));
@@ -60,8 +73,13 @@ pub(super) fn number(words: &str) -> Result<f64, String> {
 }
 
 /// Parses a specification of runs like `nominal`. Warns if a formula is evaluated at the first instant only.
-pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, CliError> {
-    let read = Specification::parse(text, nominal).map_err(|error| CliError::Input(format!("--spec: {error}")))?;
+pub(super) fn parse_specification(
+    text: &str,
+    nominal: &Scenario,
+    quiet: bool,
+) -> Result<Specification, CliError> {
+    let read = Specification::parse(text, nominal)
+        .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
     if let Some(warning) = read.warning() {
         output::note(&format!("warning: --spec: {warning}"), quiet);
     }
@@ -84,7 +102,12 @@ pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace),
 pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> {
     let (space, weight) = match words.rsplit_once('=') {
         Some((_, "")) => return Err("the weight after `=` is missing".to_owned()),
-        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is not a weight"))?),
+        Some((space, weight)) => (
+            space,
+            weight
+                .parse()
+                .map_err(|_| format!("`{weight}` is not a weight"))?,
+        ),
         None => (words, 1.0),
     };
     if space.trim().is_empty() {
@@ -101,11 +124,17 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, ArgumentEr
 }
 
 fn remember(controller: NamedController) {
-    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).push(controller);
+    NAMED_CONTROLLERS
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .push(controller);
 }
 
 fn named_controllers() -> Vec<NamedController> {
-    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    NAMED_CONTROLLERS
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clone()
 }
 
 /// Fails if a controller that an argument or a scenario names contradicted itself or can no longer be started. Call
@@ -114,21 +143,32 @@ fn named_controllers() -> Vec<NamedController> {
 /// # Errors
 /// [`CliError::Input`] names the controller.
 pub(super) fn ensure_trusted() -> Result<(), CliError> {
-    named_controllers().iter().try_for_each(|controller| Ok(controller.ensure_trusted()?))
+    named_controllers()
+        .iter()
+        .try_for_each(|controller| Ok(controller.ensure_trusted()?))
 }
 
 /// Ends the programs of all named controllers. Call at the end: a static variable is never dropped.
 pub(super) fn release_controllers() {
-    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    NAMED_CONTROLLERS
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clear();
 }
 
 /// Loads a policy in crumple's own format, built in or from a file.
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentError> {
     let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";
     match parse_controller(name) {
-        Ok(found) if found.policy().is_some() && !matches!(found.kind, ControllerKind::Shielded(_)) => Ok(found),
+        Ok(found)
+            if found.policy().is_some() && !matches!(found.kind, ControllerKind::Shielded(_)) =>
+        {
+            Ok(found)
+        }
         Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}").into()),
-        Err(_) if !Path::new(name).exists() => Err(format!("there is no policy `{name}`: {usable}").into()),
+        Err(_) if !Path::new(name).exists() => {
+            Err(format!("there is no policy `{name}`: {usable}").into())
+        }
         Err(error) => Err(error),
     }
 }
@@ -139,7 +179,11 @@ static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 /// Returns warnings about a controller, one per line.
 pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<Item = String> {
     let name = controller.name.clone();
-    controller.kind.warnings().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
+    controller
+        .kind
+        .warnings()
+        .into_iter()
+        .map(move |doubt| format!("note: {name}: {doubt}"))
 }
 
 /// Starts the program of each controller that an argument names, as a trial, and prints warnings about controllers.
@@ -151,11 +195,14 @@ pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
     let mut names = HashSet::new();
     named.retain(|controller| names.insert(controller.name.clone()));
     for controller in &named {
-        controller
-            .try_start()
-            .map_err(|error| CliError::Input(format!("controller `{}`: {error}", controller.name)))?;
+        controller.try_start().map_err(|error| {
+            CliError::Input(format!("controller `{}`: {error}", controller.name))
+        })?;
     }
-    named.iter().flat_map(controller_notes).for_each(|note| output::note(&note, quiet));
+    named
+        .iter()
+        .flat_map(controller_notes)
+        .for_each(|note| output::note(&note, quiet));
     Ok(())
 }
 
@@ -163,7 +210,8 @@ pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
 pub(super) fn replay(scenario: &Scenario) -> Result<SimulationResult, CliError> {
     let run = Run::new(
         scenario,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth),
+        RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+            .with_estimator(EstimatorKind::Truth),
     )?;
     Ok(simulate(&run, RecordingLevel::Trace))
 }

@@ -46,7 +46,8 @@ impl ArtifactArgs {
         if let Some(path) = &self.plot {
             let run = replay()?;
             if let Some(trace) = &run.trace {
-                let figure = simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?;
+                let figure =
+                    simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?;
                 files.stage(&output::resolve_output_path(path)?, &figure)?;
             }
         }

@@ -11,7 +11,8 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessConfig, AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
+    AssessConfig, AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND,
+    RunInfo, assess,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -112,16 +113,28 @@ impl Assess {
                 plan
             }
         };
-        let against = self.against.as_deref().map(EarlierAssessment::load).transpose()?;
+        let against = self
+            .against
+            .as_deref()
+            .map(EarlierAssessment::load)
+            .transpose()?;
         if against.is_none() && plan.needs_earlier_assessment() {
-            return Err(CliError::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
+            return Err(CliError::Input(
+                "--against: the gate `nothing-worse` needs an earlier assessment".to_owned(),
+            ));
         }
-        let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+        let source = self
+            .config
+            .as_deref()
+            .and_then(Path::parent)
+            .unwrap_or(Path::new(""));
         let evidence_folder = self.out.join(EVIDENCE_FOLDER);
         let fresh = if self.fresh { " without --fresh" } else { "" };
         let evidence = evidence_folder.display();
         interrupt::set_exit_message(
-            format!("the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"),
+            format!(
+                "the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"
+            ),
             quiet,
         );
         let (identity, begun) = (program::identity()?, Instant::now());
@@ -140,33 +153,63 @@ impl Assess {
         if let Some(unknown) = plan.first_without_identity() {
             let name = &unknown.name;
             output::note(
-                &format!("note: `{name}` states no identity, so the next assessment cannot reuse this evidence"),
+                &format!(
+                    "note: `{name}` states no identity, so the next assessment cannot reuse this evidence"
+                ),
                 quiet,
             );
         }
         let bar = progress::run_bar("assessing", plan.runs(), quiet);
-        let assessment = progress::show(&bar, |observer| assess(&plan, &cache, against.as_ref(), observer))?;
+        let assessment = progress::show(&bar, |observer| {
+            assess(&plan, &cache, against.as_ref(), observer)
+        })?;
         let assessment = assessment.with_run_info(run_info(source, identity, begun.elapsed()));
-        folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
+        folder.write(
+            &assessment.files().map_err(CliError::input)?,
+            EarlierFiles::Replace,
+        )?;
         let (pieces, reused) = cache.reuse_counts();
-        let reuse_note =
-            if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were reused") };
+        let reuse_note = if reused == 0 {
+            String::new()
+        } else {
+            format!("; {reused} of {pieces} pieces of evidence were reused")
+        };
         for path in cache.damaged_files() {
-            output::note(&format!("note: {} was damaged, and its evidence was computed again", path.display()), quiet);
+            output::note(
+                &format!(
+                    "note: {} was damaged, and its evidence was computed again",
+                    path.display()
+                ),
+                quiet,
+            );
         }
         let page = self.out.join("assessment.html");
-        output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){reuse_note}", page.display()), quiet);
+        output::note(
+            &format!(
+                "wrote {} (and .md, .json, .junit.xml, .gsn.yaml){reuse_note}",
+                page.display()
+            ),
+            quiet,
+        );
         let mut message = assessment.first_page.to_plain_text();
         if let Some(comparison) = &assessment.comparison {
             message += &format!("{}\n", comparison.describe());
         }
         message += &assessment.first_page.gates_to_plain_text();
-        let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
+        let failed: Vec<_> = assessment
+            .summary
+            .gates
+            .iter()
+            .filter(|gate| !gate.holds)
+            .collect();
         let printed = output::print_result(self.format, &assessment.summary, || message);
         let gate = match failed.as_slice() {
             [] => Ok(()),
             gates => {
-                let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.reason)).collect();
+                let lines: Vec<_> = gates
+                    .iter()
+                    .map(|gate| format!("{} ({})", gate.gate, gate.reason))
+                    .collect();
                 Err(CliError::Gate(lines.join("; ")))
             }
         };
@@ -189,30 +232,68 @@ fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
                        remove the link, or use another --out";
         return Err(CliError::at(folder, problem));
     }
-    let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
-    entries.flatten().try_for_each(|entry| ensure_no_symlinks(&entry.path()))
+    let entries = if folder.is_dir() {
+        fs::read_dir(folder).map_err(DiskError::at(folder))?
+    } else {
+        return Ok(());
+    };
+    entries
+        .flatten()
+        .try_for_each(|entry| ensure_no_symlinks(&entry.path()))
 }
 
 /// Returns the commit of the repository of the assessed files, with a mark if files differ from it; `None` without a
 /// repository.
 fn git_commit(folder: &Path) -> Option<String> {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let folder = if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    };
     let git = |arguments: &[&str]| {
-        let no_programs = ["-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null"];
+        let no_programs = [
+            "-c",
+            "core.fsmonitor=false",
+            "-c",
+            "core.hooksPath=/dev/null",
+        ];
         let mut command = process::Command::new("git");
-        command.arg("-C").arg(folder).args(no_programs.iter().chain(arguments));
+        command
+            .arg("-C")
+            .arg(folder)
+            .args(no_programs.iter().chain(arguments));
         // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
-        command.env("GIT_OPTIONAL_LOCKS", "0").env("GIT_NO_LAZY_FETCH", "1").env("GIT_ALLOW_PROTOCOL", "none");
+        command
+            .env("GIT_OPTIONAL_LOCKS", "0")
+            .env("GIT_NO_LAZY_FETCH", "1")
+            .env("GIT_ALLOW_PROTOCOL", "none");
         let result = command.output().ok()?;
-        result.status.success().then(|| String::from_utf8_lossy(&result.stdout).trim().to_owned())
+        result
+            .status
+            .success()
+            .then(|| String::from_utf8_lossy(&result.stdout).trim().to_owned())
     };
     let commit = git(&["rev-parse", "HEAD"])?;
     // `git status` starts the filters that the configuration of a repository names.
-    let names_programs = |scope| git(&["config", scope, "--get-regexp", r"^(filter|include|includeif)\."]).is_some();
+    let names_programs = |scope| {
+        git(&[
+            "config",
+            scope,
+            "--get-regexp",
+            r"^(filter|include|includeif)\.",
+        ])
+        .is_some()
+    };
     if names_programs("--local") || names_programs("--worktree") {
         return Some(commit + ", not compared with the files: the repository configures filters");
     }
-    let is_clean = git(&["status", "--porcelain", "--untracked-files=no", "--ignore-submodules=all"])?.is_empty();
+    let is_clean = git(&[
+        "status",
+        "--porcelain",
+        "--untracked-files=no",
+        "--ignore-submodules=all",
+    ])?
+    .is_empty();
     Some(commit + if is_clean { "" } else { " with changes" })
 }
 
@@ -227,7 +308,10 @@ fn run_info(folder: &Path, program_sha256: &str, took: Duration) -> RunInfo {
         at: utc::rfc_3339(SystemTime::now()),
         commit: git_commit(folder),
         program_sha256: program_sha256.to_owned(),
-        machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
+        machine: format!(
+            "{system} {processor}, {cores} cores{}",
+            model.unwrap_or_default()
+        ),
         duration_s: took.as_secs(),
     }
 }

@@ -13,8 +13,8 @@ use super::{CliError, args};
 use crumple_core::quoting::TerminalText;
 use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy, Optimality,
-    UndecidedReason, avoid, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy,
+    Optimality, UndecidedReason, avoid, certify,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::Scenario;
@@ -59,8 +59,7 @@ pub(super) struct Avoid {
 }
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str =
-    "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake";
+const LARGEST_GAP: &str = "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake";
 
 #[derive(Serialize)]
 struct AvoidReport<'a> {
@@ -89,7 +88,11 @@ struct AvoidReport<'a> {
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let scenario = args::load_scenario(&self.scenario)?;
-        let options = AvoidOptions { grid_s: self.grid, certify_bound: true, ..AvoidOptions::default() };
+        let options = AvoidOptions {
+            grid_s: self.grid,
+            certify_bound: true,
+            ..AvoidOptions::default()
+        };
         let avoidance = avoid(&scenario, options).map_err(|error| match error {
             AvoidError::Grid { .. } => CliError::Input(format!("--grid: {error}")),
             other => CliError::Input(format!("{}: {other}", self.scenario)),
@@ -101,12 +104,18 @@ impl Avoid {
         self.stage_certificates(&scenario, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
-                self.finding.stage(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
+                self.finding
+                    .stage(&escape.scenario, "escape", &mut files, || {
+                        args::replay(&escape.scenario)
+                    })?;
             }
-            None => self.finding.note_nothing_to_write("no escape was found, so there is nothing", quiet),
+            None => self
+                .finding
+                .note_nothing_to_write("no escape was found, so there is nothing", quiet),
         }
         files.commit()?;
-        self.finding.print_report(&report(&scenario, &avoidance), describe)
+        self.finding
+            .print_report(&report(&scenario, &avoidance), describe)
     }
 
     fn stage_certificates(
@@ -116,12 +125,21 @@ impl Avoid {
         files: &mut StagedFiles,
     ) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            let certificate = verdict_certificate(scenario, avoidance).map_err(|reason| reason.to_string());
+            let certificate =
+                verdict_certificate(scenario, avoidance).map_err(|reason| reason.to_string());
             stage_certificate(path, certificate, files)?;
         }
         if let Some(path) = &self.bound_certificate {
             let none = || "no upper bound on the gap of an escape was proved".to_owned();
-            stage_certificate(path, avoidance.bound_certificate.as_deref().cloned().ok_or_else(none), files)?;
+            stage_certificate(
+                path,
+                avoidance
+                    .bound_certificate
+                    .as_deref()
+                    .cloned()
+                    .ok_or_else(none),
+                files,
+            )?;
         }
         Ok(())
     }
@@ -166,7 +184,10 @@ fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'
     }
 }
 
-fn verdict_certificate(scenario: &Scenario, avoidance: &Avoidance) -> Result<Certificate, UndecidedReason> {
+fn verdict_certificate(
+    scenario: &Scenario,
+    avoidance: &Avoidance,
+) -> Result<Certificate, UndecidedReason> {
     match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => certify(scenario, escape),
         AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
@@ -186,7 +207,10 @@ fn stage_certificate(
         }
         // Shown with `--quiet` too: a requested file is missing.
         Err(reason) => output::note(
-            &format!("warning: crumple did not write {}, because there is no certificate: {reason}", path.display()),
+            &format!(
+                "warning: crumple did not write {}, because there is no certificate: {reason}",
+                path.display()
+            ),
             false,
         ),
     }
@@ -194,27 +218,48 @@ fn stage_certificate(
 }
 
 fn describe(report: &AvoidReport<'_>) -> String {
-    let AvoidReport { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
+    let AvoidReport {
+        scenario,
+        verdict,
+        escape_min_gap_m,
+        min_gap_bound_m,
+        programs,
+        reason,
+        ..
+    } = report;
     let mut text = format!("{}: {verdict}\n", TerminalText(scenario));
     if let Some(gap_m) = escape_min_gap_m {
         let optimality = match report.optimality {
             Some(name) if name == Optimality::BestFound.name() => ", best found",
-            Some(name) if name == Optimality::InitialGap.name() => ", optimal: equals the initial gap",
+            Some(name) if name == Optimality::InitialGap.name() => {
+                ", optimal: equals the initial gap"
+            }
             _ => ", optimal: equals the bound",
         };
-        let _ = writeln!(text, "  smallest gap of the escape {:.2} m{optimality}", (100.0 * gap_m).floor() / 100.0);
+        let _ = writeln!(
+            text,
+            "  smallest gap of the escape {:.2} m{optimality}",
+            (100.0 * gap_m).floor() / 100.0
+        );
     }
     if let Some(bound_m) = min_gap_bound_m {
         let _ = writeln!(
             text,
             "  no driver keeps more than {:.2} m, {}",
             (100.0 * bound_m).ceil() / 100.0,
-            if report.min_gap_bound_is_certified { "proved" } else { "computed, without a certificate" }
+            if report.min_gap_bound_is_certified {
+                "proved"
+            } else {
+                "computed, without a certificate"
+            }
         );
     }
     match (report.trigger_time_s, report.emergency_brake_fires) {
         (Some(time_s), _) => {
-            let _ = writeln!(text, "  the follower's emergency brake fires at {time_s:.2} s");
+            let _ = writeln!(
+                text,
+                "  the follower's emergency brake fires at {time_s:.2} s"
+            );
         }
         (None, Some(false)) => text.push_str("  no emergency brake behind fires\n"),
         (None, _) => {}
@@ -223,8 +268,15 @@ fn describe(report: &AvoidReport<'_>) -> String {
         let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
     }
     if let Some(survives) = report.escape_survives_multi_body {
-        let replay = if survives { "no collision either" } else { "a COLLISION: it depends on the point mass" };
-        let _ = writeln!(text, "  with the multi-body plant, this escape has {replay}");
+        let replay = if survives {
+            "no collision either"
+        } else {
+            "a COLLISION: it depends on the point mass"
+        };
+        let _ = writeln!(
+            text,
+            "  with the multi-body plant, this escape has {replay}"
+        );
     }
     if let Some(reason) = reason {
         let _ = writeln!(text, "  {reason}");

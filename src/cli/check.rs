@@ -12,8 +12,8 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, file_kind, interrupt, output, progress};
 use crumple_core::regular_file;
 use crumple_evidence::{
-    BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario, checker_file,
-    report_json, report_text,
+    BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario,
+    checker_file, report_json, report_text,
 };
 use crumple_world::control::NameOrigin;
 use crumple_world::network::NetworkFile;
@@ -80,9 +80,16 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 
 impl Check {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let scenario = self.scenario.as_deref().map(args::load_scenario).transpose()?;
+        let scenario = self
+            .scenario
+            .as_deref()
+            .map(args::load_scenario)
+            .transpose()?;
         if self.rerun.is_some() {
-            interrupt::set_exit_message("no certificate was accepted or rejected".to_owned(), quiet);
+            interrupt::set_exit_message(
+                "no certificate was accepted or rejected".to_owned(),
+                quiet,
+            );
         }
         // Check the other certificates even if one cannot be read.
         let (mut certificates, mut others) = (Vec::new(), Vec::new());
@@ -102,7 +109,9 @@ impl Check {
         let printed = output::print_coloured(
             self.format,
             &match self.format {
-                OutputFormat::Json => report_json(&all).map_err(CliError::input)? + &unchecked_to_json(&others)?,
+                OutputFormat::Json => {
+                    report_json(&all).map_err(CliError::input)? + &unchecked_to_json(&others)?
+                }
                 OutputFormat::Text => report_text(&all, self.scenario.as_deref()),
             },
         );
@@ -122,17 +131,24 @@ impl Check {
         quiet: bool,
     ) -> Result<CertificateReport<'a>, CliError> {
         let policy = self.policy_bytes(certificate, path)?;
-        let (file, limit) = (path.display().to_string(), WorkLimit::from_billions(self.work_limit));
+        let (file, limit) = (
+            path.display().to_string(),
+            WorkLimit::from_billions(self.work_limit),
+        );
         let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
             .map_err(|refused| CliError::at(path, refused))?;
-        let is_count = matches!(report.accepted, Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }));
+        let is_count = matches!(
+            report.accepted,
+            Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. })
+        );
         report.counts = match self.rerun {
             _ if !is_count => None,
             Some(percent) => Some(self.rerun_counts(path, certificate, percent, quiet)?),
             None => Some(CountsStatus::Unconfirmed),
         };
         report.covers_scenario = scenario.map(|scenario| {
-            check_covers_scenario(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
+            check_covers_scenario(certificate, scenario, policy.as_deref())
+                .map_err(|elsewhere| elsewhere.to_string())
         });
         Ok(report)
     }
@@ -147,22 +163,40 @@ impl Check {
         let cannot = |error: RerunError| CliError::at(path, error);
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
-        let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
-        let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
+        let seed = self
+            .rerun_seed
+            .unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
+        let sample = if percent < 100.0 {
+            BlockSelection::Sample { percent, seed }
+        } else {
+            BlockSelection::All
+        };
         let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
         let counted = progress::show(&bar, |observer| rerun.confirm(sample, observer));
         match counted {
-            Ok(confirmation) => Ok(CountsStatus::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
-            Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted { because: refuted.to_string() }),
+            Ok(confirmation) => Ok(CountsStatus::Confirmed {
+                confirmation,
+                seed: (percent < 100.0).then_some(seed),
+            }),
+            Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted {
+                because: refuted.to_string(),
+            }),
             Err(other) => Err(cannot(other)),
         }
     }
 
     /// Returns the policy that the checker needs. The reference policy comes with the program; the checker computes its
     /// digest again.
-    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, CliError> {
+    fn policy_bytes(
+        &self,
+        certificate: &Certificate,
+        path: &Path,
+    ) -> Result<Option<Vec<u8>>, CliError> {
         if certificate.policy_reference().is_some()
-            && let Some(source) = self.policy.as_deref().filter(|path| is_network_source(path))
+            && let Some(source) = self
+                .policy
+                .as_deref()
+                .filter(|path| is_network_source(path))
         {
             let place = source.display();
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
@@ -174,18 +208,23 @@ impl Check {
                 }
                 other => CliError::from_cause(other),
             })?;
-            let file = checker_file(&read).map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
-            return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
+            let file = checker_file(&read)
+                .map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
+            return file
+                .map(Some)
+                .ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
         }
         let found = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
         let is_of_reference = match &certificate.statement {
-            Statement::Reach(_) | Statement::Invariant(_) => {
-                certificate.policy_reference().is_some_and(|(_, digest)| digest == Policy::reference().digest())
-            }
+            Statement::Reach(_) | Statement::Invariant(_) => certificate
+                .policy_reference()
+                .is_some_and(|(_, digest)| digest == Policy::reference().digest()),
             _ => false,
         };
-        Ok(found.or_else(|| (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())))
+        Ok(found.or_else(|| {
+            (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())
+        }))
     }
 }
 
@@ -198,7 +237,11 @@ struct UncheckedCertificate<'a> {
 
 fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> {
     let line = |(certificate, failure): &(String, CliError)| {
-        let line = UncheckedCertificate { certificate, accepted: false, error: failure.to_string() };
+        let line = UncheckedCertificate {
+            certificate,
+            accepted: false,
+            error: failure.to_string(),
+        };
         Ok(serde_json::to_string(&line).map_err(CliError::input)? + "\n")
     };
     others.iter().map(line).collect()
@@ -206,27 +249,44 @@ fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> 
 
 fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     let of = |is_wanted: &dyn Fn(&CertificateReport<'_>) -> bool| {
-        let paths: Vec<&str> = all.iter().filter(|one| is_wanted(one)).map(|one| one.path.as_str()).collect();
+        let paths: Vec<&str> = all
+            .iter()
+            .filter(|one| is_wanted(one))
+            .map(|one| one.path.as_str())
+            .collect();
         paths.join(", ")
     };
     let rejected = of(&|one| one.is_rejected());
     let elsewhere = of(&|one| one.is_refused() && !one.is_rejected());
-    let parts = [("rejected", rejected), ("not about the scenario of --scenario", elsewhere)];
-    let parts: Vec<_> =
-        parts.iter().filter(|(_, paths)| !paths.is_empty()).map(|(what, paths)| format!("{what}: {paths}")).collect();
+    let parts = [
+        ("rejected", rejected),
+        ("not about the scenario of --scenario", elsewhere),
+    ];
+    let parts: Vec<_> = parts
+        .iter()
+        .filter(|(_, paths)| !paths.is_empty())
+        .map(|(what, paths)| format!("{what}: {paths}"))
+        .collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
 /// Returns true if a file is the source of a network, which the checker does not read.
 fn is_network_source(path: &Path) -> bool {
-    NetworkFile::is_network(path) || path.extension().is_some_and(|extension| extension == "toml")
+    NetworkFile::is_network(path)
+        || path
+            .extension()
+            .is_some_and(|extension| extension == "toml")
 }
 
 fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
     if let Some(what) = file_kind::detect(path) {
-        return Err(CliError::at(path, format!("is not a certificate, but {what}")));
+        return Err(CliError::at(
+            path,
+            format!("is not a certificate, but {what}"),
+        ));
     }
-    let file = regular_file::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
+    let file = regular_file::open(path)
+        .map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
         CertificateParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
             CliError::at(path, "is not a certificate: it is not UTF-8 text")

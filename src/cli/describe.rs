@@ -10,8 +10,8 @@ use super::simulate::OutputFormat;
 use super::{CliError, describe_fmu, file_kind, output};
 use crumple_world::control::{Mapping, ObservedQuantity, OutputMapping};
 use crumple_world::network::{
-    NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, SavedModel, VecNormalizeStats,
-    VecNormalizeUse,
+    NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, SavedModel,
+    VecNormalizeStats, VecNormalizeUse,
 };
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -86,11 +86,16 @@ const DEFAULT_QUANTITIES: [ObservedQuantity; 6] = [
 impl Describe {
     pub(super) fn run(self) -> Result<(), CliError> {
         let place = &self.file;
-        if place.extension().is_some_and(|extension| extension == "fmu") {
+        if place
+            .extension()
+            .is_some_and(|extension| extension == "fmu")
+        {
             return describe_fmu::describe(place, self.format);
         }
         let network = NetworkFile::load(place).map_err(|error| self.not_a_network_error(&error))?;
-        let statistics = network.saved_model().and_then(|_| VecNormalizeStats::find_for_model(place));
+        let statistics = network
+            .saved_model()
+            .and_then(|_| VecNormalizeStats::find_for_model(place));
         let normalisation = match statistics.as_deref().map(VecNormalizeStats::load) {
             Some(VecNormalizeStats::Observations(normalisation)) => Some(normalisation),
             _ => None,
@@ -99,7 +104,10 @@ impl Describe {
         let model = network.saved_model().map(|saved| SavedModelDescription {
             algorithm: saved.algorithm,
             version: saved.version.clone(),
-            observations: finite_bounds(&saved.observation_space.low, &saved.observation_space.high),
+            observations: finite_bounds(
+                &saved.observation_space.low,
+                &saved.observation_space.high,
+            ),
             actions: finite_bounds(&saved.action_space.low, &saved.action_space.high),
             vec_normalize: saved.vec_normalize,
             statistics: statistics.map(|path| path.display().to_string()),
@@ -128,7 +136,9 @@ impl Describe {
         let place = self.file.display();
         let names_no_network = !NetworkFile::is_network(&self.file);
         match file_kind::detect(&self.file) {
-            Some(what) => CliError::Input(format!("{place}: is not an imported network, but {what}")),
+            Some(what) => {
+                CliError::Input(format!("{place}: is not an imported network, but {what}"))
+            }
             None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
                 "{place}: is not an imported network, but a controller: use it with --controller of other commands"
             )),
@@ -155,14 +165,20 @@ fn finite_bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
 }
 
 fn without_infinities(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
-    bounds.into_iter().map(|pair| pair.map(|bound| Some(bound).filter(|bound| bound.is_finite()))).collect()
+    bounds
+        .into_iter()
+        .map(|pair| pair.map(|bound| Some(bound).filter(|bound| bound.is_finite())))
+        .collect()
 }
 
 fn activation_names(steps: &[NetworkStep]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for step in steps {
         if let NetworkStep::Elementwise(each) = step {
-            let name: String = format!("{each:?}").chars().take_while(|letter| letter.is_alphanumeric()).collect();
+            let name: String = format!("{each:?}")
+                .chars()
+                .take_while(|letter| letter.is_alphanumeric())
+                .collect();
             if !names.contains(&name) {
                 names.push(name);
             }
@@ -174,10 +190,16 @@ fn activation_names(steps: &[NetworkStep]) -> Vec<String> {
 /// Formats bounds: `2 numbers from -1 to 1`, or each separately.
 fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
     let one = |[low, high]: &[Option<f32>; 2]| {
-        let end = |bound: &Option<f32>, open: &str| bound.map_or_else(|| open.to_owned(), |bound| bound.to_string());
+        let end = |bound: &Option<f32>, open: &str| {
+            bound.map_or_else(|| open.to_owned(), |bound| bound.to_string())
+        };
         format!("{} to {}", end(low, "-inf"), end(high, "inf"))
     };
-    let noun = if bounds.len() == 1 { "number" } else { "numbers" };
+    let noun = if bounds.len() == 1 {
+        "number"
+    } else {
+        "numbers"
+    };
     let ranges = match bounds.split_first() {
         Some((first, rest)) if rest.iter().all(|other| other == first) => one(first),
         _ => bounds.iter().map(one).collect::<Vec<_>>().join(", "),
@@ -187,20 +209,40 @@ fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
 
 impl NetworkDescription {
     fn comments(&self) -> String {
-        let mut lines = vec![format!("{}: layers {}, {}", self.file, self.layers, self.functions.join(", "))];
+        let mut lines = vec![format!(
+            "{}: layers {}, {}",
+            self.file,
+            self.layers,
+            self.functions.join(", ")
+        )];
         if let Some(model) = &self.model {
-            let version = model.version.as_ref().map(|version| format!(" {version}")).unwrap_or_default();
-            lines.push(format!("{}, saved by Stable-Baselines3{version}", model.algorithm));
-            lines.push(format!("observation_space: {}", format_bounds(&model.observations)));
+            let version = model
+                .version
+                .as_ref()
+                .map(|version| format!(" {version}"))
+                .unwrap_or_default();
+            lines.push(format!(
+                "{}, saved by Stable-Baselines3{version}",
+                model.algorithm
+            ));
+            lines.push(format!(
+                "observation_space: {}",
+                format_bounds(&model.observations)
+            ));
             lines.push(format!("action_space: {}", format_bounds(&model.actions)));
             let trace = match model.vec_normalize {
                 VecNormalizeUse::None => "not used in training, or it changed no observation",
                 VecNormalizeUse::Behind => "used in training",
                 _ => "unknown; the file does not state it",
             };
-            let statistics =
-                model.statistics.as_ref().map(|path| format!("; `{path}` seems to contain the statistics"));
-            lines.push(format!("VecNormalize: {trace}{}", statistics.unwrap_or_default()));
+            let statistics = model
+                .statistics
+                .as_ref()
+                .map(|path| format!("; `{path}` seems to contain the statistics"));
+            lines.push(format!(
+                "VecNormalize: {trace}{}",
+                statistics.unwrap_or_default()
+            ));
         }
         if self.drives_as_it_is {
             lines.push(
@@ -211,7 +253,10 @@ impl NetworkDescription {
         lines.push(
             "The quantity, order and unit of the inputs are guesses: correct them (docs/controllers.md).".to_owned(),
         );
-        lines.iter().map(|line| format!("# {}\n", line.escape_debug())).collect()
+        lines
+            .iter()
+            .map(|line| format!("# {}\n", line.escape_debug()))
+            .collect()
     }
 
     /// Returns a controller file that can be loaded.
@@ -221,7 +266,8 @@ impl NetworkDescription {
         let normalisation = model.and_then(|model| model.normalisation.as_ref());
         // A JSON string is also a valid TOML string.
         let path = serde_json::Value::from(self.file.as_str());
-        let mut text = format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
+        let mut text =
+            format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
             text += "normalised = true # the inputs contain the statistics\n";
@@ -232,19 +278,30 @@ impl NetworkDescription {
         }
         for index in 0..self.inputs {
             let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
-            let quantity =
-                own.and_then(|own| own.quantity).unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
-            text += &format!("\n[[inputs]]\nquantity = \"{}\" # a guess\n", quantity.name());
+            let quantity = own
+                .and_then(|own| own.quantity)
+                .unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
+            text += &format!(
+                "\n[[inputs]]\nquantity = \"{}\" # a guess\n",
+                quantity.name()
+            );
             let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
-            let bounds = model.and_then(|model| model.observations.get(index)).copied().unwrap_or_default();
+            let bounds = model
+                .and_then(|model| model.observations.get(index))
+                .copied()
+                .unwrap_or_default();
             let [mut low, mut high] = bounds.map(|bound| bound.map(f64::from));
             if let Some(found) = normalisation.filter(|_| is_normalised) {
                 (offset, scale) = (found.means[index], found.deviations[index]);
                 (low, high) = (Some(-found.limit), Some(found.limit));
             }
             text += &format!("offset = {offset:?}\nscale = {scale:?}\n");
-            text += &low.map(|low| format!("low = {low:?}\n")).unwrap_or_default();
-            text += &high.map(|high| format!("high = {high:?}\n")).unwrap_or_default();
+            text += &low
+                .map(|low| format!("low = {low:?}\n"))
+                .unwrap_or_default();
+            text += &high
+                .map(|high| format!("high = {high:?}\n"))
+                .unwrap_or_default();
         }
         text += "\n[output]\n";
         if self.answers > 1 {
@@ -279,7 +336,11 @@ impl NetworkDescription {
                 )
             }
             _ if self.drives_as_it_is => {
-                let OutputMapping { scale_mps2, offset_mps2, .. } = own;
+                let OutputMapping {
+                    scale_mps2,
+                    offset_mps2,
+                    ..
+                } = own;
                 format!("scale_mps2 = {scale_mps2:?}\noffset_mps2 = {offset_mps2:?}\n{limits}")
             }
             _ => format!(

@@ -31,11 +31,19 @@ struct FmuVariableReport<'a> {
 /// Prints the variables of an FMU. Runs none of its code.
 pub(super) fn describe(file: &Path, format: OutputFormat) -> Result<(), CliError> {
     let fmu = Fmu::open(file).map_err(|error| match CliError::from_cause(error) {
-        CliError::Environment(problem) => CliError::Environment(format!("{}: {problem}", file.display())),
+        CliError::Environment(problem) => {
+            CliError::Environment(format!("{}: {problem}", file.display()))
+        }
         other => CliError::at(file, other),
     })?;
     let description = fmu.description();
-    let words = || description.to_string().lines().map(|line| format!("{}\n", TerminalText(line))).collect();
+    let words = || {
+        description
+            .to_string()
+            .lines()
+            .map(|line| format!("{}\n", TerminalText(line)))
+            .collect()
+    };
     output::print_result(format, &FmuReport::new(file, description), words)
 }
 

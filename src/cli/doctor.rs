@@ -67,7 +67,15 @@ impl Doctor {
 
 impl DoctorReport {
     fn text(&self) -> String {
-        let Self { version, system, processor, register_bits, fused_multiply_add, threads, .. } = self;
+        let Self {
+            version,
+            system,
+            processor,
+            register_bits,
+            fused_multiply_add,
+            threads,
+            ..
+        } = self;
         let mut text = format!(
             "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
         );
@@ -75,20 +83,37 @@ impl DoctorReport {
             Some(identity) => {
                 let _ = writeln!(text, "  this program is {identity}");
             }
-            None => text.push_str("  crumple cannot read its program file, so it cannot resume interrupted work\n"),
+            None => text.push_str(
+                "  crumple cannot read its program file, so it cannot resume interrupted work\n",
+            ),
         }
         if !fused_multiply_add {
             text += "  this processor has no fused multiply-add: networks are slower, with the same results\n";
         }
         for feature in &self.features {
-            let Feature { name, used_for, enabled } = feature;
-            let state =
-                if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.install_command()) };
+            let Feature {
+                name,
+                used_for,
+                enabled,
+            } = feature;
+            let state = if *enabled {
+                "compiled in".to_owned()
+            } else {
+                format!("missing: {}", feature.install_command())
+            };
             let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
         }
         text += "  crumple needs nothing else; optional programs:\n";
-        for Dependency { name, found, used_for, install } in &self.needs {
-            let there = found.as_ref().map_or_else(|| format!("not found: {install}"), Clone::clone);
+        for Dependency {
+            name,
+            found,
+            used_for,
+            install,
+        } in &self.needs
+        {
+            let there = found
+                .as_ref()
+                .map_or_else(|| format!("not found: {install}"), Clone::clone);
             let _ = writeln!(text, "    {name:<16}{used_for}\n{:20}{there}", "");
         }
         text
@@ -99,8 +124,11 @@ fn dependencies() -> Vec<Dependency> {
     let python = ["python3", "python"].into_iter().find_map(find_program);
     let module = |name: &str| {
         let python = python.as_ref()?;
-        let look = format!("import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')");
-        program_output(Command::new(python).args(["-I", "-c", &look])).filter(|origin| !origin.is_empty())
+        let look = format!(
+            "import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')"
+        );
+        program_output(Command::new(python).args(["-I", "-c", &look]))
+            .filter(|origin| !origin.is_empty())
     };
     let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
     vec![
@@ -143,7 +171,8 @@ fn find_program(name: &str) -> Option<PathBuf> {
 #[cfg(unix)]
 fn is_program(path: &Path) -> bool {
     use std::os::unix::fs::PermissionsExt;
-    path.metadata().is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
+    path.metadata()
+        .is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
 }
 
 #[cfg(not(unix))]
@@ -153,6 +182,12 @@ fn is_program(path: &Path) -> bool {
 
 /// Returns the standard output of a program, if it succeeds.
 fn program_output(command: &mut Command) -> Option<String> {
-    let done = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
-    done.status.success().then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())
+    let done = command
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output()
+        .ok()?;
+    done.status
+        .success()
+        .then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())
 }

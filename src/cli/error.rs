@@ -95,7 +95,11 @@ impl CliError {
 
     /// Converts an error: a failed environment if the disk is its cause, otherwise unusable input.
     pub(super) fn from_cause(error: impl Error + 'static) -> Self {
-        if is_caused_by_environment(&error) { Self::Environment(error.to_string()) } else { Self::input(error) }
+        if is_caused_by_environment(&error) {
+            Self::Environment(error.to_string())
+        } else {
+            Self::input(error)
+        }
     }
 
     /// Returns an error of unusable input about a file or folder.
@@ -104,7 +108,10 @@ impl CliError {
     }
 
     /// Returns the error of the gate if there is one, otherwise that of printing the results.
-    pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
+    pub(super) fn gate_first(
+        gate: Result<(), Self>,
+        printed: Result<(), Self>,
+    ) -> Result<(), Self> {
         gate.and(printed)
     }
 
@@ -120,7 +127,11 @@ impl CliError {
 
     /// Prints the error to standard error, in one line, so that quoted file content cannot imitate further messages.
     pub(super) fn print(&self) {
-        let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
+        let kind = if let Self::Gate(_) = self {
+            "gate"
+        } else {
+            "error"
+        };
         output::note(&format!("{kind}: {self}"), false);
     }
 
@@ -143,7 +154,9 @@ impl From<DiskError> for CliError {
 impl From<InvalidRate> for CliError {
     fn from(error: InvalidRate) -> Self {
         match error {
-            InvalidRate::Runs { .. } | InvalidRate::Confidence { .. } => Self::Input(format!("--{error}")),
+            InvalidRate::Runs { .. } | InvalidRate::Confidence { .. } => {
+                Self::Input(format!("--{error}"))
+            }
             other => Self::input(other),
         }
     }

@@ -50,9 +50,20 @@ struct Address {
 
 impl Explore {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let mut offer =
-            ExploreConfig { controllers: self.controller, estimator: self.estimator, ..ExploreConfig::default() };
-        let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
+        let mut offer = ExploreConfig {
+            controllers: self.controller,
+            estimator: self.estimator,
+            ..ExploreConfig::default()
+        };
+        let page = if self
+            .what
+            .first()
+            .is_some_and(|first| Path::new(first).is_dir())
+        {
+            "campaigns"
+        } else {
+            ""
+        };
         for name in self.what {
             if Path::new(&name).is_dir() {
                 offer.campaigns.push(name.into());
@@ -65,8 +76,19 @@ impl Explore {
         let (address, port) = (server.url(), server.port());
         let page = format!("{address}{page}");
         let words = format!("{page}\n");
-        output::print_result(self.format, &Address { address, page, port }, || words)?;
-        output::note("open this address in a browser on this machine; Ctrl-C stops the server", quiet);
+        output::print_result(
+            self.format,
+            &Address {
+                address,
+                page,
+                port,
+            },
+            || words,
+        )?;
+        output::note(
+            "open this address in a browser on this machine; Ctrl-C stops the server",
+            quiet,
+        );
         Ok(server.run()?)
     }
 }

@@ -14,7 +14,9 @@ use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_world::sim::{
+    AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate,
+};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]
@@ -45,7 +47,12 @@ pub(super) struct Export {
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: ExportFormat,
     /// Content of the export
-    #[arg(long = "as", value_enum, value_name = "WHAT", default_value = "trajectories")]
+    #[arg(
+        long = "as",
+        value_enum,
+        value_name = "WHAT",
+        default_value = "trajectories"
+    )]
     what: ExportContent,
     /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one
     /// recorded with a counterexample, `baseline` in built-in scenarios; required in all other scenarios with a vehicle
@@ -144,7 +151,10 @@ impl Export {
         let line = |one: &ExportedScenario| {
             let under = match (&one.controller, one.estimator) {
                 (Some(controller), Some(estimator)) => {
-                    format!(", under {}, estimator {estimator}", TerminalText(controller))
+                    format!(
+                        ", under {}, estimator {estimator}",
+                        TerminalText(controller)
+                    )
                 }
                 _ => String::new(),
             };
@@ -155,32 +165,48 @@ impl Export {
                 one.vertices
             )
         };
-        output::print_result(self.format, &exported, || exported.iter().map(line).collect())
+        output::print_result(self.format, &exported, || {
+            exported.iter().map(line).collect()
+        })
     }
 
     /// Returns the controller of the vehicles under test: the one that the user names, or else that of the
     /// counterexample. `None` if no vehicle is under test, or the user supplies the controller in the other simulator.
-    fn controller_setup(&self, given: &str, scenario: &Scenario) -> Result<Option<ExportController>, CliError> {
+    fn controller_setup(
+        &self,
+        given: &str,
+        scenario: &Scenario,
+    ) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
         }
         let driven = |controller, estimator: Option<EstimatorKind>| {
-            Ok(Some(ExportController { controller, estimator: self.estimator.or(estimator).unwrap_or_default() }))
+            Ok(Some(ExportController {
+                controller,
+                estimator: self.estimator.or(estimator).unwrap_or_default(),
+            }))
         };
         if let Some(controller) = &self.controller {
             return driven(controller.clone(), None);
         }
         if built_in_scenario(given).is_some() {
-            return driven(NamedController::find("baseline", Path::new("")).map_err(CliError::from_cause)?, None);
+            return driven(
+                NamedController::find("baseline", Path::new("")).map_err(CliError::from_cause)?,
+                None,
+            );
         }
         let mut records = VerdictRecordReader::default();
         let Some(recorded) = records.find(Path::new(given))? else {
-            let problem = "no record states the controller of this scenario: choose one with --controller";
+            let problem =
+                "no record states the controller of this scenario: choose one with --controller";
             return Err(CliError::Input(format!("{given}: {problem}")));
         };
         let [verdict] = recorded.by_controller()[..] else {
-            let names: Vec<_> =
-                recorded.by_controller().iter().map(|verdict| format!("`{}`", verdict.controller)).collect();
+            let names: Vec<_> = recorded
+                .by_controller()
+                .iter()
+                .map(|verdict| format!("`{}`", verdict.controller))
+                .collect();
             let problem = format!(
                 "the scenario is recorded with several controllers ({}): choose one with --controller",
                 names.join(" and ")
@@ -188,8 +214,13 @@ impl Export {
             return Err(CliError::Input(format!("{given}: {problem}")));
         };
         let controller = recorded.find_controller(verdict).map_err(|error| {
-            let problem = format!("the record names the controller `{}`: {error}", verdict.controller);
-            CliError::Input(format!("{given}: {problem}; choose another one with --controller"))
+            let problem = format!(
+                "the record names the controller `{}`: {error}",
+                verdict.controller
+            );
+            CliError::Input(format!(
+                "{given}: {problem}; choose another one with --controller"
+            ))
         })?;
         driven(controller, Some(verdict.estimator))
     }
@@ -208,22 +239,39 @@ impl Export {
         }
         let (kind, estimator) = match driven {
             Some(driven) => (driven.controller.kind.clone(), driven.estimator),
-            None => (ControllerSpec::Baseline(Default::default()).into(), EstimatorKind::default()),
+            None => (
+                ControllerSpec::Baseline(Default::default()).into(),
+                EstimatorKind::default(),
+            ),
         };
-        let options = RunOptions::new(kind).with_estimator(estimator).with_after_contact(self.after_collision);
+        let options = RunOptions::new(kind)
+            .with_estimator(estimator)
+            .with_after_contact(self.after_collision);
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {
-            output::note(&format!("note: {name} ends at the failure of the controller: {why}"), quiet);
+            output::note(
+                &format!("note: {name} ends at the failure of the controller: {why}"),
+                quiet,
+            );
         }
-        let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;
+        let trace = simulated
+            .trace
+            .ok_or_else(|| failed(&"no motion was recorded"))?;
         let controller = driven.map(|driven| driven.controller.name.as_str());
-        openscenario::export_trajectories(scenario, &trace, controller, road).map_err(|error| failed(&error))
+        openscenario::export_trajectories(scenario, &trace, controller, road)
+            .map_err(|error| failed(&error))
     }
 }
 
 /// Returns a file name for a scenario's name.
 pub(super) fn file_stem(name: &str) -> String {
-    let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+    let plain = |c: char| {
+        if c.is_alphanumeric() || "-_.".contains(c) {
+            c
+        } else {
+            '-'
+        }
+    };
     name.chars().map(plain).take(60).collect()
 }

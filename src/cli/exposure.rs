@@ -4,13 +4,17 @@ use std::fmt::Write;
 
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::exposure::{FailureRates, IntervalEstimate, MIN_RESAMPLES, RatePerExposure, WithDataUncertainty};
+use crumple_evidence::exposure::{
+    FailureRates, IntervalEstimate, MIN_RESAMPLES, RatePerExposure, WithDataUncertainty,
+};
 
 /// Parses the option `--resamples`: 0, or enough for an interval.
 pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
     match text.parse() {
         Ok(found @ (0 | MIN_RESAMPLES..=2000)) => Ok(found),
-        _ => Err(format!("must be 0 or from {MIN_RESAMPLES} to 2000, found {text}")),
+        _ => Err(format!(
+            "must be 0 or from {MIN_RESAMPLES} to 2000, found {text}"
+        )),
     }
 }
 
@@ -46,11 +50,24 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
              that the others fail as often"
         )?;
     }
-    let shown = |IntervalEstimate { estimate, lower, upper }: IntervalEstimate| {
-        format!("{} ({} to {})", format_rounded(estimate, 4), format_rounded(lower, 3), format_rounded(upper, 3))
+    let shown = |IntervalEstimate {
+                     estimate,
+                     lower,
+                     upper,
+                 }: IntervalEstimate| {
+        format!(
+            "{} ({} to {})",
+            format_rounded(estimate, 4),
+            format_rounded(lower, 3),
+            format_rounded(upper, 3)
+        )
     };
     let figures = |figures: &FailureRates, out: &mut String| {
-        let FailureRates { per_episode, per_hour, per_1000_km } = *figures;
+        let FailureRates {
+            per_episode,
+            per_hour,
+            per_1000_km,
+        } = *figures;
         writeln!(out, "    failures per episode  {}", shown(per_episode))?;
         writeln!(out, "    failures per hour     {}", shown(per_hour))?;
         writeln!(out, "    failures per 1000 km  {}", shown(per_1000_km))
@@ -64,9 +81,18 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     figures(fitted, out)?;
     let Some(with_data) = with_data else {
         let why = without_data.as_deref().unwrap_or("no resampling was done");
-        return writeln!(out, "  without the uncertainty of the data: {}", TerminalText(why));
+        return writeln!(
+            out,
+            "  without the uncertainty of the data: {}",
+            TerminalText(why)
+        );
     };
-    let WithDataUncertainty { resamples, failed_fits: unfit, runs_each, .. } = with_data;
+    let WithDataUncertainty {
+        resamples,
+        failed_fits: unfit,
+        runs_each,
+        ..
+    } = with_data;
     let how = match runs_each {
         Some(runs) => format!("{runs} new runs in each"),
         None => "a smaller estimate in each".to_owned(),
@@ -84,7 +110,9 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
         )?;
     }
     let part = |variance: Option<f64>| {
-        variance.map_or("unknown (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
+        variance.map_or("unknown (no failure)".to_owned(), |variance| {
+            format!("{:.1} %", 100.0 * variance.sqrt())
+        })
     };
     writeln!(
         out,

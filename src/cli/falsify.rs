@@ -10,8 +10,8 @@ use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
 use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET, MAX_SEED, MethodSummary,
-    SearchObjective,
+    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET,
+    MAX_SEED, MethodSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
 use crumple_store::disk::StagedFiles;
@@ -138,19 +138,33 @@ impl SearchExpectation {
     /// Checks the expectation. The message states the number of evaluations, since a search without failures proves
     /// nothing.
     fn check(self, summary: &CampaignSummary) -> Result<(), CliError> {
-        let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
+        let evaluations: u64 = summary
+            .methods
+            .iter()
+            .map(|method| method.evaluations)
+            .sum();
         match (self, summary.falsified) {
-            (Self::Failure, false) => {
-                Err(CliError::Gate(format!("expected a failure, but found none in {evaluations} evaluations")))
-            }
+            (Self::Failure, false) => Err(CliError::Gate(format!(
+                "expected a failure, but found none in {evaluations} evaluations"
+            ))),
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
-                let found = if kinds == 1 { "1 distinct failure" } else { &format!("{kinds} distinct failures") };
-                Err(CliError::Gate(format!("expected no failure, but found {found} in {evaluations} evaluations")))
+                let found = if kinds == 1 {
+                    "1 distinct failure"
+                } else {
+                    &format!("{kinds} distinct failures")
+                };
+                Err(CliError::Gate(format!(
+                    "expected no failure, but found {found} in {evaluations} evaluations"
+                )))
             }
             // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
-                match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
+                match summary
+                    .methods
+                    .iter()
+                    .find_map(|method| method.other_unanswered.as_ref())
+                {
                     Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
                          no answer: {}",
@@ -181,34 +195,73 @@ impl Falsify {
             seed: self.seed,
         };
         if !self.compare.is_empty() {
-            return compare(&campaign, &self.compare, self.seeds, self.table.as_deref(), self.format, quiet);
+            return compare(
+                &campaign,
+                &self.compare,
+                self.seeds,
+                self.table.as_deref(),
+                self.format,
+                quiet,
+            );
         }
         let kept = format!("the evaluations so far are in {}", self.out.display());
         let resume_note = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
-            None => format!("{kept}; the controller states no identity, so the campaign cannot resume"),
+            None => {
+                format!("{kept}; the controller states no identity, so the campaign cannot resume")
+            }
         };
         interrupt::set_exit_message(resume_note, quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
-        let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
+        let bar = progress::campaign_bar(
+            self.budget.saturating_mul(campaign.methods().len() as u64),
+            quiet,
+        );
         let observer = Listener(|state: &CampaignProgress| {
             let failures = format_failure_count(state.failures);
             match (&state.method, state.examination) {
                 (Some(method), _) => {
                     bar.set_position(state.evaluations);
-                    bar.set_message(format!("{method}: {failures}, best {:.2};", state.best_robustness));
+                    bar.set_message(format!(
+                        "{method}: {failures}, best {:.2};",
+                        state.best_robustness
+                    ));
                 }
-                (None, Some(step)) => progress::show_uncounted_step(&bar, format!("{failures}; {}", step.describe())),
-                (None, None) => progress::show_uncounted_step(&bar, format!("{failures}; writing the results")),
+                (None, Some(step)) => {
+                    progress::show_uncounted_step(&bar, format!("{failures}; {}", step.describe()))
+                }
+                (None, None) => {
+                    progress::show_uncounted_step(&bar, format!("{failures}; writing the results"))
+                }
             }
         });
-        let kept = if self.log == EvaluationLog::Full { ", evaluations" } else { "" };
-        let summary = campaign.run(&self.out, CampaignOptions { log: self.log, resume: self.resume }, &observer);
+        let kept = if self.log == EvaluationLog::Full {
+            ", evaluations"
+        } else {
+            ""
+        };
+        let summary = campaign.run(
+            &self.out,
+            CampaignOptions {
+                log: self.log,
+                resume: self.resume,
+            },
+            &observer,
+        );
         bar.finish_and_clear();
         let summary = summary?;
-        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
-        output::note(&format!("wrote {} (summary{found}{kept})", self.out.display()), quiet);
-        let expected = self.expect.map_or(Ok(()), |expected| expected.check(&summary));
+        let found = if summary.counterexamples.is_empty() {
+            ""
+        } else {
+            ", counterexamples"
+        };
+        output::note(
+            &format!("wrote {} (summary{found}{kept})", self.out.display()),
+            quiet,
+        );
+        let expected = self
+            .expect
+            .map_or(Ok(()), |expected| expected.check(&summary));
         CliError::gate_first(expected, print_summary(&summary, self.format))
     }
 }
@@ -222,17 +275,28 @@ fn compare(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
-    if let Some(twice) =
-        methods.iter().enumerate().find_map(|(place, one)| methods[..place].contains(one).then_some(one))
+    if let Some(twice) = methods
+        .iter()
+        .enumerate()
+        .find_map(|(place, one)| methods[..place].contains(one).then_some(one))
     {
-        return Err(CliError::Input(format!("--compare: {} is given twice", twice.name())));
+        return Err(CliError::Input(format!(
+            "--compare: {} is given twice",
+            twice.name()
+        )));
     }
-    let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
+    let total = campaign
+        .budget
+        .saturating_mul(seeds)
+        .saturating_mul(methods.len() as u64);
     let bar = progress::campaign_bar(total, quiet);
     let observer = Listener(|state: &CampaignProgress| {
         bar.set_position(state.evaluations);
         let method = state.method.as_ref().map_or("", Method::name);
-        bar.set_message(format!("{method}: {};", format_failure_count(state.failures)));
+        bar.set_message(format!(
+            "{method}: {};",
+            format_failure_count(state.failures)
+        ));
     });
     let comparison = MethodComparison::run(campaign, methods, seeds, &observer);
     bar.finish_and_clear();
@@ -273,7 +337,10 @@ struct AllMethodsSummary {
 impl<'a> SummaryReport<'a> {
     fn new(summary: &'a CampaignSummary) -> Self {
         let methods = &summary.methods;
-        let best_robustness = methods.iter().filter_map(|method| method.best_robustness).reduce(f64::min);
+        let best_robustness = methods
+            .iter()
+            .filter_map(|method| method.best_robustness)
+            .reduce(f64::min);
         let of_all_methods = AllMethodsSummary {
             methods: methods.len(),
             evaluations: methods.iter().map(|method| method.evaluations).sum(),
@@ -282,7 +349,11 @@ impl<'a> SummaryReport<'a> {
             distinct_failures: summary.counterexamples.len(),
             best_robustness,
         };
-        Self { summary, requested_method: methods.first(), all_methods: of_all_methods }
+        Self {
+            summary,
+            requested_method: methods.first(),
+            all_methods: of_all_methods,
+        }
     }
 }
 
@@ -295,8 +366,13 @@ fn format_failure_count(count: u64) -> String {
 }
 
 fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
-    if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
-        return Err(CliError::Input(format!("{name}: the name of a space file must end in .toml")));
+    if Path::new(name)
+        .extension()
+        .is_some_and(|extension| extension != "toml")
+    {
+        return Err(CliError::Input(format!(
+            "{name}: the name of a space file must end in .toml"
+        )));
     }
     find_space(name).map_err(|error| match error {
         FindSpaceError::File(error) => error.into(),

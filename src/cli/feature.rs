@@ -15,8 +15,11 @@ pub(super) struct Feature {
     pub(super) enabled: bool,
 }
 
-pub(super) const EXPLORE: Feature =
-    Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
+pub(super) const EXPLORE: Feature = Feature {
+    name: "explore",
+    used_for: "`crumple explore`",
+    enabled: cfg!(feature = "explore"),
+};
 // The library's crates decide: another package of the same build may enable their features without those of this one.
 pub(super) const PARQUET: Feature = Feature {
     name: "parquet",
@@ -27,8 +30,16 @@ pub(super) const PARQUET: Feature = Feature {
     },
     enabled: READS_PARQUET && WRITES_PARQUET,
 };
-pub(super) const MDF: Feature = Feature { name: "mdf", used_for: "recordings in ASAM MDF 4", enabled: READS_MDF };
-pub(super) const PNG: Feature = Feature { name: "png", used_for: "figures as PNG files", enabled: WRITES_PNG };
+pub(super) const MDF: Feature = Feature {
+    name: "mdf",
+    used_for: "recordings in ASAM MDF 4",
+    enabled: READS_MDF,
+};
+pub(super) const PNG: Feature = Feature {
+    name: "png",
+    used_for: "figures as PNG files",
+    enabled: WRITES_PNG,
+};
 
 pub(super) const FEATURES: [Feature; 4] = [EXPLORE, MDF, PARQUET, PNG];
 
@@ -91,16 +102,37 @@ mod tests {
     /// The tests' build has all features, so that only this test sees a refusal; `.ci/run` tries the optimised program.
     #[test]
     fn a_missing_feature_is_named_with_the_command_that_enables_it() {
-        let missing = Feature { name: "png", used_for: "figures as PNG files", enabled: false };
+        let missing = Feature {
+            name: "png",
+            used_for: "figures as PNG files",
+            enabled: false,
+        };
         let refusal = missing.require().unwrap_err();
-        assert!(refusal.contains("`png`") && refusal.contains("--features png"), "{refusal}");
-        assert!(Feature { enabled: true, ..missing }.require().is_ok());
+        assert!(
+            refusal.contains("`png`") && refusal.contains("--features png"),
+            "{refusal}"
+        );
+        assert!(
+            Feature {
+                enabled: true,
+                ..missing
+            }
+            .require()
+            .is_ok()
+        );
     }
 
     #[test]
     fn the_program_has_the_features_of_its_library() {
         let enabled = FEATURES.map(|feature| (feature.name, feature.enabled));
         let expected = [READS_MDF, READS_PARQUET && WRITES_PARQUET, WRITES_PNG];
-        assert_eq!(enabled[1..], [("mdf", expected[0]), ("parquet", expected[1]), ("png", expected[2])]);
+        assert_eq!(
+            enabled[1..],
+            [
+                ("mdf", expected[0]),
+                ("parquet", expected[1]),
+                ("png", expected[2])
+            ]
+        );
     }
 }

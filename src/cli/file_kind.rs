@@ -13,16 +13,26 @@ pub(super) fn detect(path: &Path) -> Option<&'static str> {
     let mut begin = Vec::new();
     // The command reads a pipe; this function must not.
     if path.is_file() {
-        regular_file::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut begin).ok()?;
+        regular_file::open(path)
+            .ok()?
+            .take(HEADER_BYTES)
+            .read_to_end(&mut begin)
+            .ok()?;
     }
-    let begins_with = |key: &str| begin.windows(key.len()).any(|found| found == key.as_bytes());
+    let begins_with = |key: &str| {
+        begin
+            .windows(key.len())
+            .any(|found| found == key.as_bytes())
+    };
     if begins_with("\"crumple_policy\"") {
         Some(
             "a policy: use it with `crumple simulate paper-1 --controller FILE`, retrain it with `crumple retrain \
              --policy FILE`, or certify it with `crumple verify reach --controller FILE`",
         )
     } else if begins_with("\"crumple_training\"") {
-        Some("a checkpoint: resume it with `crumple train` or `crumple retrain`, --resume and --out with its folder")
+        Some(
+            "a checkpoint: resume it with `crumple train` or `crumple retrain`, --resume and --out with its folder",
+        )
     } else {
         None
     }

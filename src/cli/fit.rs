@@ -19,8 +19,8 @@ use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
 use crumple_core::regular_file;
 use crumple_evidence::fit::{
-    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES,
-    fit, format_p_value,
+    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize,
+    FittedSpace, MAX_VEHICLES, fit, format_p_value,
 };
 use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_report::figures;
@@ -102,10 +102,26 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
     let mut by_length: BTreeMap<u64, Vec<&PathBuf>> = BTreeMap::new();
     for path in recordings {
         // A pipe has no content yet.
-        let Some(length) = path.metadata().ok().filter(Metadata::is_file).map(|file| file.len()) else { continue };
+        let Some(length) = path
+            .metadata()
+            .ok()
+            .filter(Metadata::is_file)
+            .map(|file| file.len())
+        else {
+            continue;
+        };
         let known = by_length.entry(length).or_default();
-        if let Some(other) = known.iter().find(|other| have_same_content(path, other).unwrap_or(false)) {
-            return Err(CliError::at(path, format!("this recording is given twice: {} is equal", other.display())));
+        if let Some(other) = known
+            .iter()
+            .find(|other| have_same_content(path, other).unwrap_or(false))
+        {
+            return Err(CliError::at(
+                path,
+                format!(
+                    "this recording is given twice: {} is equal",
+                    other.display()
+                ),
+            ));
         }
         known.push(path);
     }
@@ -113,8 +129,11 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
 }
 
 fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let bytes =
-        |path: &Path| -> io::Result<_> { Ok(BufReader::new(regular_file::open(path)?).bytes().map_while(Result::ok)) };
+    let bytes = |path: &Path| -> io::Result<_> {
+        Ok(BufReader::new(regular_file::open(path)?)
+            .bytes()
+            .map_while(Result::ok))
+    };
     Ok(bytes(a)?.eq(bytes(b)?))
 }
 
@@ -139,7 +158,9 @@ impl Fit {
             bar.finish_and_clear();
             read?;
             added.map_err(CliError::input)?;
-            dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            dropped
+                .iter()
+                .for_each(|dropped| output::note(&dropped.to_string(), quiet));
         }
         let sample = collector.finish().map_err(CliError::input)?;
         let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
@@ -147,10 +168,17 @@ impl Fit {
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;
         if let Some(path) = &self.plot {
-            stage_unless_edited(&mut files, path, &render_figure(&figures::draw_fit(&fitted), path)?, self.force)?;
+            stage_unless_edited(
+                &mut files,
+                path,
+                &render_figure(&figures::draw_fit(&fitted), path)?,
+                self.force,
+            )?;
         }
         files.commit()?;
-        output::print_result(self.format, &to_json(&sample, &fitted), || format_fit(&sample, &fitted))
+        output::print_result(self.format, &to_json(&sample, &fitted), || {
+            format_fit(&sample, &fitted)
+        })
     }
 }
 
@@ -168,7 +196,12 @@ fn to_json(sample: &EpisodeSample, fitted: &FittedSpace) -> serde_json::Value {
 }
 
 fn cluster_count(sample: &EpisodeSample) -> u32 {
-    sample.observed.braking_clusters.iter().max().map_or(0, |last| last + 1)
+    sample
+        .observed
+        .braking_clusters
+        .iter()
+        .max()
+        .map_or(0, |last| last + 1)
 }
 
 fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
@@ -179,35 +212,64 @@ fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
 
 fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
     let EpisodeSample {
-        exposure, extraction: taken, exclusions: left_out, sizes, most_out_of_range: outside_by, ..
+        exposure,
+        extraction: taken,
+        exclusions: left_out,
+        sizes,
+        most_out_of_range: outside_by,
+        ..
     } = sample;
     let clusters = cluster_count(sample);
-    writeln!(out, "{} braking episodes in {clusters} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
+    writeln!(
+        out,
+        "{} braking episodes in {clusters} waves, of {} vehicles",
+        exposure.episodes, taken.vehicles
+    )?;
     for source in &exposure.sources {
-        let (name, hours, kilometres) = (TerminalText(&source.name), source.hours, source.kilometres);
-        writeln!(out, "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following", source.episodes)?;
+        let (name, hours, kilometres) =
+            (TerminalText(&source.name), source.hours, source.kilometres);
+        writeln!(
+            out,
+            "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following",
+            source.episodes
+        )?;
     }
     if exposure.undescribed_brakings > 0 {
         let all = exposure.episodes + exposure.undescribed_brakings;
-        writeln!(out, "  of {all} brakings in these hours {} could be used", exposure.episodes)?;
+        writeln!(
+            out,
+            "  of {all} brakings in these hours {} could be used",
+            exposure.episodes
+        )?;
     }
     let left_out = left_out.sentences(taken.vehicles);
-    left_out.iter().try_for_each(|words| writeln!(out, "  {words}"))?;
+    left_out
+        .iter()
+        .try_for_each(|words| writeln!(out, "  {words}"))?;
     if let Some(by) = outside_by {
         writeln!(out, "  Most often outside the ranges: {by}")?;
     }
-    sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.sentence(index)))?;
+    sizes
+        .iter()
+        .enumerate()
+        .try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.sentence(index)))?;
     for number in &fitted.features {
         write_feature(number, out)?;
     }
     for FittedSize { name, values, .. } in &fitted.sizes {
         let each = values.iter().map(|value| {
             let [low, high] = value.interval_95;
-            format!("{:.1} m in {:.4} ({low:.4} to {high:.4})", value.at, value.probability)
+            format!(
+                "{:.1} m in {:.4} ({low:.4} to {high:.4})",
+                value.at, value.probability
+            )
         });
         writeln!(out, "\n{name}: {}", each.collect::<Vec<_>>().join(", "))?;
     }
-    writeln!(out, "\ndependence of the parameters: correlations of the Gaussian copula")?;
+    writeln!(
+        out,
+        "\ndependence of the parameters: correlations of the Gaussian copula"
+    )?;
     for (name, row) in fitted.copula_parameters.iter().zip(&fitted.correlation) {
         let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
         writeln!(out, "  {name:<18} {}", entries.join(" "))?;
@@ -217,14 +279,33 @@ fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> 
         "\np-values: the share of {} samples of the fitted distribution, fitted again, that are at least as far from \
          their fit. They tend to be too large, because the same values chose the family. A Gaussian copula has no tail \
          dependence.",
-        fitted.features.first().map_or(0, |number| number.goodness.samples)
+        fitted
+            .features
+            .first()
+            .map_or(0, |number| number.goodness.samples)
     )
 }
 
 fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
-    let FittedFeature { name, unit, point_mass, chosen, others, impossible, goodness, tails, sorted, .. } = number;
+    let FittedFeature {
+        name,
+        unit,
+        point_mass,
+        chosen,
+        others,
+        impossible,
+        goodness,
+        tails,
+        sorted,
+        ..
+    } = number;
     let unit = if *unit == "1" { "" } else { unit };
-    writeln!(out, "\n{name}: {}, {}", chosen.family.name(), format_estimates(chosen))?;
+    writeln!(
+        out,
+        "\n{name}: {}, {}",
+        chosen.family.name(),
+        format_estimates(chosen)
+    )?;
     if let Some(point) = point_mass {
         let ([low, high], all) = (point.interval_95, sorted.len());
         writeln!(
@@ -235,8 +316,14 @@ fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
         )?;
     }
     let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
-    let (ks_p, cvm_p) = (format_p_value(goodness.kolmogorov_smirnov_p), format_p_value(goodness.cramer_von_mises_p));
-    writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}")?;
+    let (ks_p, cvm_p) = (
+        format_p_value(goodness.kolmogorov_smirnov_p),
+        format_p_value(goodness.cramer_von_mises_p),
+    );
+    writeln!(
+        out,
+        "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}"
+    )?;
     writeln!(
         out,
         "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} \
@@ -262,7 +349,10 @@ fn format_estimates(fit: &FamilyFit) -> String {
     let of = |which: usize| {
         let estimate = format!("{} {:.4}", fit.parameter_names[which], fit.estimates[which]);
         match fit.intervals_95 {
-            Some(intervals) => format!("{estimate} ({:.4} to {:.4})", intervals[which][0], intervals[which][1]),
+            Some(intervals) => format!(
+                "{estimate} ({:.4} to {:.4})",
+                intervals[which][0], intervals[which][1]
+            ),
             None => format!("{estimate} (no interval: the likelihood is flat, or at its limit)"),
         }
     };

@@ -67,13 +67,20 @@ struct DamagedFile {
 
 impl FolderReport {
     fn unreadable(folder: &Path, failure: &CliError) -> Self {
-        Self { folder: folder.display().to_string(), error: Some(failure.to_string()), ..Self::default() }
+        Self {
+            folder: folder.display().to_string(),
+            error: Some(failure.to_string()),
+            ..Self::default()
+        }
     }
 
     fn new(folder: &Path, found: &FolderExamination) -> Self {
         let damaged = found.files.iter().filter_map(|(name, state)| {
             let problem = state.as_ref().err()?.clone();
-            Some(DamagedFile { name: name.clone(), problem })
+            Some(DamagedFile {
+                name: name.clone(),
+                problem,
+            })
         });
         Self {
             folder: folder.display().to_string(),
@@ -93,7 +100,11 @@ impl FolderReport {
 impl Fsck {
     pub(super) fn run(self) -> Result<(), CliError> {
         let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), Vec::new());
-        for folder in self.folders.iter().flat_map(|folder| run_folders_in(folder)) {
+        for folder in self
+            .folders
+            .iter()
+            .flat_map(|folder| run_folders_in(folder))
+        {
             let found = Self::examine_folder(&folder, &mut text).unwrap_or_else(|failure| {
                 let found = FolderReport::unreadable(&folder, &failure);
                 unreadable.push(failure);
@@ -101,7 +112,9 @@ impl Fsck {
             });
             all.push(found);
         }
-        let is_damaged = all.iter().any(|found| found.error.is_none() && !found.is_whole);
+        let is_damaged = all
+            .iter()
+            .any(|found| found.error.is_none() && !found.is_whole);
         // Standard error has one line: the first failure, unless a folder is damaged.
         for failure in unreadable.iter().skip(usize::from(!is_damaged)) {
             text += &format!("{}\n", TerminalText(&failure.to_string()));
@@ -111,8 +124,11 @@ impl Fsck {
             OutputFormat::Text => output::print_coloured(OutputFormat::Text, &text),
         };
         let folders = |is_wanted: &dyn Fn(&FolderReport) -> bool| -> String {
-            let folders: Vec<&str> =
-                all.iter().filter(|found| is_wanted(found)).map(|found| found.folder.as_str()).collect();
+            let folders: Vec<&str> = all
+                .iter()
+                .filter(|found| is_wanted(found))
+                .map(|found| found.folder.as_str())
+                .collect();
             folders.join(", ")
         };
         let damaged = folders(&|found| found.error.is_none() && !found.is_whole);
@@ -120,7 +136,9 @@ impl Fsck {
         let gate = match (damaged.is_empty(), unlooked.is_empty()) {
             (true, _) => unreadable.into_iter().next().map_or(Ok(()), Err),
             (false, true) => Err(CliError::Gate(format!("damaged: {damaged}"))),
-            (false, false) => Err(CliError::Gate(format!("damaged: {damaged}; unreadable: {unlooked}"))),
+            (false, false) => Err(CliError::Gate(format!(
+                "damaged: {damaged}; unreadable: {unlooked}"
+            ))),
         };
         CliError::gate_first(gate, printed)
     }
@@ -129,14 +147,19 @@ impl Fsck {
     fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
         if !is_run_folder(folder) {
             let is_there = fs::symlink_metadata(folder).is_ok();
-            let problem =
-                if is_there { "not a result folder: it contains no work.json" } else { "there is no such folder" };
+            let problem = if is_there {
+                "not a result folder: it contains no work.json"
+            } else {
+                "there is no such folder"
+            };
             return Err(CliError::at(folder, problem));
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
         if found.kind == REPORT_KIND {
             // Evidence and listing serve the next report and have separate hashes.
-            found.unrelated_files.retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
+            found
+                .unrelated_files
+                .retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
         }
         *text += &format_report(folder, &found);
         Ok(FolderReport::new(folder, &found))
@@ -146,12 +169,23 @@ impl Fsck {
 /// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.
 fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
     let is_seed = |path: &PathBuf| {
-        path.is_dir() && path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
+        path.is_dir()
+            && path
+                .file_name()
+                .is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
     };
-    let inner = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let inner = fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path());
     let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
     seeds.sort_unstable();
-    if seeds.is_empty() || is_run_folder(folder) { vec![folder.to_owned()] } else { seeds }
+    if seeds.is_empty() || is_run_folder(folder) {
+        vec![folder.to_owned()]
+    } else {
+        seeds
+    }
 }
 
 fn format_report(folder: &Path, found: &FolderExamination) -> String {
@@ -162,7 +196,11 @@ fn format_report(folder: &Path, found: &FolderExamination) -> String {
         (false, true) => "unfinished, --resume continues it",
         (false, false) => "unfinished, only the build of crumple that started it can resume it",
     };
-    let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
+    let whole = found
+        .files
+        .iter()
+        .filter(|(_, state)| state.is_ok())
+        .count();
     let mut text = format!(
         "{}: a {}, {state}; {whole} of {} files are intact\n",
         TerminalText(&folder.display().to_string()),

@@ -19,8 +19,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_exchange::recording::guess::guess;
 use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
 use crumple_exchange::recording::{
-    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview, TextFormat,
-    hardest_braking, import, load_first_part, preview,
+    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake,
+    Preview, TextFormat, hardest_braking, import, load_first_part, preview,
 };
 use crumple_report::draw::Svg;
 use crumple_report::figures;
@@ -148,14 +148,19 @@ pub(super) fn load_map(map: &Path) -> Result<RecordingMap, CliError> {
     let built_in = map.to_str().and_then(RecordingMap::built_in);
     if built_in.is_none() && map.extension().is_none() && !map.exists() {
         let names: Vec<_> = BUILT_IN_MAPS.iter().map(|(name, _)| *name).collect();
-        let problem = format!("is neither a file nor a built-in map ({})", names.join(", "));
+        let problem = format!(
+            "is neither a file nor a built-in map ({})",
+            names.join(", ")
+        );
         return Err(CliError::at(map, problem));
     }
     Ok(built_in.unwrap_or_else(|| RecordingMap::load(map))?)
 }
 
 pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliError> {
-    let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
+    let Some(mps2) = asked_mps2 else {
+        return Ok(MinBrake::default());
+    };
     MinBrake::new(mps2).map_err(|error| CliError::Input(format!("--min-brake: {error}")))
 }
 
@@ -177,15 +182,20 @@ pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliErro
 impl Import {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if let Some(file) = self.recordings.iter().find(|path| is_openscenario(path)) {
-            let is_alone = self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
+            let is_alone =
+                self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
             if !is_alone || self.min_brake.is_some() || self.guess {
                 let problem = "give an OpenSCENARIO file alone, with --ego, --distribution, --out and --force only";
                 return Err(CliError::at(file, problem));
             }
-            return self.openscenario.import(file, (&self.out, self.force), self.format, quiet);
+            return self
+                .openscenario
+                .import(file, (&self.out, self.force), self.format, quiet);
         }
         if self.openscenario.is_used() {
-            return Err(CliError::Input("--ego and --distribution apply only to a file F.xosc".to_owned()));
+            return Err(CliError::Input(
+                "--ego and --distribution apply only to a file F.xosc".to_owned(),
+            ));
         }
         ensure_distinct(&self.recordings)?;
         if self.guess {
@@ -201,26 +211,45 @@ impl Import {
     /// Prints the map that fits a recording.
     fn draft_map(&self, quiet: bool) -> Result<(), CliError> {
         let [path] = self.recordings.as_slice() else {
-            return Err(CliError::Input("--guess: give only one recording".to_owned()));
+            return Err(CliError::Input(
+                "--guess: give only one recording".to_owned(),
+            ));
         };
         let Some(draft) = guess(path)? else {
             let problem = "the columns do not look like times, speeds, and spacings or positions: write a map by hand";
             return Err(CliError::at(path, format!("{problem} (docs/exchange.md)")));
         };
         note_text_format(path, &draft.recording.text, quiet);
-        draft.recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+        draft
+            .recording
+            .dropped
+            .iter()
+            .for_each(|dropped| output::note(&dropped.to_string(), quiet));
         if let Some(name) = draft.built_in {
-            output::note(&format!("note: this is the built-in map {name}: `--map {name}` names it"), quiet);
+            output::note(
+                &format!("note: this is the built-in map {name}: `--map {name}` names it"),
+                quiet,
+            );
         }
-        output::note("note: check the draft: the columns do not show bumpers, lengths and ids", quiet);
+        output::note(
+            "note: check the draft: the columns do not show bumpers, lengths and ids",
+            quiet,
+        );
         let text = draft.map.to_toml().map_err(CliError::input)?;
         output::print_result(self.format, &draft.map, || text)
     }
 
     /// Prints and plots the interpretation of a recording.
-    fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
+    fn show_preview(
+        &self,
+        picture: &Path,
+        map: Option<&RecordingMap>,
+        quiet: bool,
+    ) -> Result<(), CliError> {
         let [path] = self.recordings.as_slice() else {
-            return Err(CliError::Input("--preview: give only one recording".to_owned()));
+            return Err(CliError::Input(
+                "--preview: give only one recording".to_owned(),
+            ));
         };
         let recording = load_first_part(path, map)?;
         note_text_format(path, &recording.text, quiet);
@@ -229,7 +258,10 @@ impl Import {
         }
         let name = path.display().to_string();
         let Some(seen) = preview(&recording) else {
-            return Err(CliError::NothingFound(format!("{name}: {}", hardest_braking(&recording))));
+            return Err(CliError::NothingFound(format!(
+                "{name}: {}",
+                hardest_braking(&recording)
+            )));
         };
         let drawn = self::render_figure(&figures::draw_recording(&seen, &name), picture)?;
         let mut files = StagedFiles::default();
@@ -259,12 +291,17 @@ impl Import {
             ..
         } = seen;
         let mut text = format!("{}: {}\n", TerminalText(&name), recording.format);
-        let each = step_s.map_or("one per vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
-        text +=
-            &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
+        let each = step_s.map_or("one per vehicle".to_owned(), |step_s| {
+            format!("one each {step_s:.3} s")
+        });
+        text += &format!(
+            "  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n"
+        );
         text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {typical:.2}\n");
         text += &match seen.gap_m {
-            Some([near, typical, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {typical:.2}\n"),
+            Some([near, typical, far]) => {
+                format!("  bumper gap {near:.2} to {far:.2} m, median {typical:.2}\n")
+            }
             None => "  no vehicle follows another\n".to_owned(),
         };
         text += &format!("  {}\n", TerminalText(&seen.hardest.to_string()));
@@ -274,9 +311,14 @@ impl Import {
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
         // Scenarios are staged immediately: a long recording may have more than memory holds.
-        let (folder, mut files) = (OutputFolder::without_listing(&self.out, self.force), StagedFiles::default());
+        let (folder, mut files) = (
+            OutputFolder::without_listing(&self.out, self.force),
+            StagedFiles::default(),
+        );
         let (mut names, mut refused) = (Vec::new(), None);
-        let mut take = |ImportedScenario { file_name, toml, .. }: ImportedScenario| {
+        let mut take = |ImportedScenario {
+                            file_name, toml, ..
+                        }: ImportedScenario| {
             refused = folder.stage(&mut files, &file_name, toml.as_bytes()).err();
             names.push(file_name);
             refused.is_none()
@@ -301,10 +343,19 @@ impl Import {
             }
             Ok(imported) => imported,
         };
-        imported.sources.iter().for_each(|source| note_text_format(&source.path, &source.text, quiet));
+        imported
+            .sources
+            .iter()
+            .for_each(|source| note_text_format(&source.path, &source.text, quiet));
         if names.is_empty() {
-            imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
-            let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));
+            imported
+                .dropped
+                .iter()
+                .for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            let words = imported
+                .sources
+                .iter()
+                .map(|one| format!("{}: {}", one.path.display(), one.hardest));
             let words: Vec<_> = words.collect();
             let none = format!(
                 "no braking episode of at least {} m/s² gives a scenario; {}",
@@ -321,7 +372,10 @@ impl Import {
         let others = self.count_other_scenarios(&names)?;
         if others > 0 {
             let out = self.out.display();
-            output::note(&format!("note: {out} also contains {others} scenario files of other origin"), quiet);
+            output::note(
+                &format!("note: {out} also contains {others} scenario files of other origin"),
+                quiet,
+            );
         }
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);
@@ -329,10 +383,17 @@ impl Import {
         let line = |source: &ImportedRecording| {
             let plural = if source.scenarios == 1 { "" } else { "s" };
             let (path, format) = (source.path.display().to_string(), &source.format);
-            format!("{}: {} scenario{plural} ({format})\n", TerminalText(&path), source.scenarios)
+            format!(
+                "{}: {} scenario{plural} ({format})\n",
+                TerminalText(&path),
+                source.scenarios
+            )
         };
         let words = || imported.sources.iter().map(line).collect();
-        let paths = names.iter().map(|name| self.out.join(name).display().to_string()).collect();
+        let paths = names
+            .iter()
+            .map(|name| self.out.join(name).display().to_string())
+            .collect();
         output::print_result(self.format, &ImportReport::new(&imported, paths), words)
     }
 
@@ -340,8 +401,16 @@ impl Import {
     fn count_other_scenarios(&self, written: &[String]) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written: HashSet<_> = written.iter().map(OsStr::new).collect();
-        let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
-        let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
-        Ok(others.filter(|path| path.file_name().is_some_and(|name| !written.contains(name))).count())
+        let is_scenario = |path: &PathBuf| {
+            path.extension()
+                .is_some_and(|extension| extension == "toml")
+        };
+        let others = entries
+            .flatten()
+            .map(|entry| entry.path())
+            .filter(is_scenario);
+        Ok(others
+            .filter(|path| path.file_name().is_some_and(|name| !written.contains(name)))
+            .count())
     }
 }

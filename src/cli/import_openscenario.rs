@@ -13,7 +13,8 @@ use super::{export, output};
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::openscenario::{
-    ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
+    ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError,
+    Variation,
 };
 use crumple_world::scenario::file::MAX_FOLDER_BYTES;
 use crumple_world::scenario::{Scenario, file, space};
@@ -48,7 +49,8 @@ impl From<ScenarioImportError> for CliError {
 
 /// Returns true if a file is OpenSCENARIO by its extension.
 pub(super) fn is_openscenario(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
 }
 
 impl OpenScenarioArgs {
@@ -76,13 +78,26 @@ impl OpenScenarioArgs {
                 let distributions = ParameterDistributionFile::load(distribution, path)?;
                 if distributions.is_random() {
                     let bar = import_bar(1 + 3 * distributions.random_count() as u64, quiet);
-                    let (space, notes) = show(&bar, |progress| source.space(ego, &distributions, progress))?;
-                    let text = readable(space::file::to_toml(&space).map_err(CliError::input)?, space.name())?;
-                    (vec![(format!("{}-space.toml", export::file_stem(space.name())), text.into_bytes())], 0, notes)
+                    let (space, notes) =
+                        show(&bar, |progress| source.space(ego, &distributions, progress))?;
+                    let text = readable(
+                        space::file::to_toml(&space).map_err(CliError::input)?,
+                        space.name(),
+                    )?;
+                    (
+                        vec![(
+                            format!("{}-space.toml", export::file_stem(space.name())),
+                            text.into_bytes(),
+                        )],
+                        0,
+                        notes,
+                    )
                 } else {
                     let variations = distributions.variations()?;
                     let bar = import_bar(variations.len() as u64, quiet);
-                    show(&bar, |progress| import_variations(&source, ego, &variations, progress))?
+                    show(&bar, |progress| {
+                        import_variations(&source, ego, &variations, progress)
+                    })?
                 }
             }
         };
@@ -91,22 +106,41 @@ impl OpenScenarioArgs {
             output::note(&format!("note: {note}"), quiet);
         }
         if violating > 0 {
-            let problem = format!("{violating} combinations of values violate the constraints of the parameters");
+            let problem = format!(
+                "{violating} combinations of values violate the constraints of the parameters"
+            );
             output::note(&format!("note: {}: {problem}", path.display()), quiet);
         }
-        let files: Vec<String> = files.iter().map(|(name, _)| out.join(name).display().to_string()).collect();
-        let report = OpenScenarioReport { files, violating, notes };
+        let files: Vec<String> = files
+            .iter()
+            .map(|(name, _)| out.join(name).display().to_string())
+            .collect();
+        let report = OpenScenarioReport {
+            files,
+            violating,
+            notes,
+        };
         let words = || match report.files.as_slice() {
             [file] => format!("{}\n", TerminalText(file)),
-            several => format!("{}: {} scenarios\n", TerminalText(&out.display().to_string()), several.len()),
+            several => format!(
+                "{}: {} scenarios\n",
+                TerminalText(&out.display().to_string()),
+                several.len()
+            ),
         };
         output::print_result(format, &report, words)
     }
 }
 
 fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
-    let text = readable(file::to_toml(scenario).map_err(CliError::input)?, &scenario.spec().name)?;
-    Ok((format!("{}.toml", export::file_stem(&scenario.spec().name)), text.into_bytes()))
+    let text = readable(
+        file::to_toml(scenario).map_err(CliError::input)?,
+        &scenario.spec().name,
+    )?;
+    Ok((
+        format!("{}.toml", export::file_stem(&scenario.spec().name)),
+        text.into_bytes(),
+    ))
 }
 
 /// Refuses a file that crumple could not read again.
@@ -116,7 +150,9 @@ fn readable(text: String, name: &str) -> Result<String, CliError> {
     }
     let most = file::MAX_TOML_BYTES >> 20;
     let problem = "as its speeds have too many samples: shorten trajectories, speed profiles or curved transitions";
-    Err(CliError::Input(format!("the file of `{name}` would have more than {most} MiB, {problem}")))
+    Err(CliError::Input(format!(
+        "the file of `{name}` would have more than {most} MiB, {problem}"
+    )))
 }
 
 /// Returns the files of all variations, the number of those that violate constraints, and the notes of the first.
@@ -128,9 +164,15 @@ fn import_variations(
     progress: &dyn Observer<RunProgress>,
 ) -> Result<(Vec<(String, Vec<u8>)>, usize, Vec<String>), CliError> {
     let (mut files, mut violating, mut notes) = (Vec::new(), 0, Vec::new());
-    let (counter, mut bytes_left) = (ProgressCounter::new(progress, Some(variations.len() as u64)), MAX_FOLDER_BYTES);
+    let (counter, mut bytes_left) = (
+        ProgressCounter::new(progress, Some(variations.len() as u64)),
+        MAX_FOLDER_BYTES,
+    );
     for (index, variation) in variations.iter().enumerate() {
-        let values: Vec<_> = variation.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+        let values: Vec<_> = variation
+            .iter()
+            .map(|(name, value)| format!("{name} = {value}"))
+            .collect();
         let values = values.join(", ");
         counter.add(1).map_err(CliError::input)?;
         let imported = match source.scenario(ego, variation) {
@@ -148,7 +190,9 @@ fn import_variations(
         let (name, text) = scenario_file(&named.map_err(CliError::input)?)?;
         bytes_left = bytes_left.checked_sub(text.len() as u64).ok_or_else(|| {
             let most = MAX_FOLDER_BYTES >> 20;
-            CliError::Input(format!("the scenarios of all variations have more than {most} MiB: give fewer values"))
+            CliError::Input(format!(
+                "the scenarios of all variations have more than {most} MiB: give fewer values"
+            ))
         })?;
         files.push((name, text));
         if files.len() == 1 {
@@ -156,7 +200,9 @@ fn import_variations(
         }
     }
     if files.is_empty() {
-        return Err(CliError::Input("all combinations of values violate the constraints of the parameters".to_owned()));
+        return Err(CliError::Input(
+            "all combinations of values violate the constraints of the parameters".to_owned(),
+        ));
     }
     Ok((files, violating, notes))
 }

@@ -4,7 +4,13 @@ use std::path::Path;
 
 /// Sets an exit message for results in `folder` that the same command with `--resume` continues.
 pub(super) fn set_resume_message(what: &str, folder: &Path, quiet: bool) {
-    set_exit_message(format!("{what} {}: the same command with --resume continues", folder.display()), quiet);
+    set_exit_message(
+        format!(
+            "{what} {}: the same command with --resume continues",
+            folder.display()
+        ),
+        quiet,
+    );
 }
 
 /// Makes Ctrl-C end the program immediately with exit code 130 and a message on standard error. Only for commands whose
@@ -15,7 +21,9 @@ pub(super) fn set_exit_message(message: String, quiet: bool) {
         use signal_hook::consts::SIGINT;
         use signal_hook::iterator::Signals;
 
-        let Ok(mut signals) = Signals::new([SIGINT]) else { return };
+        let Ok(mut signals) = Signals::new([SIGINT]) else {
+            return;
+        };
         std::thread::spawn(move || {
             if signals.forever().next().is_some() {
                 // Ends the line of a progress bar.

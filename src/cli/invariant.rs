@@ -15,7 +15,8 @@ use super::reach::write_certificate;
 use super::simulate::{OutputFormat, path_ending_in};
 use super::{CliError, args, progress};
 use crumple_evidence::{
-    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec, InvariantStage,
+    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet,
+    InvariantSpec, InvariantStage,
 };
 use crumple_report::figures::draw_invariant_set;
 use crumple_store::disk::StagedFiles;
@@ -106,7 +107,12 @@ enum InvariantPlant {
 /// Parses `A..B` with A at most B.
 fn parse_range(text: &str) -> Result<[f64; 2], String> {
     let (low, high) = text.split_once("..").ok_or("must be two numbers, A..B")?;
-    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+    let number = |text: &str| {
+        text.trim()
+            .parse::<f64>()
+            .ok()
+            .filter(|number| number.is_finite())
+    };
     match (number(low), number(high)) {
         (Some(low), Some(high)) if low <= high => Ok([low, high]),
         _ => Err("must be two finite numbers A..B, with A at most B".to_owned()),
@@ -128,7 +134,10 @@ fn option_of(field: &str) -> &str {
 
 /// Parses a number from 0 to a limit.
 fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|number| (0.0..=most).contains(number));
+    let number = text
+        .parse()
+        .ok()
+        .filter(|number| (0.0..=most).contains(number));
     number.ok_or_else(|| format!("must be a number from 0 to {most}"))
 }
 
@@ -140,8 +149,17 @@ impl InvariantCommand {
             .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
         let scenario = args::load_scenario(&self.scenario)?;
         let failed = |error: InvalidBox| self.describe_refusal(error);
-        let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, self.spec(&scenario)).map_err(failed)?;
-        let options = InvariantOptions { cells: self.cells, splits: self.splits, smallest_gap_m: self.smallest_gap };
+        let plan = InvariantPlan::new(
+            self.controller.kind.clone(),
+            &scenario,
+            self.spec(&scenario),
+        )
+        .map_err(failed)?;
+        let options = InvariantOptions {
+            cells: self.cells,
+            splits: self.splits,
+            smallest_gap_m: self.smallest_gap,
+        };
         let bar = progress::share_bar("", quiet);
         let observer = Listener(|now: &InvariantProgress| show_progress(&bar, now));
         let Some(set) = plan.search(options, &observer).map_err(failed)? else {
@@ -153,12 +171,21 @@ impl InvariantCommand {
         };
         bar.set_message("checking the proof");
         let accepted = check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED)
-            .map_err(|rejection| CliError::Gate(format!("the checker rejected the proof: {rejection}")))?;
+            .map_err(|rejection| {
+                CliError::Gate(format!("the checker rejected the proof: {rejection}"))
+            })?;
         bar.set_message("searching for a leader that defeats the controller");
         let defeat = plan.defeat(&set.table).map_err(failed)?;
         bar.finish_and_clear();
-        let ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept } = accepted else {
-            return Err(CliError::Gate("the checker proved another claim".to_owned()));
+        let ProvedClaim::Invariant {
+            share,
+            min_gap_m,
+            own_speed_is_kept,
+        } = accepted
+        else {
+            return Err(CliError::Gate(
+                "the checker proved another claim".to_owned(),
+            ));
         };
         self.write_files(&plan, &set)?;
         let report = InvariantReport {
@@ -187,12 +214,19 @@ impl InvariantCommand {
 
 /// Shows the stage of a search and the share of it that is done.
 fn show_progress(bar: &ProgressBar, now: &InvariantProgress) {
-    let InvariantProgress { own_mps, stage, done, total } = now;
+    let InvariantProgress {
+        own_mps,
+        stage,
+        done,
+        total,
+    } = now;
     bar.set_length(*total as u64);
     bar.set_position(*done as u64);
     bar.set_message(match stage {
         InvariantStage::Simulate => format!("up to {own_mps:.2} m/s: simulating leaders"),
-        InvariantStage::Raise { pass } => format!("up to {own_mps:.2} m/s: raising the boundary, pass {pass}"),
+        InvariantStage::Raise { pass } => {
+            format!("up to {own_mps:.2} m/s: raising the boundary, pass {pass}")
+        }
     });
 }
 
@@ -223,9 +257,13 @@ impl InvariantCommand {
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
                 let place = self.controller.field_location(&invalid.field);
-                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+                CliError::Input(format!(
+                    "--controller: {place}cannot be followed: {invalid}"
+                ))
             }
-            InvalidBox::Field { field, problem } => CliError::Input(format!("{}: {problem}", option_of(&field))),
+            InvalidBox::Field { field, problem } => {
+                CliError::Input(format!("{}: {problem}", option_of(&field)))
+            }
             other => CliError::input(other),
         }
     }
@@ -233,12 +271,19 @@ impl InvariantCommand {
     /// Writes the certificate and the picture, if the arguments name their files.
     fn write_files(&self, plan: &InvariantPlan, set: &InvariantSet) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            write_certificate(path, &set.certificate, plan.policy_bytes().unwrap_or_default())?;
+            write_certificate(
+                path,
+                &set.certificate,
+                plan.policy_bytes().unwrap_or_default(),
+            )?;
         }
         if let Some(path) = &self.plot {
             let mut files = StagedFiles::default();
             let figure = draw_invariant_set(&self.picture_lines(set), self.gap);
-            files.stage(&output::resolve_output_path(path)?, &render_figure(&figure, path)?)?;
+            files.stage(
+                &output::resolve_output_path(path)?,
+                &render_figure(&figure, path)?,
+            )?;
             files.commit()?;
         }
         Ok(())
@@ -254,11 +299,15 @@ impl InvariantCommand {
             return vec![("any speed".to_owned(), points.collect())];
         }
         let [low, high] = [self.speed[0], self.speed[1].min(own.high)];
-        let speeds = (1..=PICTURE_LINES).map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
+        let speeds = (1..=PICTURE_LINES)
+            .map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
         speeds
             .map(|own_mps| {
-                let speeds = (0..leader.node_count()).rev().map(|index| leader.node(index));
-                let points = speeds.filter_map(|speed| Some((own_mps - speed, heights(own_mps, speed)?)));
+                let speeds = (0..leader.node_count())
+                    .rev()
+                    .map(|index| leader.node(index));
+                let points =
+                    speeds.filter_map(|speed| Some((own_mps - speed, heights(own_mps, speed)?)));
                 (format!("{own_mps:.1} m/s"), points.collect())
             })
             .collect()
@@ -267,9 +316,16 @@ impl InvariantCommand {
 
 fn defeat_line(set: &InvariantSet, defeat: Option<&Defeat>) -> String {
     match defeat {
-        None if set.table.axes()[1].cells == 0 => "outside the set: nothing was searched\n".to_owned(),
+        None if set.table.axes()[1].cells == 0 => {
+            "outside the set: nothing was searched\n".to_owned()
+        }
         None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
-        Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => {
+        Some(Defeat {
+            gap_m,
+            own_mps,
+            leader_mps,
+            leader_accelerates_s,
+        }) => {
             let brakes = match *leader_accelerates_s {
                 0.0 => "brakes at once".to_owned(),
                 time_s => format!("accelerates for {time_s} s and then brakes"),

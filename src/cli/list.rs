@@ -66,17 +66,28 @@ impl Catalogue {
     }
 
     fn entries(self) -> Vec<CatalogueEntry> {
-        let entry = |(name, summary): (_, &str)| CatalogueEntry { name, summary: summary.to_owned() };
+        let entry = |(name, summary): (_, &str)| CatalogueEntry {
+            name,
+            summary: summary.to_owned(),
+        };
         match self {
             Self::Scenarios => built_in_scenario_names().map(entry).into(),
             Self::Controllers => {
                 let built_in = ControllerSpec::all();
                 let own = built_in.iter().map(|spec| {
-                    let settings: Vec<_> =
-                        spec.values().map(|(field, value)| format!("{}={value}", field.name)).collect();
-                    let settings =
-                        if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
-                    CatalogueEntry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
+                    let settings: Vec<_> = spec
+                        .values()
+                        .map(|(field, value)| format!("{}={value}", field.name))
+                        .collect();
+                    let settings = if settings.is_empty() {
+                        String::new()
+                    } else {
+                        format!("; {}", settings.join(","))
+                    };
+                    CatalogueEntry {
+                        name: spec.name(),
+                        summary: format!("{}{settings}", spec.summary()),
+                    }
                 });
                 own.chain([entry(SHIELD_ENTRY)]).collect()
             }
@@ -85,7 +96,10 @@ impl Catalogue {
                 .chain(HUMAN_SPACES)
                 .map(|(name, summary, _)| entry((name, summary)))
                 .collect(),
-            Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
+            Self::Methods => Method::ALL
+                .iter()
+                .map(|method| entry((method.name(), method.summary())))
+                .collect(),
         }
     }
 }
@@ -98,7 +112,9 @@ impl ListCommand {
         };
         let entries = |one: &Catalogue| (one.title().to_owned(), serde_json::json!(one.entries()));
         let all: serde_json::Map<_, _> = catalogues.iter().map(entries).collect();
-        output::print_result(self.format, &all, || format_catalogues(&catalogues, output_columns()))
+        output::print_result(self.format, &all, || {
+            format_catalogues(&catalogues, output_columns())
+        })
     }
 }
 
@@ -129,14 +145,23 @@ const MIN_SUMMARY_COLUMNS: usize = 30;
 
 /// Returns the number of columns of standard output.
 fn output_columns() -> usize {
-    let width = if io::stdout().is_terminal() { terminal_size::terminal_size() } else { None };
+    let width = if io::stdout().is_terminal() {
+        terminal_size::terminal_size()
+    } else {
+        None
+    };
     width.map_or(DEFAULT_COLUMNS, |(columns, _)| columns.0.into())
 }
 
 /// Writes a name and its summary, whose lines are wrapped.
 fn write_entry(text: &mut String, name: &str, summary: &str, columns: usize) {
     let mut shown = format!("  {name}");
-    for line in wrap(summary, columns.saturating_sub(NAME_COLUMNS).max(MIN_SUMMARY_COLUMNS)) {
+    for line in wrap(
+        summary,
+        columns
+            .saturating_sub(NAME_COLUMNS)
+            .max(MIN_SUMMARY_COLUMNS),
+    ) {
         let _ = writeln!(text, "{shown:<NAME_COLUMNS$}{line}");
         shown.clear();
     }
@@ -146,7 +171,11 @@ fn write_entry(text: &mut String, name: &str, summary: &str, columns: usize) {
 fn wrap(text: &str, columns: usize) -> Vec<String> {
     let mut pieces: Vec<String> = Vec::new();
     for piece in text.split_inclusive([' ', ',']) {
-        let is_number = |before: &String| before.trim_end_matches(' ').ends_with(|last: char| last.is_ascii_digit());
+        let is_number = |before: &String| {
+            before
+                .trim_end_matches(' ')
+                .ends_with(|last: char| last.is_ascii_digit())
+        };
         match pieces.last_mut().filter(|before| is_number(before)) {
             Some(before) => before.push_str(piece),
             None => pieces.push(piece.to_owned()),
@@ -156,9 +185,14 @@ fn wrap(text: &str, columns: usize) -> Vec<String> {
     for piece in &pieces {
         let width = |text: &str| text.chars().count();
         match lines.last_mut() {
-            Some(line) if line.is_empty() || width(line) + width(piece.trim_end()) <= columns => line.push_str(piece),
+            Some(line) if line.is_empty() || width(line) + width(piece.trim_end()) <= columns => {
+                line.push_str(piece)
+            }
             _ => lines.push(piece.clone()),
         }
     }
-    lines.into_iter().map(|line| line.trim_end().to_owned()).collect()
+    lines
+        .into_iter()
+        .map(|line| line.trim_end().to_owned())
+        .collect()
 }

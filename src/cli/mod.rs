@@ -136,25 +136,27 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     if allows_external(&arguments) {
         allow_external();
     }
-    let arguments =
-        match build_command().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
-            Ok(arguments) => arguments,
-            Err(usage) => {
-                let code = match usage.use_stderr() {
-                    true if error::is_caused_by_environment(&usage) => 3,
-                    true if error::states_disk_failure(&usage.to_string()) => 3,
-                    true => 2,
-                    false => 0,
-                };
-                match usage.use_stderr() {
-                    // Without colours: the message quotes arguments, which may contain escape sequences.
-                    true => output::warn(usage.render().to_string().trim_end()),
-                    // Ignore a closed standard stream.
-                    false => drop(usage.print()),
-                }
-                return ExitCode::from(code);
+    let arguments = match build_command()
+        .try_get_matches_from(arguments)
+        .and_then(|found| Cli::from_arg_matches(&found))
+    {
+        Ok(arguments) => arguments,
+        Err(usage) => {
+            let code = match usage.use_stderr() {
+                true if error::is_caused_by_environment(&usage) => 3,
+                true if error::states_disk_failure(&usage.to_string()) => 3,
+                true => 2,
+                false => 0,
+            };
+            match usage.use_stderr() {
+                // Without colours: the message quotes arguments, which may contain escape sequences.
+                true => output::warn(usage.render().to_string().trim_end()),
+                // Ignore a closed standard stream.
+                false => drop(usage.print()),
             }
-        };
+            return ExitCode::from(code);
+        }
+    };
     let quiet = arguments.quiet;
     let done = args::try_controllers(quiet).and_then(|()| match arguments.command {
         CliCommand::Assess(command) => command.run(quiet),
@@ -197,7 +199,10 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 /// Returns true if the arguments contain `--allow-external`. Evaluated before clap parses values, since that reads
 /// files.
 fn allows_external(arguments: &[OsString]) -> bool {
-    arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--allow-external")
+    arguments
+        .iter()
+        .take_while(|argument| *argument != "--")
+        .any(|argument| argument == "--allow-external")
 }
 
 /// Returns the arguments, and the parts of arguments behind an equal sign, that name open files of this process, such
@@ -205,9 +210,13 @@ fn allows_external(arguments: &[OsString]) -> bool {
 /// make crumple wait.
 fn named_pipes(arguments: &[OsString]) -> Vec<PathBuf> {
     let words = arguments.iter().filter_map(|argument| argument.to_str());
-    let words = words.flat_map(|word| [Some(word), word.split_once('=').map(|(_, value)| value)]).flatten();
+    let words = words
+        .flat_map(|word| [Some(word), word.split_once('=').map(|(_, value)| value)])
+        .flatten();
     let is_open_file = |word: &&str| {
-        let number = word.strip_prefix("/dev/fd/").or_else(|| word.strip_prefix("/proc/self/fd/"));
+        let number = word
+            .strip_prefix("/dev/fd/")
+            .or_else(|| word.strip_prefix("/proc/self/fd/"));
         *word == "/dev/stdin" || number.is_some_and(|number| number.parse::<u32>().is_ok())
     };
     words.filter(is_open_file).map(PathBuf::from).collect()
@@ -219,13 +228,21 @@ fn build_command() -> clap::Command {
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{}\nOptions:\n{{options}}{{after-help}}",
         list_by_task(&command)
     );
-    let command = command.help_template(template).mut_subcommands(with_exit_codes);
-    SETUP.iter().fold(command, hide_external).mut_subcommands(with_negative_numbers)
+    let command = command
+        .help_template(template)
+        .mut_subcommands(with_exit_codes);
+    SETUP
+        .iter()
+        .fold(command, hide_external)
+        .mut_subcommands(with_negative_numbers)
 }
 
 /// Hides `--allow-external` in the help of a subcommand that starts no controller.
 fn hide_external(command: clap::Command, name: &&'static str) -> clap::Command {
-    let hidden = clap::Arg::new("allow_external").long("allow-external").action(clap::ArgAction::SetTrue).hide(true);
+    let hidden = clap::Arg::new("allow_external")
+        .long("allow-external")
+        .action(clap::ArgAction::SetTrue)
+        .hide(true);
     command.mut_subcommand(name, |subcommand| subcommand.arg(hidden))
 }
 
@@ -235,8 +252,14 @@ fn list_by_task(command: &clap::Command) -> String {
     for (task, names) in TASKS {
         let _ = writeln!(text, "\n{task}:");
         for name in *names {
-            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
-            let _ = writeln!(text, "  {name:<12} {}", about.map(ToString::to_string).unwrap_or_default());
+            let about = command
+                .find_subcommand(name)
+                .and_then(clap::Command::get_about);
+            let _ = writeln!(
+                text,
+                "  {name:<12} {}",
+                about.map(ToString::to_string).unwrap_or_default()
+            );
         }
     }
     text
@@ -245,15 +268,27 @@ fn list_by_task(command: &clap::Command) -> String {
 /// Lets options take negative numbers, so that errors name the value instead of an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let takes_one = |arg: &clap::Arg| arg.get_long().is_some() && arg.get_action().takes_values();
-    let allowed = |arg: clap::Arg| if takes_one(&arg) { arg.allow_negative_numbers(true) } else { arg };
-    command.mut_args(allowed).mut_subcommands(with_negative_numbers)
+    let allowed = |arg: clap::Arg| {
+        if takes_one(&arg) {
+            arg.allow_negative_numbers(true)
+        } else {
+            arg
+        }
+    };
+    command
+        .mut_args(allowed)
+        .mut_subcommands(with_negative_numbers)
 }
 
 /// Appends the exit codes to the long help of a command and of its subcommands.
 fn with_exit_codes(command: clap::Command) -> clap::Command {
-    let text =
-        command.get_after_long_help().map_or_else(|| EXIT_CODES.to_owned(), |help| format!("{help}\n\n{EXIT_CODES}"));
-    command.after_long_help(text).mut_subcommands(with_exit_codes)
+    let text = command.get_after_long_help().map_or_else(
+        || EXIT_CODES.to_owned(),
+        |help| format!("{help}\n\n{EXIT_CODES}"),
+    );
+    command
+        .after_long_help(text)
+        .mut_subcommands(with_exit_codes)
 }
 
 #[cfg(test)]
@@ -267,24 +302,46 @@ mod tests {
 
     #[test]
     fn help_lists_every_subcommand_once() {
-        let mut listed: Vec<&str> = TASKS.iter().flat_map(|(_, names)| *names).copied().collect();
+        let mut listed: Vec<&str> = TASKS
+            .iter()
+            .flat_map(|(_, names)| *names)
+            .copied()
+            .collect();
         let command = Cli::command();
-        let mut defined: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+        let mut defined: Vec<&str> = command
+            .get_subcommands()
+            .map(clap::Command::get_name)
+            .collect();
         listed.sort_unstable();
         defined.sort_unstable();
         assert_eq!(listed, defined);
-        assert!(list_by_task(&command).lines().all(|line| line.len() <= 100), "{}", list_by_task(&command));
+        assert!(
+            list_by_task(&command).lines().all(|line| line.len() <= 100),
+            "{}",
+            list_by_task(&command)
+        );
     }
 
     /// An error about a number says which numbers are right; those of Rust's parsers do not.
     #[test]
     fn a_word_in_place_of_a_number_is_answered_with_the_numbers_that_are_right() {
         fn check(command: &clap::Command, path: &[&str], numbers: &mut usize) {
-            for argument in command.get_arguments().filter(|argument| argument.get_action().takes_values()) {
-                let Some(long) = argument.get_long() else { continue };
+            for argument in command
+                .get_arguments()
+                .filter(|argument| argument.get_action().takes_values())
+            {
+                let Some(long) = argument.get_long() else {
+                    continue;
+                };
                 let option = format!("--{long}=ten");
-                let words = ["crumple"].iter().chain(path).copied().chain([option.as_str()]);
-                let Err(error) = build_command().try_get_matches_from(words) else { continue };
+                let words = ["crumple"]
+                    .iter()
+                    .chain(path)
+                    .copied()
+                    .chain([option.as_str()]);
+                let Err(error) = build_command().try_get_matches_from(words) else {
+                    continue;
+                };
                 let text = error.to_string();
                 assert!(
                     !text.contains("invalid digit") && !text.contains("invalid float"),
@@ -305,8 +362,15 @@ mod tests {
     fn every_long_help_ends_with_the_exit_codes() {
         fn check(command: &mut clap::Command) {
             let help = command.render_long_help().to_string();
-            assert!(help.trim_end().ends_with("130  interrupted"), "{}: {help}", command.get_name());
-            command.get_subcommands_mut().filter(|sub| sub.get_name() != "help").for_each(check);
+            assert!(
+                help.trim_end().ends_with("130  interrupted"),
+                "{}: {help}",
+                command.get_name()
+            );
+            command
+                .get_subcommands_mut()
+                .filter(|sub| sub.get_name() != "help")
+                .for_each(check);
         }
         check(&mut build_command());
     }

@@ -62,26 +62,50 @@ impl Template {
                 ("Cargo.toml", include_str!("new/rust/manifest.toml")),
                 ("src/lib.rs", include_str!("new/rust/lib.rs")),
                 ("src/main.rs", include_str!("new/rust/main.rs")),
-                ("tests/properties.rs", include_str!("new/rust/properties.rs")),
-                ("fuzz/Cargo.toml", include_str!("new/rust/fuzz_manifest.toml")),
-                ("fuzz/fuzz_targets/controller.rs", include_str!("new/rust/fuzz_target.rs")),
+                (
+                    "tests/properties.rs",
+                    include_str!("new/rust/properties.rs"),
+                ),
+                (
+                    "fuzz/Cargo.toml",
+                    include_str!("new/rust/fuzz_manifest.toml"),
+                ),
+                (
+                    "fuzz/fuzz_targets/controller.rs",
+                    include_str!("new/rust/fuzz_target.rs"),
+                ),
                 ("controller.toml", include_str!("new/rust/controller.toml")),
                 ("gates.toml", include_str!("new/gates.toml")),
-                (".github/workflows/tests.yml", include_str!("new/rust/workflow.yml")),
+                (
+                    ".github/workflows/tests.yml",
+                    include_str!("new/rust/workflow.yml"),
+                ),
                 (".gitignore", include_str!("new/rust/gitignore")),
                 ("README.md", include_str!("new/rust/README.md")),
             ],
             Self::Python => &[
                 ("pyproject.toml", include_str!("new/python/pyproject.toml")),
-                ("my_controller.py", include_str!("new/python/my_controller.py")),
-                ("test_my_controller.py", include_str!("new/python/test_my_controller.py")),
-                ("controller.toml", include_str!("new/python/controller.toml")),
+                (
+                    "my_controller.py",
+                    include_str!("new/python/my_controller.py"),
+                ),
+                (
+                    "test_my_controller.py",
+                    include_str!("new/python/test_my_controller.py"),
+                ),
+                (
+                    "controller.toml",
+                    include_str!("new/python/controller.toml"),
+                ),
                 ("gates.toml", include_str!("new/gates.toml")),
                 (".gitignore", include_str!("new/python/gitignore")),
                 ("README.md", include_str!("new/python/README.md")),
             ],
             Self::C => &[
-                ("my-controller.c", include_str!("../../examples/controllers/follower.c")),
+                (
+                    "my-controller.c",
+                    include_str!("../../examples/controllers/follower.c"),
+                ),
                 ("controller.toml", include_str!("new/c/controller.toml")),
                 ("gates.toml", include_str!("new/gates.toml")),
                 ("Makefile", include_str!("new/c/Makefile")),
@@ -96,8 +120,9 @@ impl New {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let folder = &self.folder;
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
-        names::check_name(&name, self.template)
-            .map_err(|reason| CliError::at(folder, format!("is not the name of a project: {reason}")))?;
+        names::check_name(&name, self.template).map_err(|reason| {
+            CliError::at(folder, format!("is not the name of a project: {reason}"))
+        })?;
         if folder.symlink_metadata().is_ok() {
             return Err(CliError::at(folder, "exists: choose a new folder"));
         }
@@ -118,7 +143,13 @@ impl New {
             files.stage(&path, fill(text, &values))?;
         }
         files.commit()?;
-        output::note(&format!("created {}: README.md there lists its commands", folder.display()), quiet);
+        output::note(
+            &format!(
+                "created {}: README.md there lists its commands",
+                folder.display()
+            ),
+            quiet,
+        );
         Ok(())
     }
 
@@ -127,18 +158,36 @@ impl New {
     fn sources(&self) -> Result<[String; 4], CliError> {
         let installation = INSTALLATION.replace(" crumple", &format!(" --tag {TAG} crumple"));
         let Some(folder) = &self.crumple else {
-            let with_tag = |dependency: &str| dependency.replace(" }", &format!(", tag = \"{TAG}\" }}"));
+            let with_tag =
+                |dependency: &str| dependency.replace(" }", &format!(", tag = \"{TAG}\" }}"));
             let python = PYTHON_SOURCE.replace('#', &format!("@{TAG}#"));
-            return Ok([with_tag(RUST_SIMULATOR), with_tag(RUST_HARNESS), python, installation]);
+            return Ok([
+                with_tag(RUST_SIMULATOR),
+                with_tag(RUST_HARNESS),
+                python,
+                installation,
+            ]);
         };
-        let path = folder.canonicalize().ok().filter(|path| path.join("crates/testing").is_dir());
+        let path = folder
+            .canonicalize()
+            .ok()
+            .filter(|path| path.join("crates/testing").is_dir());
         // Manifests of Cargo quote the path in double quotes.
-        let is_plain = |path: &&str| !path.contains(|letter: char| letter.is_control() || "\"\\".contains(letter));
+        let is_plain = |path: &&str| {
+            !path.contains(|letter: char| letter.is_control() || "\"\\".contains(letter))
+        };
         let path = path.as_deref().and_then(Path::to_str).filter(is_plain);
-        let path = path.ok_or_else(|| CliError::at(folder, "is not a folder with the source of crumple"))?;
-        let dependency = |name: &str| format!("crumple-{name} = {{ path = \"{path}/crates/{name}\" }}");
+        let path =
+            path.ok_or_else(|| CliError::at(folder, "is not a folder with the source of crumple"))?;
+        let dependency =
+            |name: &str| format!("crumple-{name} = {{ path = \"{path}/crates/{name}\" }}");
         let python = format!("file://{}/python", percent_encoded(path));
-        Ok([dependency("world"), dependency("testing"), python, installation])
+        Ok([
+            dependency("world"),
+            dependency("testing"),
+            python,
+            installation,
+        ])
     }
 }
 
@@ -146,8 +195,12 @@ impl New {
 fn fill(template: &str, values: &[(&str, &str)]) -> String {
     let (mut text, mut rest) = (String::new(), template);
     loop {
-        let found = values.iter().filter_map(|(key, value)| Some((rest.find(key)?, *key, *value)));
-        let Some((at, key, value)) = found.min_by_key(|(at, ..)| *at) else { return text + rest };
+        let found = values
+            .iter()
+            .filter_map(|(key, value)| Some((rest.find(key)?, *key, *value)));
+        let Some((at, key, value)) = found.min_by_key(|(at, ..)| *at) else {
+            return text + rest;
+        };
         let (before, after) = rest.split_at(at);
         text += before;
         text += value;

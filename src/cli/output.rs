@@ -37,7 +37,12 @@ pub(super) fn print_coloured(format: OutputFormat, text: &str) -> Result<(), Cli
         return print(text);
     }
     let safe = TerminalLines(text).to_string();
-    emit(&safe.lines().map(|line| colour_verdict(line) + "\n").collect::<String>())
+    emit(
+        &safe
+            .lines()
+            .map(|line| colour_verdict(line) + "\n")
+            .collect::<String>(),
+    )
 }
 
 /// Words that are a verdict if they stand alone, and their colours. Of those that begin at one position the first
@@ -69,20 +74,33 @@ fn colour_verdict(line: &str) -> String {
     let stands_alone = |at: usize, word: &str| {
         let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
         let before = line.get(..at).and_then(|before| before.chars().next_back());
-        let after = line.get(at + word.len()..).and_then(|after| after.chars().next());
+        let after = line
+            .get(at + word.len()..)
+            .and_then(|after| after.chars().next());
         !before.is_some_and(is_letter) && !after.is_some_and(is_letter)
     };
     let found = VERDICTS.iter().filter_map(|(word, colour)| {
-        let at = line.match_indices(word).map(|(at, _)| at).find(|at| stands_alone(*at, word))?;
+        let at = line
+            .match_indices(word)
+            .map(|(at, _)| at)
+            .find(|at| stands_alone(*at, word))?;
         Some((at, *word, *colour))
     });
     match found.min_by_key(|(at, ..)| *at) {
         None => line.to_owned(),
         Some((at, word, colour)) => {
-            let (before, after) = (line.get(..at).unwrap_or_default(), line.get(at + word.len()..).unwrap_or_default());
+            let (before, after) = (
+                line.get(..at).unwrap_or_default(),
+                line.get(at + word.len()..).unwrap_or_default(),
+            );
             // A good verdict about some of several results is not one about all.
-            let is_partial = colour == AnsiColor::Green && share_in(before).is_some_and(|[count, all]| count < all);
-            let colour = if is_partial { AnsiColor::Yellow } else { colour };
+            let is_partial = colour == AnsiColor::Green
+                && share_in(before).is_some_and(|[count, all]| count < all);
+            let colour = if is_partial {
+                AnsiColor::Yellow
+            } else {
+                colour
+            };
             let style = Style::new().fg_color(Some(colour.into())).bold();
             format!("{before}{style}{word}{style:#}{after}")
         }
@@ -125,13 +143,23 @@ pub(super) fn note(text: &str, quiet: bool) {
 pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     let is_empty = fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     if resume && (is_empty || !folder.exists()) {
-        note(&format!("{}: found nothing to resume, so the work starts from the beginning", folder.display()), quiet);
+        note(
+            &format!(
+                "{}: found nothing to resume, so the work starts from the beginning",
+                folder.display()
+            ),
+            quiet,
+        );
     }
 }
 
 /// Prints several lines on standard error, each of limited length.
 pub(super) fn warn(text: &str) {
-    let lines: Vec<_> = text.lines().take(MAX_WARNING_LINES).map(shorten_message).collect();
+    let lines: Vec<_> = text
+        .lines()
+        .take(MAX_WARNING_LINES)
+        .map(shorten_message)
+        .collect();
     emit_to_stderr(TerminalLines(&lines.join("\n")).to_string());
 }
 
@@ -146,27 +174,40 @@ fn emit_to_stderr(mut line: String) {
 /// folder that does not exist.
 pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
     let Ok(there) = fs::symlink_metadata(path) else {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
         let is_missing = folder.is_some_and(|folder| match fs::metadata(folder) {
             Ok(found) => !found.is_dir(),
-            Err(error) => matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory),
+            Err(error) => matches!(
+                error.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+            ),
         });
         return match (is_missing, folder) {
-            (true, Some(folder)) => {
-                Err(CliError::Input(format!("{}: there is no folder {}", path.display(), folder.display())))
-            }
+            (true, Some(folder)) => Err(CliError::Input(format!(
+                "{}: there is no folder {}",
+                path.display(),
+                folder.display()
+            ))),
             _ => Ok(path.to_owned()),
         };
     };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
-            CliError::at(path, format!("the target of this symbolic link cannot be resolved: {error}"))
+            CliError::at(
+                path,
+                format!("the target of this symbolic link cannot be resolved: {error}"),
+            )
         })?,
         false => path.to_owned(),
     };
     let found = fs::metadata(&place).map_err(DiskError::at(path))?;
     if !found.is_file() && !found.is_dir() {
-        return Err(CliError::at(path, "is not a regular file; choose the name of a new or regular file"));
+        return Err(CliError::at(
+            path,
+            "is not a regular file; choose the name of a new or regular file",
+        ));
     }
     Ok(place)
 }
@@ -179,13 +220,25 @@ mod tests {
     #[test]
     fn a_verdict_about_some_of_several_results_is_a_warning() {
         for (line, colour) in [
-            ("  with the multi-body plant, 2 of 8 escapes have no collision (25.0 %)", AnsiColor::Yellow),
-            ("  with the multi-body plant, 0 of 8 escapes have no collision (0.0 %)", AnsiColor::Yellow),
-            ("  with the multi-body plant, 8 of 8 escapes have no collision (100.0 %)", AnsiColor::Green),
+            (
+                "  with the multi-body plant, 2 of 8 escapes have no collision (25.0 %)",
+                AnsiColor::Yellow,
+            ),
+            (
+                "  with the multi-body plant, 0 of 8 escapes have no collision (0.0 %)",
+                AnsiColor::Yellow,
+            ),
+            (
+                "  with the multi-body plant, 8 of 8 escapes have no collision (100.0 %)",
+                AnsiColor::Green,
+            ),
             ("  no collision", AnsiColor::Green),
             ("2 of 8 runs: COLLISION", AnsiColor::Red),
         ] {
-            let style = Style::new().fg_color(Some(colour.into())).bold().to_string();
+            let style = Style::new()
+                .fg_color(Some(colour.into()))
+                .bold()
+                .to_string();
             assert!(colour_verdict(line).contains(&style), "{line}");
         }
     }
@@ -193,15 +246,24 @@ mod tests {
     #[test]
     fn one_verdict_of_a_line_is_coloured_where_it_stands_alone() {
         for (line, word) in [
-            ("  COLLISION at 1.23 s: vehicle 2 hits vehicle 1", Some("COLLISION")),
+            (
+                "  COLLISION at 1.23 s: vehicle 2 hits vehicle 1",
+                Some("COLLISION"),
+            ),
             ("  no collision", Some("no collision")),
             ("proof.json: accepted: no gap", Some("accepted")),
             (
                 "proof.json: is NOT about paper-2: its scenario is paper-1; the certificate itself is accepted: no gap",
                 Some("NOT about"),
             ),
-            ("      unavoidable: proved for every controller", Some("unavoidable")),
-            ("  FALSIFIED: 3 distinct failures, one failed", Some("FALSIFIED")),
+            (
+                "      unavoidable: proved for every controller",
+                Some("unavoidable"),
+            ),
+            (
+                "  FALSIFIED: 3 distinct failures, one failed",
+                Some("FALSIFIED"),
+            ),
             ("counterexamples/01-failed_runs.toml", None),
             ("  threshold", None),
         ] {
@@ -209,7 +271,8 @@ mod tests {
             let plain = anstream::adapter::strip_str(&shown).to_string();
             assert_eq!(plain, line);
             assert_eq!(word.is_some(), shown != line, "{shown}");
-            word.iter().for_each(|word| assert!(shown.contains(&format!("m{word}\u{1b}[")), "{shown:?}"));
+            word.iter()
+                .for_each(|word| assert!(shown.contains(&format!("m{word}\u{1b}[")), "{shown:?}"));
         }
     }
 }

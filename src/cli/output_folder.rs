@@ -37,17 +37,31 @@ pub(super) enum EarlierFiles {
 impl OutputFolder {
     /// Reads the listing of a folder, if there is one.
     pub(super) fn with_listing(path: &Path, listing: &'static str) -> Result<Self, CliError> {
-        let folder = Self { listing: Some(listing), ..Self::without_listing(path, false) };
-        let (before, announced) = (read_listing(&path.join(listing))?, read_listing(&pending_listing(path, listing))?);
+        let folder = Self {
+            listing: Some(listing),
+            ..Self::without_listing(path, false)
+        };
+        let (before, announced) = (
+            read_listing(&path.join(listing))?,
+            read_listing(&pending_listing(path, listing))?,
+        );
         Ok(folder.with_known_files(before.into_iter().chain(announced)))
     }
 
     /// Returns a folder without a listing. With `force` any plain file there may be replaced, otherwise none.
     pub(super) fn without_listing(path: &Path, force: bool) -> Self {
-        Self { path: path.to_owned(), listing: None, force, recorded: BTreeMap::new() }
+        Self {
+            path: path.to_owned(),
+            listing: None,
+            force,
+            recorded: BTreeMap::new(),
+        }
     }
 
-    pub(super) fn with_known_files(mut self, files: impl IntoIterator<Item = (String, String)>) -> Self {
+    pub(super) fn with_known_files(
+        mut self,
+        files: impl IntoIterator<Item = (String, String)>,
+    ) -> Self {
         for (name, digest) in files {
             self.recorded.entry(name).or_default().insert(digest);
         }
@@ -56,8 +70,10 @@ impl OutputFolder {
 
     /// Checks, before long work, that files of these names may be written with any contents.
     pub(super) fn check(&self, names: &[&str]) -> Result<(), CliError> {
-        let is_own =
-            |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
+        let is_own = |name: &&str| {
+            self.path.join(name).symlink_metadata().is_err()
+                || self.unchanged_digest(name).is_some()
+        };
         match names.iter().find(|name| !is_own(name)) {
             Some(name) => Err(CliError::at(&self.path.join(name), CHANGED_FILE_PROBLEM)),
             None => Ok(()),
@@ -65,19 +81,29 @@ impl OutputFolder {
     }
 
     /// Writes files and the listing. Creates the folder if it is missing. A file with equal contents stays as it is.
-    pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), CliError> {
+    pub(super) fn write(
+        &self,
+        contents: &[(String, Vec<u8>)],
+        earlier: EarlierFiles,
+    ) -> Result<(), CliError> {
         disk::make_folder(&self.path)?;
         disk::remove_unfinished(&self.path)?;
         let mut files = StagedFiles::default();
         for (name, contents) in contents {
             self.stage(&mut files, name, contents)?;
         }
-        let Some(listing) = self.listing else { return Ok(files.commit()?) };
-        let mut next: BTreeMap<&str, String> =
-            contents.iter().map(|(name, contents)| (name.as_str(), sha256(contents))).collect();
+        let Some(listing) = self.listing else {
+            return Ok(files.commit()?);
+        };
+        let mut next: BTreeMap<&str, String> = contents
+            .iter()
+            .map(|(name, contents)| (name.as_str(), sha256(contents)))
+            .collect();
         let mut stale = Vec::new();
-        for (name, digest) in
-            self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged_digest(name)?)))
+        for (name, digest) in self
+            .recorded
+            .keys()
+            .filter_map(|name| Some((name.as_str(), self.unchanged_digest(name)?)))
         {
             match (next.contains_key(name), earlier) {
                 (true, _) => {}
@@ -85,9 +111,14 @@ impl OutputFolder {
                 (false, EarlierFiles::Replace) => stale.push(self.path.join(name)),
             }
         }
-        let before =
-            self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
-        let after: String = next.iter().map(|(name, digest)| listing_line(name, digest)).collect();
+        let before = self
+            .recorded
+            .iter()
+            .flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
+        let after: String = next
+            .iter()
+            .map(|(name, digest)| listing_line(name, digest))
+            .collect();
         let announced = pending_listing(&self.path, listing);
         disk::write(&announced, before.collect::<String>() + &after)?;
         match after.is_empty() {
@@ -101,37 +132,57 @@ impl OutputFolder {
     }
 
     /// Stages a file, and creates the folder if it is missing. A file with equal contents stays as it is.
-    pub(super) fn stage(&self, files: &mut StagedFiles, name: &str, contents: &[u8]) -> Result<(), CliError> {
+    pub(super) fn stage(
+        &self,
+        files: &mut StagedFiles,
+        name: &str,
+        contents: &[u8],
+    ) -> Result<(), CliError> {
         let path = self.path.join(name);
         if let Some(link) = self.find_symlink(&path) {
             return Err(CliError::at(link, SYMLINK_PROBLEM));
         }
         path.parent().map_or(Ok(()), disk::make_folder)?;
-        let is_own = |digest: &str| self.force || self.recorded.get(name).is_some_and(|known| known.contains(digest));
-        let advice = if self.listing.is_some() { CHANGED_FILE_PROBLEM } else { EXISTING_FILE_PROBLEM };
+        let is_own = |digest: &str| {
+            self.force
+                || self
+                    .recorded
+                    .get(name)
+                    .is_some_and(|known| known.contains(digest))
+        };
+        let advice = if self.listing.is_some() {
+            CHANGED_FILE_PROBLEM
+        } else {
+            EXISTING_FILE_PROBLEM
+        };
         stage(files, &path, contents, is_own, advice)
     }
 
     /// Returns the digest of a file that crumple wrote and that has not changed since.
     fn unchanged_digest(&self, name: &str) -> Option<String> {
         let path = self.path.join(name);
-        let is_plain =
-            self.find_symlink(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        let is_plain = self.find_symlink(&path).is_none()
+            && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
         let digest = is_plain.then(|| file_digest(&path).ok()).flatten()?;
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
 
     /// Returns the first folder between this one and a file in it that is a symbolic link.
     fn find_symlink<'a>(&self, path: &'a Path) -> Option<&'a Path> {
-        let between = path.ancestors().skip(1).take_while(|folder| *folder != self.path);
+        let between = path
+            .ancestors()
+            .skip(1)
+            .take_while(|folder| *folder != self.path);
         between.into_iter().find(|folder| folder.is_symlink())
     }
 }
 
 const SYMLINK_PROBLEM: &str = "is a symbolic link, and crumple writes only regular files: remove it, or use another \
                                name";
-const CHANGED_FILE_PROBLEM: &str = "has changed, or crumple did not write it here: move it, or use another --out";
-const EXISTING_FILE_PROBLEM: &str = "exists with other contents: use --force to overwrite it, or another name";
+const CHANGED_FILE_PROBLEM: &str =
+    "has changed, or crumple did not write it here: move it, or use another --out";
+const EXISTING_FILE_PROBLEM: &str =
+    "exists with other contents: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.
 pub(super) fn stage_unless_edited(
@@ -140,7 +191,13 @@ pub(super) fn stage_unless_edited(
     bytes: &[u8],
     force: bool,
 ) -> Result<(), CliError> {
-    stage(files, &output::resolve_output_path(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
+    stage(
+        files,
+        &output::resolve_output_path(path)?,
+        bytes,
+        |_| force,
+        EXISTING_FILE_PROBLEM,
+    )
 }
 
 /// Stages a file if none exists, or `is_own` accepts the digest of the existing plain file.
@@ -153,10 +210,14 @@ pub(super) fn stage(
 ) -> Result<(), CliError> {
     let refused = |problem: &str| Err(CliError::at(path, problem));
     match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Ok(files.stage(path, contents)?);
+        }
         Err(error) => return Err(DiskError::at(path)(error).into()),
         Ok(found) if found.is_symlink() => return refused(SYMLINK_PROBLEM),
-        Ok(found) if !found.is_file() => return refused("is not a regular file: remove it, or use another name"),
+        Ok(found) if !found.is_file() => {
+            return refused("is not a regular file: remove it, or use another name");
+        }
         Ok(_) => {}
     }
     match file_digest(path)? {
@@ -190,12 +251,21 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     let text = file::read(path)?;
     let entry = |(index, line): (usize, &str)| {
         // Reject names outside the folder.
-        let is_within = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        let found = line.split_once("  ").filter(|(digest, name)| digest.len() == 64 && is_within(name));
-        found.map(|(digest, name)| (name.to_owned(), digest.to_owned())).ok_or_else(|| {
-            let problem = "expected a SHA-256 and the name of a file in this folder: use another --out";
-            CliError::Input(format!("{}:{}: {problem}", path.display(), index + 1))
-        })
+        let is_within = |name: &str| {
+            Path::new(name)
+                .components()
+                .all(|part| matches!(part, Component::Normal(_)))
+        };
+        let found = line
+            .split_once("  ")
+            .filter(|(digest, name)| digest.len() == 64 && is_within(name));
+        found
+            .map(|(digest, name)| (name.to_owned(), digest.to_owned()))
+            .ok_or_else(|| {
+                let problem =
+                    "expected a SHA-256 and the name of a file in this folder: use another --out";
+                CliError::Input(format!("{}:{}: {problem}", path.display(), index + 1))
+            })
     };
     text.lines().enumerate().map(entry).collect()
 }

@@ -18,8 +18,14 @@ impl TrainingPreset {
         if let Some(preset) = Self::from_file(name)? {
             return Ok(preset);
         }
-        let text = TrainingConfig::preset_text(name).map_err(|_| unknown_preset_error(name, None))?.to_owned();
-        Ok(Self { config: TrainingConfig::preset(name).map_err(CliError::input)?, text, path: PathBuf::from(name) })
+        let text = TrainingConfig::preset_text(name)
+            .map_err(|_| unknown_preset_error(name, None))?
+            .to_owned();
+        Ok(Self {
+            config: TrainingConfig::preset(name).map_err(CliError::input)?,
+            text,
+            path: PathBuf::from(name),
+        })
     }
 
     /// Finds a preset as [`Self::find`] does, for a command with a special preset `own`, which is not found by that
@@ -34,7 +40,9 @@ impl TrainingPreset {
 
     /// Returns the configuration, if its scenario spaces are available.
     pub(super) fn into_checked_config(self) -> Result<TrainingConfig, CliError> {
-        self.config.scenario_source().map_err(|error| self.error_at_line(error))?;
+        self.config
+            .scenario_source()
+            .map_err(|error| self.error_at_line(error))?;
         Ok(self.config)
     }
 
@@ -42,7 +50,9 @@ impl TrainingPreset {
     pub(super) fn from_file(name: &str) -> Result<Option<Self>, CliError> {
         let path = Path::new(name);
         // A built-in name takes precedence over a file.
-        if path.extension().is_none() && (TrainingConfig::preset_text(name).is_ok() || !path.exists()) {
+        if path.extension().is_none()
+            && (TrainingConfig::preset_text(name).is_ok() || !path.exists())
+        {
             return Ok(None);
         }
         if let Some(what) = file_kind::detect(path) {
@@ -50,7 +60,11 @@ impl TrainingPreset {
         }
         let text = file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(CliError::input)?;
-        Ok(Some(Self { config, text, path: path.to_owned() }))
+        Ok(Some(Self {
+            config,
+            text,
+            path: path.to_owned(),
+        }))
     }
 
     pub(super) fn error_at_line(&self, error: TrainingConfigError) -> CliError {
@@ -62,14 +76,20 @@ fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
     if name.trim().is_empty() {
         return CliError::Input("--preset: the name of the preset is empty".to_owned());
     }
-    let names: Vec<&str> = own.into_iter().chain(PRESETS.iter().map(|(name, _)| *name)).collect();
+    let names: Vec<&str> = own
+        .into_iter()
+        .chain(PRESETS.iter().map(|(name, _)| *name))
+        .collect();
     if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) {
         return CliError::Input(format!(
             "`{name}` is the preset of `crumple retrain`; `train` has {}. `crumple show retrain` prints it as a file",
             names.join(", ")
         ));
     }
-    CliError::Input(format!("there is no preset `{name}`, and no such file; there are {}", names.join(", ")))
+    CliError::Input(format!(
+        "there is no preset `{name}`, and no such file; there are {}",
+        names.join(", ")
+    ))
 }
 
 /// Preset of `crumple retrain`, and its former name.

@@ -9,8 +9,13 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Creates a bar on standard error, shown only on a terminal.
 fn progress_bar(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let target = if quiet {
+        ProgressDrawTarget::hidden()
+    } else {
+        ProgressDrawTarget::stderr()
+    };
+    let style =
+        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::with_draw_target(total, target).with_style(style)
 }
 
@@ -20,11 +25,19 @@ pub(super) fn run_bar(what: &'static str, total: u64, quiet: bool) -> ProgressBa
 }
 
 pub(super) fn training_bar(total: u64, quiet: bool) -> ProgressBar {
-    progress_bar("training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}", Some(total), quiet)
+    progress_bar(
+        "training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}",
+        Some(total),
+        quiet,
+    )
 }
 
 pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
-    progress_bar("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
+    progress_bar(
+        "{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left",
+        Some(total),
+        quiet,
+    )
 }
 
 /// Replaces the bar by a spinner: for a step that follows the counted work and takes an unknown time.
@@ -51,7 +64,11 @@ pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> Progres
 /// Returns a bar of the bytes of recordings, and the function that advances it; short recordings show none.
 pub(super) fn read_bar(quiet: bool) -> (ProgressBar, ReadProgress) {
     const MIN_BYTES: u64 = 64 << 20;
-    let bar = progress_bar("reading {wide_bar} {bytes}/{total_bytes}, {eta} left", None, quiet);
+    let bar = progress_bar(
+        "reading {wide_bar} {bytes}/{total_bytes}, {eta} left",
+        None,
+        quiet,
+    );
     let shown = bar.clone();
     let advance = move |read: u64, total: u64| {
         if total >= MIN_BYTES {
@@ -63,12 +80,20 @@ pub(super) fn read_bar(quiet: bool) -> (ProgressBar, ReadProgress) {
 }
 
 pub(super) fn replay_bar(quiet: bool) -> ProgressBar {
-    progress_bar("replay {wide_bar} {human_pos}/{human_len} s, {eta} left", Some(1), quiet)
+    progress_bar(
+        "replay {wide_bar} {human_pos}/{human_len} s, {eta} left",
+        Some(1),
+        quiet,
+    )
 }
 
 /// Returns a bar of imported scenarios. It shows the time, because one scenario may take seconds.
 pub(super) fn import_bar(total: u64, quiet: bool) -> ProgressBar {
-    let bar = progress_bar("importing {spinner} {human_pos}/{human_len} scenarios ({elapsed})", Some(total), quiet);
+    let bar = progress_bar(
+        "importing {spinner} {human_pos}/{human_len} scenarios ({elapsed})",
+        Some(total),
+        quiet,
+    );
     if !bar.is_hidden() {
         bar.enable_steady_tick(Duration::from_millis(200));
     }
@@ -85,13 +110,18 @@ pub(super) fn format_time_left(elapsed: Duration, done: f64, total: f64) -> Stri
         return String::new();
     }
     // The limit prevents an overflow.
-    format!("; about {} left", HumanDuration(elapsed.mul_f64(((total - done) / done).clamp(0.0, 1e4))))
+    format!(
+        "; about {} left",
+        HumanDuration(elapsed.mul_f64(((total - done) / done).clamp(0.0, 1e4)))
+    )
 }
 
 /// Does work that advances a bar from its present position, and clears the bar.
 pub(super) fn show<T>(bar: &ProgressBar, work: impl FnOnce(&dyn Observer<RunProgress>) -> T) -> T {
     let begin = bar.position();
-    let done = work(&Listener(|progress: &RunProgress| bar.set_position(begin + progress.done)));
+    let done = work(&Listener(|progress: &RunProgress| {
+        bar.set_position(begin + progress.done)
+    }));
     bar.finish_and_clear();
     done
 }

@@ -7,7 +7,9 @@ use super::simulate::OutputFormat;
 use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::rare::{MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareFolder, RarePlan, RareReport};
+use crumple_evidence::rare::{
+    MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareFolder, RarePlan, RareReport,
+};
 
 /// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it continues from the existing
 /// results.
@@ -24,7 +26,9 @@ pub(super) fn estimate(
         // The rate per hour requires estimates in resamples.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
-            let report = progress::show(&bar, |observer| kept.with_exposure(plan, report, resamples, observer))?;
+            let report = progress::show(&bar, |observer| {
+                kept.with_exposure(plan, report, resamples, observer)
+            })?;
             if !kept.is_complete() {
                 kept.write_report(&report)?;
             }
@@ -50,8 +54,12 @@ fn run_estimate(
     let bar = progress::counter("placing levels", quiet);
     let pilot = progress::show(&bar, |observer| kept.run_pilot(plan, observer))?;
     let bar = progress::run_bar("climbing", pilot.planned_runs(), quiet);
-    bar.inc(pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions());
-    Ok(progress::show(&bar, |observer| kept.estimate(plan, &pilot, resamples, observer))?)
+    bar.inc(
+        pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions(),
+    );
+    Ok(progress::show(&bar, |observer| {
+        kept.estimate(plan, &pilot, resamples, observer)
+    })?)
 }
 
 fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
@@ -68,7 +76,16 @@ fn format_report(report: &RareReport) -> String {
 }
 
 fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
-    let RareReport { controller, space, estimator, seed, failure, estimate, effort, .. } = report;
+    let RareReport {
+        controller,
+        space,
+        estimator,
+        seed,
+        failure,
+        estimate,
+        effort,
+        ..
+    } = report;
     // Reports keep the wording of registrations, which are hashed.
     let failure = failure.replacen("vehicles touch", "collision", 1);
     writeln!(
@@ -78,10 +95,20 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         estimator.name()
     )?;
     if report.nondeterministic {
-        writeln!(out, "  the controller declares that it is not deterministic: another run may give another estimate")?;
+        writeln!(
+            out,
+            "  the controller declares that it is not deterministic: another run may give another estimate"
+        )?;
     }
-    let RareEstimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
-        estimate;
+    let RareEstimate {
+        probability,
+        coefficient_of_variation,
+        interval_95,
+        repetitions,
+        evaluations,
+        levels,
+        ..
+    } = estimate;
     match (probability, coefficient_of_variation, interval_95) {
         (None, ..) if levels.len() == MAX_LEVELS => {
             writeln!(
@@ -93,7 +120,10 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
             )?;
         }
         (None, ..) => {
-            writeln!(out, "  no failure, and no further level: no estimate, and no proof that no failure exists")?;
+            writeln!(
+                out,
+                "  no failure, and no further level: no estimate, and no proof that no failure exists"
+            )?;
         }
         (Some(probability), Some(variation), Some([low, high])) => {
             writeln!(
@@ -121,10 +151,19 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         && let Some([low, high]) = estimate.independent_interval(0.95)
     {
         let (failures, runs) = (estimate.independent_failures, estimate.independent_runs);
-        let (low, high) = (digits::format_rounded(low, 3), digits::format_rounded_up(high, 4));
-        writeln!(out, "  {failures} of the {runs} initial random scenarios fail: between {low} and {high} at 95 %")?;
+        let (low, high) = (
+            digits::format_rounded(low, 3),
+            digits::format_rounded_up(high, 4),
+        );
+        writeln!(
+            out,
+            "  {failures} of the {runs} initial random scenarios fail: between {low} and {high} at 95 %"
+        )?;
     }
-    let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
+    let died = repetitions
+        .iter()
+        .filter(|estimate| **estimate == 0.0)
+        .count();
     if died > 0 && died < repetitions.len() {
         writeln!(
             out,
@@ -132,7 +171,10 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
             repetitions.len()
         )?;
     }
-    writeln!(out, "  estimate by multilevel splitting, neither a bound nor a certificate; {evaluations} runs")?;
+    writeln!(
+        out,
+        "  estimate by multilevel splitting, neither a bound nor a certificate; {evaluations} runs"
+    )?;
     if let Some(rate) = &report.exposure {
         out.push_str(&exposure::format_rate(rate));
     }
@@ -140,14 +182,19 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
     writeln!(
         out,
         "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",
-        if of_collisions { "smallest gap" } else { "robustness" },
+        if of_collisions {
+            "smallest gap"
+        } else {
+            "robustness"
+        },
         "probability",
         "share",
         "step",
         "acceptance"
     )?;
     for level in levels {
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let number =
+            |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
         let gap = match (level.step, of_collisions) {
             (None, true) => "collision".to_owned(),
             (None, false) => "failure".to_owned(),
@@ -164,7 +211,11 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     if levels.len() == 1 && probability.is_some() {
-        writeln!(out, "  not rare: a single level, direct count of {} runs", effort.samples * effort.repetitions)?;
+        writeln!(
+            out,
+            "  not rare: a single level, direct count of {} runs",
+            effort.samples * effort.repetitions
+        )?;
     }
     Ok(())
 }

@@ -58,16 +58,23 @@ pub(super) struct ReachCommand {
     format: OutputFormat,
 }
 
-pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] =
-    [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
+pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] = [
+    ("paper-1", include_str!("boxes/paper-1.toml")),
+    ("paper-2", include_str!("boxes/paper-2.toml")),
+];
 
 fn load_box_text(place: &Path) -> Result<String, CliError> {
-    let built_in = BUILT_IN_BOXES.iter().find(|(name, _)| Path::new(name) == place);
+    let built_in = BUILT_IN_BOXES
+        .iter()
+        .find(|(name, _)| Path::new(name) == place);
     match built_in {
         Some((_, text)) if !place.exists() => Ok((*text).to_owned()),
         None if place.extension().is_none() && !place.exists() => {
             let known = BUILT_IN_BOXES.map(|(name, _)| name).join(", ");
-            Err(CliError::Input(format!("--box: `{}` is neither a built-in box ({known}) nor a file", place.display())))
+            Err(CliError::Input(format!(
+                "--box: `{}` is neither a built-in box ({known}) nor a file",
+                place.display()
+            )))
         }
         _ => Ok(file::read_at_most(place, file::MAX_TOML_BYTES)?),
     }
@@ -78,18 +85,24 @@ impl ReachCommand {
         let place = self.starts.display();
         let text = load_box_text(&self.starts)?;
         let failed = |error: InvalidBox| match error {
-            InvalidBox::Field { ref field, .. } => {
-                CliError::Input(format!("{place}:{}: {error}", file::line_in_toml(&text, field)))
-            }
+            InvalidBox::Field { ref field, .. } => CliError::Input(format!(
+                "{place}:{}: {error}",
+                file::line_in_toml(&text, field)
+            )),
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
                 let place = self.controller.field_location(&invalid.field);
-                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+                CliError::Input(format!(
+                    "--controller: {place}cannot be followed: {invalid}"
+                ))
             }
             other => CliError::Input(format!("{place}: {other}")),
         };
-        let plan =
-            ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
+        let plan = ReachPlan::new(
+            self.controller.kind.clone(),
+            &BoxSpec::from_toml(&text, &self.starts)?,
+        )
+        .map_err(failed)?;
         let bar = progress::depth_line("cutting", u64::from(self.depth), quiet);
         let observer = Listener(|now: &VolumeShares| {
             bar.set_position(u64::from(now.depth));
@@ -97,41 +110,86 @@ impl ReachCommand {
         });
         let partition = plan.partition(self.depth, &observer).map_err(failed)?;
         bar.finish_and_clear();
-        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::UNLIMITED)
-            .map_err(|rejection| CliError::Gate(format!("the checker rejected the proof: {rejection}")))?;
+        let accepted = check_with(
+            &partition.certificate,
+            Some(plan.policy_bytes()),
+            WorkLimit::UNLIMITED,
+        )
+        .map_err(|rejection| {
+            CliError::Gate(format!("the checker rejected the proof: {rejection}"))
+        })?;
         if let Some(path) = &self.certificate {
             write_certificate(path, &partition.certificate, plan.policy_bytes())?;
         }
-        let Partition { shares, undecided: doubts, .. } = &partition;
+        let Partition {
+            shares,
+            undecided: doubts,
+            ..
+        } = &partition;
         let is_verified = is_positive(shares, |now| now.verified);
         let words = || {
             let last = shares.len().saturating_sub(1);
-            let lines: String =
-                shares.iter().enumerate().map(|(index, now)| format_depth(now, index == last) + "\n").collect();
-            let UndecidedCounts { ahead, behind, too_wide } = doubts;
+            let lines: String = shares
+                .iter()
+                .enumerate()
+                .map(|(index, now)| format_depth(now, index == last) + "\n")
+                .collect();
+            let UndecidedCounts {
+                ahead,
+                behind,
+                too_wide,
+            } = doubts;
             let falsified = match is_positive(shares, |now| now.falsified) {
-                true => "falsified: boxes in which a simulated initial state ends with a collision\n",
+                true => {
+                    "falsified: boxes in which a simulated initial state ends with a collision\n"
+                }
                 false => "",
             };
-            let verdict = if is_verified { "accepted" } else { "nothing verified" };
+            let verdict = if is_verified {
+                "accepted"
+            } else {
+                "nothing verified"
+            };
             format!(
                 "{lines}{falsified}undecided boxes: {ahead} with a possible collision ahead, {behind} behind, \
                  {too_wide} with bounds that are too wide\n{verdict}: {accepted}\n"
             )
         };
         let printed = output::print_result(self.format, &self.report(&partition, &accepted), words);
-        let deeper = if is_positive(shares, |now| now.undecided) { "; try a larger --depth" } else { "" };
+        let deeper = if is_positive(shares, |now| now.undecided) {
+            "; try a larger --depth"
+        } else {
+            ""
+        };
         let problem = format!("{place}: no part of the box was verified{deeper}");
-        CliError::gate_first(if is_verified { Ok(()) } else { Err(CliError::Gate(problem)) }, printed)
+        CliError::gate_first(
+            if is_verified {
+                Ok(())
+            } else {
+                Err(CliError::Gate(problem))
+            },
+            printed,
+        )
     }
 
     /// Returns the report. Fields of the certificate have the names of `crumple check`.
     fn report<'a>(&'a self, partition: &'a Partition, accepted: &ProvedClaim) -> ReachReport<'a> {
-        let Partition { certificate, shares, undecided: doubts } = partition;
+        let Partition {
+            certificate,
+            shares,
+            undecided: doubts,
+        } = partition;
         let (smallest_gap_m, verified_share) = match *accepted {
-            ProvedClaim::Reach { min_gap_m: smallest_gap_m, verified_share, .. } => {
+            ProvedClaim::Reach {
+                min_gap_m: smallest_gap_m,
+                verified_share,
+                ..
+            } => {
                 // `None` if no initial state is verified; JSON has no infinity.
-                (Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()), Some(verified_share))
+                (
+                    Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()),
+                    Some(verified_share),
+                )
             }
             _ => (None, None),
         };
@@ -145,7 +203,10 @@ impl ReachCommand {
             accepted: true,
             verified_share,
             smallest_gap_m,
-            horizon_s: certificate.scope().horizon_s.filter(|horizon_s| horizon_s.is_finite()),
+            horizon_s: certificate
+                .scope()
+                .horizon_s
+                .filter(|horizon_s| horizon_s.is_finite()),
             shares,
             doubts: *doubts,
         }
@@ -174,13 +235,18 @@ struct ReachReport<'a> {
 }
 
 /// Writes a certificate, and its network file next to it. Keeps another network in that place.
-pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), CliError> {
+pub(super) fn write_certificate(
+    path: &Path,
+    certificate: &Certificate,
+    network: &[u8],
+) -> Result<(), CliError> {
     let mut files = StagedFiles::default();
     let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
     files.stage(&output::resolve_output_path(path)?, text.as_bytes())?;
     if let Some((name, _)) = certificate.policy_reference() {
         let beside = path.parent().unwrap_or(Path::new("")).join(name);
-        let other = "is not the network of the certificate: move it, or write the certificate elsewhere";
+        let other =
+            "is not the network of the certificate: move it, or write the certificate elsewhere";
         stage(&mut files, &beside, network, |_| false, other)?;
     }
     Ok(files.commit()?)
@@ -196,7 +262,11 @@ fn format_depth(now: &VolumeShares, is_last: bool) -> String {
     // Lower bounds, rounded down as in the checker.
     let down = |share: f64| (1e4 * share).floor() / 1e2;
     let (verified, falsified) = (down(now.verified), down(now.falsified));
-    let falsified_words = if is_last { format!(" {falsified:6.2} % falsified,") } else { String::new() };
+    let falsified_words = if is_last {
+        format!(" {falsified:6.2} % falsified,")
+    } else {
+        String::new()
+    };
     let undecided = 100.0 - verified - if is_last { falsified } else { 0.0 };
     format!(
         "depth {:2}: {verified:6.2} % verified,{falsified_words} {undecided:6.2} % undecided; {} boxes, {:.2} s",

@@ -94,9 +94,30 @@ struct UnnecessaryReport {
 
 impl BrakingReport {
     fn new(recording: &str, drive: &ReplayedDrive, braking: &ReplayedBraking) -> Self {
-        let &ReplayedBraking { from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m } = braking;
-        let (recording, event, vehicle) = (recording.to_owned(), drive.event.clone(), drive.vehicle.number);
-        Self { recording, event, vehicle, from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m }
+        let &ReplayedBraking {
+            from_s,
+            duration_s,
+            brake_mps2,
+            driver_brake_mps2,
+            speed_mps,
+            gap_m,
+        } = braking;
+        let (recording, event, vehicle) = (
+            recording.to_owned(),
+            drive.event.clone(),
+            drive.vehicle.number,
+        );
+        Self {
+            recording,
+            event,
+            vehicle,
+            from_s,
+            duration_s,
+            brake_mps2,
+            driver_brake_mps2,
+            speed_mps,
+            gap_m,
+        }
     }
 }
 
@@ -104,7 +125,8 @@ impl LogReplay {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(load_map).transpose()?;
         let min_brake = parse_min_brake(self.min_brake)?.mps2();
-        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
+        let options =
+            RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
         ensure_distinct(&self.recordings)?;
         let (mut drives, mut brakings, mut empty) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.recordings {
@@ -124,7 +146,12 @@ impl LogReplay {
                 };
                 replayed = replay(&part, &options, min_brake, &advance).map(|found| {
                     for drive in &found {
-                        brakings.extend(drive.brakings.iter().map(|braking| BrakingReport::new(&name, drive, braking)));
+                        brakings.extend(
+                            drive
+                                .brakings
+                                .iter()
+                                .map(|braking| BrakingReport::new(&name, drive, braking)),
+                        );
                     }
                     drives.extend(found);
                 });
@@ -134,7 +161,9 @@ impl LogReplay {
             bar.finish_and_clear();
             read?;
             note_text_format(path, &text, quiet);
-            dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            dropped
+                .iter()
+                .for_each(|dropped| output::note(&dropped.to_string(), quiet));
             replayed.map_err(|error| CliError::at(path, error))?;
             if drives.len() == before {
                 empty.push(format!("{name}: {}", hardest.finish()));
@@ -142,18 +171,28 @@ impl LogReplay {
         }
         args::ensure_trusted()?;
         if drives.is_empty() {
-            let problem = format!("no vehicle follows another for a second; {}", empty.join("; "));
+            let problem = format!(
+                "no vehicle follows another for a second; {}",
+                empty.join("; ")
+            );
             return Err(CliError::NothingFound(problem));
         }
         let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
         let kilometres = drives.iter().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
         let unnecessary = |which: usize| {
-            let count = drives.iter().map(|drive| drive.unnecessary[which].count as u64).sum();
+            let count = drives
+                .iter()
+                .map(|drive| drive.unnecessary[which].count as u64)
+                .sum();
             UnnecessaryReport {
                 count,
-                seconds: drives.iter().map(|drive| drive.unnecessary[which].time_s).sum(),
+                seconds: drives
+                    .iter()
+                    .map(|drive| drive.unnecessary[which].time_s)
+                    .sum(),
                 per_hour: IntervalEstimate::poisson_rate(count, hours),
-                per_100_km: (kilometres > 0.0).then(|| IntervalEstimate::poisson_rate(count, kilometres / 100.0)),
+                per_100_km: (kilometres > 0.0)
+                    .then(|| IntervalEstimate::poisson_rate(count, kilometres / 100.0)),
             }
         };
         let report = ReplayReport {
@@ -181,11 +220,27 @@ fn plural(count: u64) -> &'static str {
 }
 
 fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
-    let ReplayReport { controller, min_brake_mps2, drives, hours, kilometres, brakings, .. } = report;
+    let ReplayReport {
+        controller,
+        min_brake_mps2,
+        drives,
+        hours,
+        kilometres,
+        brakings,
+        ..
+    } = report;
     let times = |count| format!("{count} time{}", plural(count));
-    writeln!(out, "{drives} drive{} behind a leader: {hours:.3} h, {kilometres:.2} km", plural(*drives as u64))?;
+    writeln!(
+        out,
+        "{drives} drive{} behind a leader: {hours:.3} h, {kilometres:.2} km",
+        plural(*drives as u64)
+    )?;
     let (name, count) = (TerminalText(controller), brakings.len());
-    writeln!(out, "{name} would have braked {}, by at least {min_brake_mps2} m/s²", times(count as u64))?;
+    writeln!(
+        out,
+        "{name} would have braked {}, by at least {min_brake_mps2} m/s²",
+        times(count as u64)
+    )?;
     let mut hardest: Vec<_> = brakings.iter().collect();
     hardest.sort_by(|a, b| b.brake_mps2.total_cmp(&a.brake_mps2));
     if !hardest.is_empty() {
@@ -196,28 +251,63 @@ fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     for one in hardest.iter().take(MAX_LISTED) {
-        let BrakingReport { vehicle, from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m, .. } = one;
-        let event = one.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
+        let BrakingReport {
+            vehicle,
+            from_s,
+            duration_s,
+            brake_mps2,
+            driver_brake_mps2,
+            speed_mps,
+            gap_m,
+            ..
+        } = one;
+        let event = one
+            .event
+            .as_ref()
+            .map(|event| format!(", event {event}"))
+            .unwrap_or_default();
         let place = format!("{vehicle}{event} of {}", one.recording);
-        write!(out, "  {brake_mps2:>6.2} {driver_brake_mps2:>6.2} {duration_s:>6.2} {speed_mps:>6.2} {gap_m:>7.2}")?;
+        write!(
+            out,
+            "  {brake_mps2:>6.2} {driver_brake_mps2:>6.2} {duration_s:>6.2} {speed_mps:>6.2} {gap_m:>7.2}"
+        )?;
         writeln!(out, " {from_s:>7.2}  {}", TerminalText(&place))?;
     }
     if count > MAX_LISTED {
         writeln!(out, "  {} more with --format json", count - MAX_LISTED)?;
     }
-    for (who, found) in [("controller", &report.unnecessary), ("drivers", &report.unnecessary_of_drivers)] {
-        let rate = |IntervalEstimate { estimate, lower, upper }: &IntervalEstimate| {
-            let [estimate, lower, upper] = [estimate, lower, upper].map(|value| format_rounded(*value, 3));
+    for (who, found) in [
+        ("controller", &report.unnecessary),
+        ("drivers", &report.unnecessary_of_drivers),
+    ] {
+        let rate = |IntervalEstimate {
+                        estimate,
+                        lower,
+                        upper,
+                    }: &IntervalEstimate| {
+            let [estimate, lower, upper] =
+                [estimate, lower, upper].map(|value| format_rounded(*value, 3));
             format!("{estimate} ({lower} to {upper})")
         };
-        let UnnecessaryReport { count, seconds, per_hour, per_100_km } = found;
-        let (per_hour, per_100_km) = (rate(per_hour), per_100_km.as_ref().map_or("not defined".to_owned(), rate));
+        let UnnecessaryReport {
+            count,
+            seconds,
+            per_hour,
+            per_100_km,
+        } = found;
+        let (per_hour, per_100_km) = (
+            rate(per_hour),
+            per_100_km.as_ref().map_or("not defined".to_owned(), rate),
+        );
         writeln!(
             out,
             "unnecessary braking of the {who}, at any --min-brake: {}, {seconds:.2} s in all",
             times(*count)
         )?;
-        writeln!(out, "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %")?;
+        writeln!(
+            out,
+            "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %"
+        )?;
     }
     Ok(())
 }

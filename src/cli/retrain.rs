@@ -16,8 +16,8 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
-    RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, SearchedSpaces,
-    training_preset,
+    RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings,
+    SearchedSpaces, training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::falsify::Method;
@@ -124,9 +124,16 @@ pub(super) struct Retrain {
 impl Retrain {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let name = &self.policy.name;
-        let first = self.policy.policy().ok_or_else(|| CliError::Input(format!("--policy: `{name}` is no policy")))?;
+        let first = self
+            .policy
+            .policy()
+            .ok_or_else(|| CliError::Input(format!("--policy: `{name}` is no policy")))?;
         let imitates = first.header().training.get("imitation").is_some();
-        let preset = self.preset.as_deref().unwrap_or(if imitates { "road" } else { RETRAIN_PRESET_NAMES[0] });
+        let preset = self.preset.as_deref().unwrap_or(if imitates {
+            "road"
+        } else {
+            RETRAIN_PRESET_NAMES[0]
+        });
         let training = load_training_config(preset)?;
         let mut settings = DEFAULTS;
         if self.episodes == Some(0) && training.imitation.is_none() {
@@ -134,8 +141,11 @@ impl Retrain {
                 "--episodes: the preset `{preset}` has no imitation and needs at least 1"
             )));
         }
-        settings.episodes =
-            self.episodes.unwrap_or(if training.imitation.is_some() { training.episodes } else { settings.episodes });
+        settings.episodes = self.episodes.unwrap_or(if training.imitation.is_some() {
+            training.episodes
+        } else {
+            settings.episodes
+        });
         if !training.spaces.is_empty() {
             // The spaces of the preset replace the paper's distribution.
             settings.nominal_share = 0.0;
@@ -148,9 +158,14 @@ impl Retrain {
             spaces.push("high-risk".to_owned());
         }
         let spaces = SearchedSpaces::new(load_spaces("--space", &spaces)?);
-        let spaces = spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
+        let spaces =
+            spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
         let regression_spaces = load_regression_spaces(&self.regression)?;
-        let regression = if regression_spaces.is_empty() { 0 } else { self.regression_draws };
+        let regression = if regression_spaces.is_empty() {
+            0
+        } else {
+            self.regression_draws
+        };
         let plan = RetrainingPlan {
             initial_policy: first,
             initial_policy_name: name.clone(),
@@ -175,13 +190,24 @@ impl Retrain {
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::status_line(quiet);
-        let line = Mutex::new(ProgressLine { bar: &bar, rounds: self.rounds, step: None });
-        let show = |state: &RetrainingProgress| line.lock().unwrap_or_else(PoisonError::into_inner).show(state);
+        let line = Mutex::new(ProgressLine {
+            bar: &bar,
+            rounds: self.rounds,
+            step: None,
+        });
+        let show = |state: &RetrainingProgress| {
+            line.lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .show(state)
+        };
         let report = plan.run(&self.out, self.resume, &Listener(show));
         bar.finish_and_clear();
         let report = report.map_err(|error| with_preset_name(error, preset))?;
         output::note(&report.ending_sentence(), quiet);
-        output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
+        output::note(
+            &format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"),
+            quiet,
+        );
         let printed = output::print_result(self.format, &report, || report.to_markdown());
         CliError::gate_first(check_accepted(&report), printed)
     }
@@ -190,9 +216,11 @@ impl Retrain {
 /// Returns an error about the preset under the given name: its file still contains the former name.
 fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
     match error {
-        RetrainError::PolicyMismatch { policy, what, .. } => {
-            RetrainError::PolicyMismatch { policy, preset: preset.to_owned(), what }
-        }
+        RetrainError::PolicyMismatch { policy, what, .. } => RetrainError::PolicyMismatch {
+            policy,
+            preset: preset.to_owned(),
+            what,
+        },
         other => other,
     }
 }
@@ -200,12 +228,19 @@ fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
 fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     let collisions = &report.retrained_results.paper;
     if !collisions.is_empty() {
-        return Err(CliError::Gate(format!("seed {}: the policy collides in {}", report.seed, collisions.join(", "))));
+        return Err(CliError::Gate(format!(
+            "seed {}: the policy collides in {}",
+            report.seed,
+            collisions.join(", ")
+        )));
     }
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
-    Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
+    Err(CliError::Gate(format!(
+        "no round was accepted: `{}` is unchanged",
+        report.first
+    )))
 }
 
 fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {

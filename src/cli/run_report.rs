@@ -78,7 +78,12 @@ struct Robustness(#[serde(with = "crumple_search::falsify::non_finite")] f64);
 impl From<FormulaPart> for PartReport {
     fn from(part: FormulaPart) -> Self {
         let robustness = part.robustness.iter().copied().map(Robustness).collect();
-        Self { depth: part.depth, formula: part.formula.to_string(), robustness, part }
+        Self {
+            depth: part.depth,
+            formula: part.formula.to_string(),
+            robustness,
+            part,
+        }
     }
 }
 
@@ -91,11 +96,18 @@ impl PartReport {
         let first = self.part.robustness.iter().position(is_violated);
         let last = self.part.robustness.iter().rposition(is_violated);
         let violated = match first.zip(last) {
-            Some((first, last)) => format!(", below 0 between {:.2} and {:.2} s", time_s(first), time_s(last)),
+            Some((first, last)) => format!(
+                ", below 0 between {:.2} and {:.2} s",
+                time_s(first),
+                time_s(last)
+            ),
             None => String::new(),
         };
         let (indent, formula) = ("  ".repeat(self.depth), &self.formula);
-        format!("    {indent}least {least:.3} at {:.2} s{violated}: {formula}", time_s(sample))
+        format!(
+            "    {indent}least {least:.3} at {:.2} s{violated}: {formula}",
+            time_s(sample)
+        )
     }
 }
 
@@ -109,12 +121,23 @@ pub(super) struct LaneChanges {
 
 pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     let mut text = String::new();
-    let RunReport { scenario: name, controller, estimator, dt_s, seed, .. } = report;
+    let RunReport {
+        scenario: name,
+        controller,
+        estimator,
+        dt_s,
+        seed,
+        ..
+    } = report;
     let mut line = |line: String| {
         text += &format!("{}\n", TerminalText(line.trim_end()));
     };
-    let plant = report.plant.map_or_else(String::new, |plant| format!(", plant {plant}"));
-    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}{plant}"));
+    let plant = report
+        .plant
+        .map_or_else(String::new, |plant| format!(", plant {plant}"));
+    line(format!(
+        "{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}{plant}"
+    ));
     if report.nondeterministic {
         line("  the controller declares that it is not deterministic: another run may give another result".to_owned());
     }
@@ -137,13 +160,22 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
         ));
     }
     if report.impacts.len() > 1 {
-        line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+        line(format!(
+            "  {} of {} vehicles involved",
+            report.vehicles_involved,
+            report.vehicles.len()
+        ));
     }
     for change in &report.lane_changes {
         line(format!("  {}", describe_lane_changes(change, scenario)));
     }
     for UnnecessaryBrakingReport { vehicle, braking } in &report.unnecessary_braking {
-        if let Some(BrakeInstant { time_s, brake_mps2, justified_mps2: caused_mps2 }) = braking.hardest {
+        if let Some(BrakeInstant {
+            time_s,
+            brake_mps2,
+            justified_mps2: caused_mps2,
+        }) = braking.hardest
+        {
             line(format!(
                 "  vehicle {vehicle} brakes unnecessarily for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² \
                  where {caused_mps2:.1} was necessary",
@@ -154,10 +186,20 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     for vehicle in &report.fell_behind {
         line(format!("  vehicle {vehicle} is left behind by its leader"));
     }
-    for SpecificationResult { specification, satisfied, robustness, parts } in &report.specifications {
+    for SpecificationResult {
+        specification,
+        satisfied,
+        robustness,
+        parts,
+    } in &report.specifications
+    {
         let verdict = if *satisfied { "holds" } else { "VIOLATED" };
-        line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
-        parts.iter().for_each(|part| line(part.describe(report.dt_s)));
+        line(format!(
+            "  {verdict}, robustness {robustness:.3}: {specification}"
+        ));
+        parts
+            .iter()
+            .for_each(|part| line(part.describe(report.dt_s)));
     }
     for index in 0..report.vehicles.len() {
         if let Some(message) = shield_line(report.interventions, index) {
@@ -169,12 +211,17 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
         "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
     ));
     for (index, (summary, vehicle)) in report.vehicles.iter().zip(scenario.vehicles()).enumerate() {
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let number =
+            |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
         let driver = match &vehicle.driver {
             Driver::UnderTest => (*controller).to_owned(),
             Driver::Controller(spec) => spec.to_arg(),
             Driver::Profile(profile) => profile.name().to_owned(),
-            Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            Driver::File(file) => Path::new(file.path())
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
         };
         line(format!(
             "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",
@@ -182,7 +229,11 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
             number(summary.min_gap_m),
             number(summary.min_ttc_s),
             number(Some(summary.max_brake_mps2)),
-            if summary.stopped { "standing" } else { "moving" }
+            if summary.stopped {
+                "standing"
+            } else {
+                "moving"
+            }
         ));
     }
     text
@@ -197,43 +248,94 @@ pub(super) fn describe_briefly(report: &RunReport<'_>) -> String {
             contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
         ),
         (_, None) => {
-            let least_m = report.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).reduce(f64::min);
-            format!("no collision{}", least_m.map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m")))
+            let least_m = report
+                .vehicles
+                .iter()
+                .filter_map(|vehicle| vehicle.min_gap_m)
+                .reduce(f64::min);
+            format!(
+                "no collision{}",
+                least_m.map_or(String::new(), |gap_m| format!(
+                    ", smallest gap {gap_m:.2} m"
+                ))
+            )
         }
     };
     let mut parts = vec![format!("{}: {end}", report.scenario)];
     if report.impacts.len() > 1 {
-        parts.push(format!("{} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+        parts.push(format!(
+            "{} of {} vehicles involved",
+            report.vehicles_involved,
+            report.vehicles.len()
+        ));
     }
-    let brakings = report.unnecessary_braking.iter().filter(|one| !one.braking.is_empty());
-    parts.extend(brakings.map(|UnnecessaryBrakingReport { vehicle, braking }| {
-        format!("vehicle {vehicle} brakes unnecessarily for {:.2} s", braking.time_s)
-    }));
-    parts.extend(report.fell_behind.iter().map(|vehicle| format!("vehicle {vehicle} is left behind by its leader")));
-    let violated = report.specifications.iter().filter(|evaluated| !evaluated.satisfied);
-    parts.extend(violated.map(|SpecificationResult { specification, robustness, .. }| {
-        format!("VIOLATED, robustness {robustness:.3}: {specification}")
-    }));
+    let brakings = report
+        .unnecessary_braking
+        .iter()
+        .filter(|one| !one.braking.is_empty());
+    parts.extend(
+        brakings.map(|UnnecessaryBrakingReport { vehicle, braking }| {
+            format!(
+                "vehicle {vehicle} brakes unnecessarily for {:.2} s",
+                braking.time_s
+            )
+        }),
+    );
+    parts.extend(
+        report
+            .fell_behind
+            .iter()
+            .map(|vehicle| format!("vehicle {vehicle} is left behind by its leader")),
+    );
+    let violated = report
+        .specifications
+        .iter()
+        .filter(|evaluated| !evaluated.satisfied);
+    parts.extend(violated.map(
+        |SpecificationResult {
+             specification,
+             robustness,
+             ..
+         }| { format!("VIOLATED, robustness {robustness:.3}: {specification}") },
+    ));
     format!("{}\n", TerminalText(&parts.join("; ")))
 }
 
 pub(super) fn lane_changes(scenario: &Scenario, result: &SimulationResult) -> Vec<LaneChanges> {
-    let Some(trace) = &result.trace else { return Vec::new() };
+    let Some(trace) = &result.trace else {
+        return Vec::new();
+    };
     let vehicles = scenario.vehicles().iter().zip(&trace.vehicles).enumerate();
-    let changes = vehicles.filter(|(_, (vehicle, _))| !vehicle.keeps_lane()).map(|(vehicle, (_, track))| {
-        let [entered_s, left_s] = track.in_lane_s.map(|time_s| Some(time_s).filter(|time_s| time_s.is_finite()));
-        LaneChanges { vehicle, entered_s, left_s }
-    });
+    let changes = vehicles
+        .filter(|(_, (vehicle, _))| !vehicle.keeps_lane())
+        .map(|(vehicle, (_, track))| {
+            let [entered_s, left_s] = track
+                .in_lane_s
+                .map(|time_s| Some(time_s).filter(|time_s| time_s.is_finite()));
+            LaneChanges {
+                vehicle,
+                entered_s,
+                left_s,
+            }
+        });
     changes.collect()
 }
 
 fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
-    let LaneChanges { vehicle, entered_s, left_s } = change;
-    let is_to =
-        |change: fn(&VehicleSpec) -> Option<LaneChange>| scenario.vehicles().get(*vehicle).and_then(change).is_some();
+    let LaneChanges {
+        vehicle,
+        entered_s,
+        left_s,
+    } = change;
+    let is_to = |change: fn(&VehicleSpec) -> Option<LaneChange>| {
+        scenario.vehicles().get(*vehicle).and_then(change).is_some()
+    };
     let entered = match (is_to(|vehicle| vehicle.enters), entered_s) {
         (true, Some(time_s)) => format!("enters the lane at {time_s:.2} s"),
-        (true, None) => "does not enter the lane: its trigger does not occur, or the lane has no room".to_owned(),
+        (true, None) => {
+            "does not enter the lane: its trigger does not occur, or the lane has no room"
+                .to_owned()
+        }
         (false, _) => String::new(),
     };
     let lane = if entered.is_empty() { "the lane" } else { "it" };
@@ -244,13 +346,22 @@ fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
         }
         _ => String::new(),
     };
-    let both = if entered.is_empty() || left.is_empty() { "" } else { " and " };
+    let both = if entered.is_empty() || left.is_empty() {
+        ""
+    } else {
+        " and "
+    };
     format!("vehicle {vehicle} {entered}{both}{left}")
 }
 
 /// Returns the unnecessary braking of the vehicles under test, front to rear.
-pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult) -> Vec<UnnecessaryBrakingReport> {
-    let Some(trace) = &result.trace else { return Vec::new() };
+pub(super) fn unnecessary_braking(
+    scenario: &Scenario,
+    result: &SimulationResult,
+) -> Vec<UnnecessaryBrakingReport> {
+    let Some(trace) = &result.trace else {
+        return Vec::new();
+    };
     let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
     let of = |vehicle| {
         let braking = UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)?;
@@ -260,10 +371,12 @@ pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult
 }
 
 pub(super) fn fell_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
-    let Some(trace) = &result.trace else { return Vec::new() };
+    let Some(trace) = &result.trace else {
+        return Vec::new();
+    };
     let is_left = |vehicle: &usize| {
-        let found =
-            UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
+        let found = UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle)
+            .and_then(|useful| useful.following);
         scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.fell_behind)
     };
     (0..trace.vehicles.len()).filter(is_left).collect()
@@ -271,14 +384,22 @@ pub(super) fn fell_behind(scenario: &Scenario, result: &SimulationResult) -> Vec
 
 /// Summarises the interventions of a vehicle's shield in one line; `None` without interventions.
 fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
-    let own = || interventions.iter().filter(move |one| one.vehicle == vehicle);
+    let own = || {
+        interventions
+            .iter()
+            .filter(move |one| one.vehicle == vehicle)
+    };
     let first_s = own().next()?.from_s;
     let braked_s: f64 = own().map(|one| one.to_s - one.from_s).sum();
     let times = match own().count() {
         1 => "once".to_owned(),
         n => format!("{n} times"),
     };
-    let outside = if own().any(|one| one.outside_kernel) { "; the state was outside the safety kernel" } else { "" };
+    let outside = if own().any(|one| one.outside_kernel) {
+        "; the state was outside the safety kernel"
+    } else {
+        ""
+    };
     let rear = match own().any(|one| one.rear_conflict) {
         true => "; while it braked, no command was safe for both the leader and the follower",
         false => "",

@@ -62,7 +62,9 @@ pub(super) struct TotalReport {
 
 impl RunTotal {
     pub(super) fn new(runs: &[RunFindings], has_specifications: bool) -> Self {
-        let count = |is_counted: &dyn Fn(&RunFindings) -> bool| runs.iter().filter(|run| is_counted(run)).count();
+        let count = |is_counted: &dyn Fn(&RunFindings) -> bool| {
+            runs.iter().filter(|run| is_counted(run)).count()
+        };
         let ends = |end: RunEnd| count(&|run| run.end == end);
         Self {
             scenarios: runs.len(),
@@ -81,17 +83,29 @@ impl RunTotal {
     pub(super) fn describe(&self, controller: &str, estimator: &str) -> String {
         let ends = [
             (self.no_collision, "no collision"),
-            (self.ego_hits_leader, "COLLISION: the ego vehicle hits its leader"),
-            (self.ego_hit_from_behind, "COLLISION: the ego vehicle is hit from behind"),
+            (
+                self.ego_hits_leader,
+                "COLLISION: the ego vehicle hits its leader",
+            ),
+            (
+                self.ego_hit_from_behind,
+                "COLLISION: the ego vehicle is hit from behind",
+            ),
             (self.others_collide, "COLLISION of other vehicles"),
             (self.controller_failed, "CONTROLLER FAILED"),
             (self.brakes_unnecessarily, "unnecessary braking"),
             (self.fell_behind, "ego vehicle left behind by its leader"),
-            (self.violated.unwrap_or_default(), "VIOLATED: a specification"),
+            (
+                self.violated.unwrap_or_default(),
+                "VIOLATED: a specification",
+            ),
         ];
         let all = self.scenarios;
         let scenarios = if all == 1 { "scenario" } else { "scenarios" };
-        let mut text = format!("total of {all} {scenarios}: {}, estimator {estimator}\n", TerminalText(controller));
+        let mut text = format!(
+            "total of {all} {scenarios}: {}, estimator {estimator}\n",
+            TerminalText(controller)
+        );
         for (index, (count, what)) in ends.into_iter().enumerate() {
             if count > 0 || index == 0 {
                 // Writing to a string does not fail.

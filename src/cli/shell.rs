@@ -33,7 +33,11 @@ impl Completions {
         let mut commands = with_built_in_names(commands);
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut commands, name, &mut script);
-        output::print(&with_files(self.shell, &String::from_utf8_lossy(&script), &commands))
+        output::print(&with_files(
+            self.shell,
+            &String::from_utf8_lossy(&script),
+            &commands,
+        ))
     }
 }
 
@@ -47,7 +51,12 @@ enum NamedItems {
 }
 
 impl NamedItems {
-    const ALL: [Self; 4] = [Self::Controllers, Self::Scenarios, Self::Spaces, Self::Methods];
+    const ALL: [Self; 4] = [
+        Self::Controllers,
+        Self::Scenarios,
+        Self::Spaces,
+        Self::Methods,
+    ];
 
     fn of_argument(command: &str, argument: &Arg) -> Option<Self> {
         match (command, argument.get_id().as_str()) {
@@ -62,9 +71,19 @@ impl NamedItems {
 
     fn names(self) -> Vec<&'static str> {
         match self {
-            Self::Controllers => ControllerSpec::all().iter().map(ControllerSpec::name).collect(),
-            Self::Scenarios => built_in_scenario_names().iter().map(|(name, _)| *name).collect(),
-            Self::Spaces => BUILT_IN_SPACES.iter().chain(&HUMAN_SPACES).map(|(name, ..)| *name).collect(),
+            Self::Controllers => ControllerSpec::all()
+                .iter()
+                .map(ControllerSpec::name)
+                .collect(),
+            Self::Scenarios => built_in_scenario_names()
+                .iter()
+                .map(|(name, _)| *name)
+                .collect(),
+            Self::Spaces => BUILT_IN_SPACES
+                .iter()
+                .chain(&HUMAN_SPACES)
+                .map(|(name, ..)| *name)
+                .collect(),
             Self::Methods => Method::ALL.iter().map(Method::name).collect(),
         }
     }
@@ -77,7 +96,9 @@ fn with_built_in_names(command: Command) -> Command {
         Some(items) => argument.value_parser(PossibleValuesParser::new(items.names())),
         None => argument,
     };
-    command.mut_args(complete).mut_subcommands(with_built_in_names)
+    command
+        .mut_args(complete)
+        .mut_subcommands(with_built_in_names)
 }
 
 /// Returns the script with files beside the built-in names. The script for bash offers them if no name fits.
@@ -86,7 +107,10 @@ fn with_files(shell: Shell, script: &str, commands: &Command) -> String {
     match shell {
         Shell::Zsh => lists.iter().fold(script.to_owned(), |script, names| {
             let names = names.join(" ");
-            script.replace(&format!(":({names})"), &format!(":{{compadd -- {names}; _files}}"))
+            script.replace(
+                &format!(":({names})"),
+                &format!(":{{compadd -- {names}; _files}}"),
+            )
         }),
         Shell::Fish => {
             let script = lists.iter().fold(script.to_owned(), |script, names| {
@@ -104,10 +128,14 @@ fn fish_positionals(commands: &Command) -> String {
     let mut text = String::new();
     for command in commands.get_subcommands() {
         let name = command.get_name();
-        let items = command.get_positionals().filter_map(|argument| NamedItems::of_argument(name, argument));
+        let items = command
+            .get_positionals()
+            .filter_map(|argument| NamedItems::of_argument(name, argument));
         for items in items {
             let names = items.names().join(" ");
-            text += &format!("complete -c crumple -n \"__fish_crumple_using_subcommand {name}\" -a \"{names}\"\n");
+            text += &format!(
+                "complete -c crumple -n \"__fish_crumple_using_subcommand {name}\" -a \"{names}\"\n"
+            );
         }
     }
     text
@@ -128,22 +156,35 @@ impl Man {
         commands.build();
         let mut pages = Vec::new();
         render_pages(commands, &mut pages)?;
-        OutputFolder::with_listing(&self.out, "crumple-man.sha256")?.write(&pages, EarlierFiles::Replace)?;
-        output::note(&format!("wrote {} pages to {}", pages.len(), self.out.display()), quiet);
+        OutputFolder::with_listing(&self.out, "crumple-man.sha256")?
+            .write(&pages, EarlierFiles::Replace)?;
+        output::note(
+            &format!("wrote {} pages to {}", pages.len(), self.out.display()),
+            quiet,
+        );
         Ok(())
     }
 }
 
 /// Renders the pages of a command and its subcommands, by file name.
 fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), CliError> {
-    let below: Vec<Command> =
-        command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
+    let below: Vec<Command> = command
+        .get_subcommands()
+        .filter(|below| !below.is_hide_set() && below.get_name() != "help")
+        .cloned()
+        .collect();
     // The usage of `--help`: the synopsis of clap_mangen omits the values of options and does not mark required ones.
     let usage = command.render_usage().to_string();
-    let usage = usage.strip_prefix("Usage:").unwrap_or(&usage).trim().to_owned();
+    let usage = usage
+        .strip_prefix("Usage:")
+        .unwrap_or(&usage)
+        .trim()
+        .to_owned();
     let page = clap_mangen::Man::new(command.override_usage(usage));
     let mut text = Vec::new();
     page.render(&mut text).map_err(CliError::input)?;
     pages.push((page.get_filename(), text));
-    below.into_iter().try_for_each(|command| render_pages(command, pages))
+    below
+        .into_iter()
+        .try_for_each(|command| render_pages(command, pages))
 }

@@ -9,8 +9,12 @@ use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
 use crumple_suites::SHIPPED_SUITES;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
-use crumple_world::scenario::{Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file};
+use crumple_world::scenario::space::{
+    BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file,
+};
+use crumple_world::scenario::{
+    Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
+};
 use crumple_world::sim::NamedController;
 
 /// Print a built-in item as a file that a user could write
@@ -56,7 +60,8 @@ enum BuiltInKind {
 
 impl BuiltInKind {
     fn name(self) -> String {
-        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+        self.to_possible_value()
+            .map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// Returns the name and the text of each built-in file of this kind.
@@ -68,25 +73,38 @@ impl BuiltInKind {
                 let all = built_in_scenario_names()
                     .into_iter()
                     .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
-                all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, CliError>>()?
+                all.map(|(name, scenario)| Ok((name, text(&scenario)?)))
+                    .collect::<Result<_, CliError>>()?
             }
             Self::Space => {
                 let variant = |(name, ..): (&'static str, _, _)| {
                     let text = built_in_space(name).map(|space| space_file::to_toml(&space));
-                    Ok((name, text.transpose().map_err(CliError::input)?.unwrap_or_default()))
+                    Ok((
+                        name,
+                        text.transpose()
+                            .map_err(CliError::input)?
+                            .unwrap_or_default(),
+                    ))
                 };
-                let shipped = BUILT_IN_SPACES.into_iter().map(|(name, _, text)| Ok(owned((name, text))));
-                shipped.chain(HUMAN_SPACES.into_iter().map(variant)).collect::<Result<_, CliError>>()?
+                let shipped = BUILT_IN_SPACES
+                    .into_iter()
+                    .map(|(name, _, text)| Ok(owned((name, text))));
+                shipped
+                    .chain(HUMAN_SPACES.into_iter().map(variant))
+                    .collect::<Result<_, CliError>>()?
             }
-            Self::Preset => {
-                PRESETS.into_iter().chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]).map(owned).collect()
-            }
+            Self::Preset => PRESETS
+                .into_iter()
+                .chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)])
+                .map(owned)
+                .collect(),
             Self::Suite => SHIPPED_SUITES.map(owned).into(),
             Self::Map => BUILT_IN_MAPS.map(owned).into(),
             Self::Box => BUILT_IN_BOXES.map(owned).into(),
-            Self::VehicleClass => {
-                VehicleClass::ALL.iter().map(|class| (class.name(), vehicle_class_toml(*class))).collect()
-            }
+            Self::VehicleClass => VehicleClass::ALL
+                .iter()
+                .map(|class| (class.name(), vehicle_class_toml(*class)))
+                .collect(),
         })
     }
 }
@@ -113,20 +131,33 @@ impl Show {
                 let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
                 known.push(format!("{}: {}", kind.name(), names.join(", ")));
                 found.extend(
-                    files.into_iter().filter(|(name, _)| *name == self.name).map(|(_, text)| (kind.name(), text)),
+                    files
+                        .into_iter()
+                        .filter(|(name, _)| *name == self.name)
+                        .map(|(_, text)| (kind.name(), text)),
                 );
             }
         }
         let Some(((first, text), others)) = found.split_first() else {
             let problem = match NamedController::find_built_in(&self.name) {
-                Some(_) => format!("`{}` is a built-in controller, which has no file (see `crumple list`)", self.name),
-                None => format!("there is no built-in file `{}`. Names: {}", self.name, known.join("; ")),
+                Some(_) => format!(
+                    "`{}` is a built-in controller, which has no file (see `crumple list`)",
+                    self.name
+                ),
+                None => format!(
+                    "there is no built-in file `{}`. Names: {}",
+                    self.name,
+                    known.join("; ")
+                ),
             };
             return Err(CliError::Input(problem));
         };
         for (other, _) in others {
             output::note(
-                &format!("note: this is the {first}; --kind {other} shows the {other} `{}`", self.name),
+                &format!(
+                    "note: this is the {first}; --kind {other} shows the {other} `{}`",
+                    self.name
+                ),
                 quiet,
             );
         }

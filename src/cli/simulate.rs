@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 
 use super::output;
 use super::run_report::{
-    PartReport, RunReport, SpecificationResult, describe, describe_briefly, fell_behind, lane_changes,
-    unnecessary_braking,
+    PartReport, RunReport, SpecificationResult, describe, describe_briefly, fell_behind,
+    lane_changes, unnecessary_braking,
 };
 use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 use super::{CliError, args, feature, value_enums};
@@ -21,8 +21,8 @@ use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PlantKind, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
-    simulate_batch,
+    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult,
+    Trace, simulate, simulate_batch,
 };
 
 /// Run scenarios and print their outcomes
@@ -182,17 +182,32 @@ impl Simulate {
     pub(super) fn run(mut self, quiet: bool) -> Result<(), CliError> {
         let has_folder = self.scenarios.iter().any(|name| is_folder(name));
         self.scenarios = list_scenario_files(self.scenarios)?;
-        if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
-            return Err(CliError::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
+        if self.spec.is_empty()
+            && matches!(
+                self.expect,
+                Some(RunExpectation::Satisfied | RunExpectation::Violated)
+            )
+        {
+            return Err(CliError::Input(
+                "--expect: `satisfied` and `violated` need a --spec".to_owned(),
+            ));
         }
         // `*.toml` matches the recorded verdicts in folders of version 0.1.0.
         let is_verdicts = |name: &str| {
-            Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(Path::new(name)).is_ok()
+            Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME)
+                && ExpectedFile::load(Path::new(name)).is_ok()
         };
-        let names = self.scenarios.iter().filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
-        let scenarios = names.map(|name| self.load_scenario(name)).collect::<Result<Vec<_>, _>>()?;
+        let names = self
+            .scenarios
+            .iter()
+            .filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
+        let scenarios = names
+            .map(|name| self.load_scenario(name))
+            .collect::<Result<Vec<_>, _>>()?;
         if let Some(scenario) = scenarios.first() {
-            self.spec.iter().try_for_each(|text| args::parse_specification(text, scenario, quiet).map(drop))?;
+            self.spec
+                .iter()
+                .try_for_each(|text| args::parse_specification(text, scenario, quiet).map(drop))?;
         }
         self.note_other_controllers(quiet);
         let options = self.run_options();
@@ -200,10 +215,19 @@ impl Simulate {
             let failed = |error| CliError::Input(format!("{}: {error}", scenario.spec().name));
             Run::new(scenario, options.clone()).map_err(failed)
         };
-        let runs = scenarios.iter().map(prepare).collect::<Result<Vec<_>, _>>()?;
-        for scenario in scenarios.iter().filter(|scenario| !scenario.has_vehicle_under_test()) {
+        let runs = scenarios
+            .iter()
+            .map(prepare)
+            .collect::<Result<Vec<_>, _>>()?;
+        for scenario in scenarios
+            .iter()
+            .filter(|scenario| !scenario.has_vehicle_under_test())
+        {
             let name = &scenario.spec().name;
-            output::note(&format!("note: {name} has no vehicle under test, so --controller has no effect"), quiet);
+            output::note(
+                &format!("note: {name} has no vehicle under test, so --controller has no effect"),
+                quiet,
+            );
         }
         let many = runs.len() > 1;
         let is_brief = has_folder && !self.details;
@@ -258,9 +282,13 @@ impl Simulate {
             end: RunEnd::new(&simulated.outcome, run.scenario()),
             brakes_unnecessarily: evaluated.iter().any(|one| !one.braking.is_empty()),
             fell_behind: !report.fell_behind.is_empty(),
-            violated: report.specifications.iter().any(|evaluated| !evaluated.satisfied),
+            violated: report
+                .specifications
+                .iter()
+                .any(|evaluated| !evaluated.satisfied),
         };
-        let is_useful = !evaluated.is_empty() && !findings.brakes_unnecessarily && !findings.fell_behind;
+        let is_useful =
+            !evaluated.is_empty() && !findings.brakes_unnecessarily && !findings.fell_behind;
         let text = match self.format {
             OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
             OutputFormat::Text if is_brief => describe_briefly(&report),
@@ -272,7 +300,10 @@ impl Simulate {
             if let Some(path) = &self.plot {
                 let (scenario, controller) = (run.scenario(), &self.controller.name);
                 let mut figure = draw_motion(scenario, controller, trace, &simulated.impacts);
-                let parts = report.specifications.iter().flat_map(|evaluated| &evaluated.parts);
+                let parts = report
+                    .specifications
+                    .iter()
+                    .flat_map(|evaluated| &evaluated.parts);
                 let parts: Vec<_> = parts.map(|report| report.part.clone()).collect();
                 if !parts.is_empty() {
                     figure = draw::add_robustness("motion", &figure, &parts, run.dt_s());
@@ -287,20 +318,38 @@ impl Simulate {
                 files.push((path_for_scenario(path, name), table?));
             }
         }
-        Ok(RenderedRun { text, files, is_useful, collided: !simulated.impacts.is_empty(), findings })
+        Ok(RenderedRun {
+            text,
+            files,
+            is_useful,
+            collided: !simulated.impacts.is_empty(),
+            findings,
+        })
     }
 
     /// Notes which scenario files are recorded with other controllers than the present one.
     fn note_other_controllers(&self, quiet: bool) {
         let mut records = VerdictRecordReader::default();
-        for name in self.scenarios.iter().filter(|name| built_in_scenario(name).is_none()) {
+        for name in self
+            .scenarios
+            .iter()
+            .filter(|name| built_in_scenario(name).is_none())
+        {
             // Ignore records that cannot be read.
-            let Ok(Some(recorded)) = records.find(Path::new(name)) else { continue };
-            let others: Vec<_> = recorded.by_controller().iter().map(|verdict| verdict.controller.as_str()).collect();
+            let Ok(Some(recorded)) = records.find(Path::new(name)) else {
+                continue;
+            };
+            let others: Vec<_> = recorded
+                .by_controller()
+                .iter()
+                .map(|verdict| verdict.controller.as_str())
+                .collect();
             if !others.contains(&self.controller.name.as_str()) {
                 let (own, others) = (&self.controller.name, others.join("` and `"));
                 output::note(
-                    &format!("note: {name} was recorded with `{others}`, but is simulated with `{own}`"),
+                    &format!(
+                        "note: {name} was recorded with `{others}`, but is simulated with `{own}`"
+                    ),
                     quiet,
                 );
             }
@@ -311,13 +360,15 @@ impl Simulate {
         let scenario = args::load_scenario(name)?;
         let scenario = match self.seed {
             None => scenario,
-            Some(seed) => {
-                scenario.edited(|spec| spec.seed = seed).map_err(|e| CliError::Input(format!("--seed: {e}")))?
-            }
+            Some(seed) => scenario
+                .edited(|spec| spec.seed = seed)
+                .map_err(|e| CliError::Input(format!("--seed: {e}")))?,
         };
         match self.plant {
             None => Ok(scenario),
-            Some(plant) => scenario.with_plant(plant).map_err(|error| CliError::Input(format!("--plant: {error}"))),
+            Some(plant) => scenario
+                .with_plant(plant)
+                .map_err(|error| CliError::Input(format!("--plant: {error}"))),
         }
     }
 
@@ -331,11 +382,16 @@ impl Simulate {
         }
     }
 
-    fn report<'a>(&'a self, run: &'a Run, result: &'a SimulationResult) -> Result<RunReport<'a>, CliError> {
+    fn report<'a>(
+        &'a self,
+        run: &'a Run,
+        result: &'a SimulationResult,
+    ) -> Result<RunReport<'a>, CliError> {
         let scenario = run.scenario();
         let spec = scenario.spec();
-        let specifications =
-            self.check_specifications(scenario).map_err(|error| CliError::Input(format!("--spec: {error}")))?;
+        let specifications = self
+            .check_specifications(scenario)
+            .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
         Ok(RunReport {
             scenario: &spec.name,
             controller: &self.controller.name,
@@ -357,16 +413,27 @@ impl Simulate {
     }
 
     /// Evaluates the specifications; those that need the same kind of run share one.
-    fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<SpecificationResult>, SpecificationError> {
+    fn check_specifications(
+        &self,
+        scenario: &Scenario,
+    ) -> Result<Vec<SpecificationResult>, SpecificationError> {
         let mut runs: Vec<(Run, RecordingLevel, SimulationResult)> = Vec::new();
         let evaluate = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
-            let (keep, after_contact) = (specification.recording_level(), specification.after_contact());
-            let known = |(run, kept, _): &_| (*kept, Run::options(run).after_contact) == (keep, after_contact);
+            let (keep, after_contact) = (
+                specification.recording_level(),
+                specification.after_contact(),
+            );
+            let known = |(run, kept, _): &_| {
+                (*kept, Run::options(run).after_contact) == (keep, after_contact)
+            };
             let index = match runs.iter().position(known) {
                 Some(index) => index,
                 None => {
-                    let run = Run::new(scenario, self.run_options().with_after_contact(after_contact))?;
+                    let run = Run::new(
+                        scenario,
+                        self.run_options().with_after_contact(after_contact),
+                    )?;
                     let result = simulate(&run, keep);
                     runs.push((run, keep, result));
                     runs.len() - 1
@@ -374,22 +441,41 @@ impl Simulate {
             };
             let verdict = specification.evaluate(&runs[index].0, &runs[index].2)?;
             let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
-            let parts =
-                if self.parts { specification.parts_over_time(&runs[index].0, &runs[index].2)? } else { Vec::new() };
+            let parts = if self.parts {
+                specification.parts_over_time(&runs[index].0, &runs[index].2)?
+            } else {
+                Vec::new()
+            };
             let parts = parts.into_iter().map(PartReport::from).collect();
-            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness, parts })
+            Ok(SpecificationResult {
+                specification: specification.to_string(),
+                satisfied,
+                robustness,
+                parts,
+            })
         };
         self.spec.iter().map(evaluate).collect()
     }
 
     fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {
-        let Some(expected) = self.expect else { return Ok(()) };
-        let otherwise = runs.iter().zip(results).filter(|(_, result)| !expected.is_met(result));
-        let otherwise: Vec<_> = otherwise.map(|(run, _)| run.scenario().spec().name.as_str()).collect();
+        let Some(expected) = self.expect else {
+            return Ok(());
+        };
+        let otherwise = runs
+            .iter()
+            .zip(results)
+            .filter(|(_, result)| !expected.is_met(result));
+        let otherwise: Vec<_> = otherwise
+            .map(|(run, _)| run.scenario().spec().name.as_str())
+            .collect();
         if otherwise.is_empty() {
             return Ok(());
         }
-        Err(CliError::Gate(format!("expected {} in {}", expected.description(), otherwise.join(", "))))
+        Err(CliError::Gate(format!(
+            "expected {} in {}",
+            expected.description(),
+            otherwise.join(", ")
+        )))
     }
 }
 
@@ -407,9 +493,15 @@ fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
         }
         let found = file::load_all(Path::new(&name))?;
         if found.is_empty() {
-            return Err(CliError::Input(format!("{name}: the folder has no scenario file")));
+            return Err(CliError::Input(format!(
+                "{name}: the folder has no scenario file"
+            )));
         }
-        files.extend(found.into_iter().map(|(path, _)| path.to_string_lossy().into_owned()));
+        files.extend(
+            found
+                .into_iter()
+                .map(|(path, _)| path.to_string_lossy().into_owned()),
+        );
     }
     Ok(files)
 }
@@ -428,7 +520,13 @@ pub(super) fn render_motion_figure(
 fn draw_motion(scenario: &Scenario, controller: &str, trace: &Trace, impacts: &[Impact]) -> Svg {
     let title = format!("{}, {controller}", scenario.spec().name);
     let labels = draw::vehicle_names(scenario);
-    let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
+    let figure = MotionFigure {
+        prefix: "motion",
+        title: &title,
+        labels: &labels,
+        trace,
+        impacts,
+    };
     draw::draw_motion(&figure, PanelArrangement::Wide)
 }
 
@@ -440,11 +538,15 @@ fn encode_figure(path: &Path, picture: &Svg) -> Result<Vec<u8>, CliError> {
 }
 
 /// Parses a path with one of two extensions, in a format that this build writes.
-pub(super) fn path_ending_in(extensions: [&'static str; 2]) -> impl TypedValueParser<Value = PathBuf> {
+pub(super) fn path_ending_in(
+    extensions: [&'static str; 2],
+) -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(move |path| {
         let [one, other] = extensions;
         match extension(&path) {
-            Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| path),
+            Some(found) if extensions.contains(&found) => {
+                feature::require_format(found).map(|()| path)
+            }
             _ => Err(format!("must end in .{one} or .{other}")),
         }
     })
@@ -456,9 +558,19 @@ fn extension(path: &Path) -> Option<&str> {
 
 /// Inserts a scenario's name before the extension of `path`.
 fn path_for_scenario(path: &Path, name: Option<&str>) -> PathBuf {
-    let (Some(name), Some(stem), Some(extension)) = (name, path.file_stem(), extension(path)) else {
+    let (Some(name), Some(stem), Some(extension)) = (name, path.file_stem(), extension(path))
+    else {
         return path.to_owned();
     };
-    let plain: String = name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' }).collect();
+    let plain: String = name
+        .chars()
+        .map(|c| {
+            if c.is_alphanumeric() || "-_.".contains(c) {
+                c
+            } else {
+                '-'
+            }
+        })
+        .collect();
     path.with_file_name(format!("{}-{plain}.{extension}", stem.to_string_lossy()))
 }

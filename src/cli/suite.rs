@@ -97,22 +97,41 @@ struct SuiteTable {
 
 impl SuiteTable {
     fn run(self) -> Result<(), CliError> {
-        let controllers = if self.controllers.is_empty() { default_controllers()? } else { self.controllers };
+        let controllers = if self.controllers.is_empty() {
+            default_controllers()?
+        } else {
+            self.controllers
+        };
         check_unique_names(&controllers)?;
-        let run =
-            |(name, _): &(&str, &str)| run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input);
-        let results = SHIPPED_SUITES.iter().map(run).collect::<Result<Vec<_>, CliError>>()?;
+        let run = |(name, _): &(&str, &str)| {
+            run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input)
+        };
+        let results = SHIPPED_SUITES
+            .iter()
+            .map(run)
+            .collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
             super::simulate::OutputFormat::Json => results.iter().try_for_each(output::print_json),
-            super::simulate::OutputFormat::Text => output::print(&suite::render_markdown_table(&results)),
+            super::simulate::OutputFormat::Text => {
+                output::print(&suite::render_markdown_table(&results))
+            }
         }
     }
 }
 
 fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
-    let names = || controllers.iter().map(|controller| controller.name.as_str());
-    match names().enumerate().find(|(place, name)| names().take(*place).any(|before| before == *name)) {
-        Some((_, name)) => Err(CliError::Input(format!("--controller: `{name}` is named twice"))),
+    let names = || {
+        controllers
+            .iter()
+            .map(|controller| controller.name.as_str())
+    };
+    match names()
+        .enumerate()
+        .find(|(place, name)| names().take(*place).any(|before| before == *name))
+    {
+        Some((_, name)) => Err(CliError::Input(format!(
+            "--controller: `{name}` is named twice"
+        ))),
         None => Ok(()),
     }
 }
@@ -122,8 +141,13 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
     let all = ControllerSpec::all();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
-    let names = all.iter().map(|spec| spec.name().to_owned()).chain(shielded);
-    names.map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::from_cause)).collect()
+    let names = all
+        .iter()
+        .map(|spec| spec.name().to_owned())
+        .chain(shielded);
+    names
+        .map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::from_cause))
+        .collect()
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -160,7 +184,10 @@ fn find_suite(name: &str) -> Result<TestSuite, CliError> {
     let path = Path::new(name);
     if path.extension().is_none() && !path.exists() {
         let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
-        return Err(CliError::Input(format!("`{name}` is neither a suite ({}) nor a file", known.join(", "))));
+        return Err(CliError::Input(format!(
+            "`{name}` is neither a suite ({}) nor a file",
+            known.join(", ")
+        )));
     }
     Ok(TestSuite::load(path)?)
 }
@@ -180,7 +207,8 @@ fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
         let _ = writeln!(text, "Not shipped: {document}; {why}.");
         absent.push(serde_json::json!({ "document": document, "why": why }));
     }
-    let all = serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
+    let all =
+        serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
     output::print_result(format, &all, || format!("{text}{DISCLAIMER}\n"))
 }
 
@@ -195,10 +223,16 @@ impl RunSuite {
             suite_folder::write(&result, folder, quiet)?;
         }
         let text = render(&result, self.out.as_deref(), self.format)?;
-        let has_failed =
-            result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
+        let has_failed = result.tests().any(|(_, test)| {
+            test.controllers
+                .iter()
+                .any(|one| one.failures().next().is_some())
+        });
         if has_failed && self.out.is_none() {
-            output::note("note: --out FOLDER writes the failed scenarios, for replay", quiet);
+            output::note(
+                "note: --out FOLDER writes the failed scenarios, for replay",
+                quiet,
+            );
         }
         let printed = match self.format {
             SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
@@ -210,23 +244,30 @@ impl RunSuite {
     fn check_expectation(&self, result: &SuiteResult) -> Result<(), CliError> {
         let missed = result.tests().flat_map(|(_, test)| {
             let missed = test.controllers.iter().filter(|tested| {
-                !tested.is_passed() && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
+                !tested.is_passed()
+                    && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
             });
             missed.map(move |tested| format!("{} ({})", test.name, tested.controller))
         });
         let missed: Vec<_> = missed.collect();
         match self.expect {
-            Some(SuiteExpectation::Passed) if !missed.is_empty() => {
-                Err(CliError::Gate(format!("expected every test to pass, but these fail: {}", missed.join(", "))))
-            }
+            Some(SuiteExpectation::Passed) if !missed.is_empty() => Err(CliError::Gate(format!(
+                "expected every test to pass, but these fail: {}",
+                missed.join(", ")
+            ))),
             _ => Ok(()),
         }
     }
 }
 
-fn render(result: &SuiteResult, out: Option<&Path>, format: SuiteFormat) -> Result<String, CliError> {
-    let replay =
-        |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
+fn render(
+    result: &SuiteResult,
+    out: Option<&Path>,
+    format: SuiteFormat,
+) -> Result<String, CliError> {
+    let replay = |failed: &FailedPoint, tested: &ControllerResult| {
+        replay_command(out?, failed, tested, result.estimator)
+    };
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
@@ -241,7 +282,17 @@ fn replay_command(
     estimator: EstimatorKind,
 ) -> Option<String> {
     let path = out.join(format!("{}.toml", failed.scenario_name));
-    let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
-    let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();
+    let words = [
+        "simulate",
+        path.to_str()?,
+        "--controller",
+        &tested.controller,
+        "--estimator",
+        estimator.name(),
+    ];
+    let words: Vec<_> = words
+        .iter()
+        .map(|word| ShellWord(word).to_string())
+        .collect();
     Some(format!("crumple {}", words.join(" ")))
 }

@@ -22,22 +22,39 @@ pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<
         let text = file::to_toml(&one.scenario).map_err(CliError::input)?;
         Ok((format!("{}.toml", one.scenario_name), text.into_bytes()))
     };
-    let failed = tested.flat_map(ControllerResult::failures).map(text).collect::<Result<BTreeMap<_, _>, CliError>>()?;
+    let failed = tested
+        .flat_map(ControllerResult::failures)
+        .map(text)
+        .collect::<Result<BTreeMap<_, _>, CliError>>()?;
     let failed: Vec<_> = failed.into_iter().collect();
     open(folder)?.write(&failed, EarlierFiles::Replace)?;
-    note_other_files(folder, &failed.iter().map(|(name, _)| name.as_str()).collect(), quiet)
+    note_other_files(
+        folder,
+        &failed.iter().map(|(name, _)| name.as_str()).collect(),
+        quiet,
+    )
 }
 
 /// Notes the scenario files in a folder that are not of this run.
 fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), CliError> {
-    let entries = fs::read_dir(folder).map_err(DiskError::at(folder))?.flatten();
+    let entries = fs::read_dir(folder)
+        .map_err(DiskError::at(folder))?
+        .flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let others: BTreeSet<String> =
-        names.filter(|name| name.ends_with(".toml") && !own.contains(name.as_str())).collect();
+    let others: BTreeSet<String> = names
+        .filter(|name| name.ends_with(".toml") && !own.contains(name.as_str()))
+        .collect();
     if let Some(first) = others.first() {
-        let more = if others.len() > 1 { format!(" and {} more", others.len() - 1) } else { String::new() };
+        let more = if others.len() > 1 {
+            format!(" and {} more", others.len() - 1)
+        } else {
+            String::new()
+        };
         output::note(
-            &format!("note: {}: {first}{more}: not written by this run, and unchanged", folder.display()),
+            &format!(
+                "note: {}: {first}{more}: not written by this run, and unchanged",
+                folder.display()
+            ),
             quiet,
         );
     }

@@ -15,8 +15,9 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    EvaluationSet, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent, TrainingFolder,
-    TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map, read_finished_trainings, seed_folder,
+    EvaluationSet, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent,
+    TrainingFolder, TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map,
+    read_finished_trainings, seed_folder,
 };
 use crumple_store::disk;
 use crumple_store::run_folder;
@@ -85,7 +86,12 @@ pub(super) struct Train {
 
 fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     let (space, weight) = args::parse_weighted_name(words)?;
-    Ok(TrainingSpace { space, weight, cost_multiplier: 1.0, uniform_share: 0.0 })
+    Ok(TrainingSpace {
+        space,
+        weight,
+        cost_multiplier: 1.0,
+        uniform_share: 0.0,
+    })
 }
 
 /// Contents of `training.json`: all finished trainings in the folder.
@@ -104,9 +110,15 @@ impl Train {
             None => vec![self.seed.unwrap_or(0)],
         };
         let folder = |seed: &u64| seed_folder(&self.out, *seed);
-        if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
+        if let Some(taken) = seeds
+            .iter()
+            .map(folder)
+            .find(|folder| !self.resume && folder.exists())
+        {
             let taken = taken.display();
-            return Err(CliError::Input(format!("{taken} exists: use --resume, or another --out")));
+            return Err(CliError::Input(format!(
+                "{taken} exists: use --resume, or another --out"
+            )));
         }
         disk::make_folder(&self.out)?;
         // Fail before training if existing results conflict.
@@ -117,7 +129,10 @@ impl Train {
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         refuse_other_work(&self.out)?;
         // Seeds may be added to existing ones; without any, a misspelt --out is likely.
-        if !seeds.iter().any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed))) {
+        if !seeds
+            .iter()
+            .any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed)))
+        {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
         }
         let held_out = EvaluationSet::from_config(&config)?;
@@ -141,7 +156,9 @@ impl Train {
         let mut printed = Ok(());
         if !done.is_empty() {
             run_folder::with_folder_lock(&self.out, || write_results(&self.out, &config, quiet))?;
-            printed = output::print_result(self.format, &done, || format_table(&done, config.evaluation.ranking_draws));
+            printed = output::print_result(self.format, &done, || {
+                format_table(&done, config.evaluation.ranking_draws)
+            });
         }
         CliError::gate_first(failure.map_or_else(|| check_learned(&done), Err), printed)
     }
@@ -163,13 +180,23 @@ impl Train {
 
     /// Returns an error about scenario spaces that options name, in terms of the option.
     fn option_error(&self, error: &TrainingConfigError) -> CliError {
-        let (TrainingConfigError::Field { field, .. } | TrainingConfigError::Range { field, .. }) = error else {
+        let (TrainingConfigError::Field { field, .. } | TrainingConfigError::Range { field, .. }) =
+            error
+        else {
             return CliError::Input(format!("--space: {error}"));
         };
-        let index = field.strip_prefix("spaces[").and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
+        let index = field
+            .strip_prefix("spaces[")
+            .and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
         let message = error.to_string();
-        let message = message.strip_prefix(&format!("{field}: ")).unwrap_or(&message);
-        let weight = if field.ends_with(".weight") { "the weight " } else { "" };
+        let message = message
+            .strip_prefix(&format!("{field}: "))
+            .unwrap_or(&message);
+        let weight = if field.ends_with(".weight") {
+            "the weight "
+        } else {
+            ""
+        };
         match index.and_then(|index| self.space.get(index)) {
             Some(share) => CliError::Input(format!("--space {}: {weight}{message}", share.space)),
             None => CliError::Input(format!("--space: {message}")),
@@ -186,7 +213,12 @@ impl Train {
         let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
         bar.inc(training.episode());
         let shown = Mutex::new(SeedProgress::new(seed, bar));
-        let show = |event: &TrainingEvent| shown.lock().unwrap_or_else(PoisonError::into_inner).update(event);
+        let show = |event: &TrainingEvent| {
+            shown
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .update(event)
+        };
         let result = training.train(held_out, &Listener(show))?;
         bar.inc(config.episodes.saturating_sub(result.episodes));
         Ok(result)
@@ -198,7 +230,10 @@ const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learni
 
 fn refuse_other_work(out: &Path) -> Result<(), CliError> {
     if run_folder::is_run_folder(out) {
-        return Err(CliError::at(out, "holds other work: trainings need an --out of their own"));
+        return Err(CliError::at(
+            out,
+            "holds other work: trainings need an --out of their own",
+        ));
     }
     Ok(())
 }
@@ -209,20 +244,35 @@ fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
 
 /// Writes the results of all seeds in the folder, including those of earlier commands.
 fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), CliError> {
-    let (results, logs): (Vec<_>, Vec<_>) = read_finished_trainings(out, config)?.into_iter().unzip();
-    let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
+    let (results, logs): (Vec<_>, Vec<_>) =
+        read_finished_trainings(out, config)?.into_iter().unzip();
+    let all = TrainingResult {
+        version: env!("CARGO_PKG_VERSION"),
+        config,
+        seeds: &results,
+    };
     let curve = learning_curve(&config.name, &logs);
     let contents = [
         serde_json::to_string_pretty(&all).map_err(CliError::input)? + "\n",
         serde_json::to_string_pretty(&curve).map_err(CliError::input)? + "\n",
         crumple_report::figures::draw_learning_curve(&curve).document(),
     ];
-    let files: Vec<_> =
-        RESULT_FILES.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
+    let files: Vec<_> = RESULT_FILES
+        .iter()
+        .map(|name| (*name).to_owned())
+        .zip(contents.map(String::into_bytes))
+        .collect();
     results_folder(out)?.write(&files, EarlierFiles::Keep)?;
     let picture = out.join("learning-curve.svg");
-    let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
-    output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
+    let seeds = if results.len() == 1 {
+        "1 seed".to_owned()
+    } else {
+        format!("{} seeds", results.len())
+    };
+    output::note(
+        &format!("wrote {} (and training.json) of {seeds}", picture.display()),
+        quiet,
+    );
     Ok(())
 }
 
@@ -251,7 +301,13 @@ const REWARD_WINDOW: usize = 20;
 
 impl<'a> SeedProgress<'a> {
     fn new(seed: u64, bar: &'a ProgressBar) -> Self {
-        Self { seed, bar, rewards: VecDeque::new(), safe_share: None, begin: Instant::now() }
+        Self {
+            seed,
+            bar,
+            rewards: VecDeque::new(),
+            safe_share: None,
+            begin: Instant::now(),
+        }
     }
 
     fn update(&mut self, event: &TrainingEvent) {
@@ -262,7 +318,9 @@ impl<'a> SeedProgress<'a> {
                     self.rewards.pop_front();
                 }
                 let mean = self.rewards.iter().sum::<f64>() / self.rewards.len() as f64;
-                let safe = self.safe_share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+                let safe = self
+                    .safe_share
+                    .map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
                 self.bar.set_message(format!(
                     "seed {} episode {}, mean reward {mean:.0}, safe {safe}",
                     self.seed, record.episode
@@ -272,7 +330,11 @@ impl<'a> SeedProgress<'a> {
             TrainingEvent::Imitation(done) => {
                 // A round fits all rows so far, so its time is about proportional to its number.
                 let work = |rounds: u32| 0.5 * f64::from(rounds) * (f64::from(rounds) + 1.0);
-                let left = progress::format_time_left(self.begin.elapsed(), work(done.round), work(done.rounds));
+                let left = progress::format_time_left(
+                    self.begin.elapsed(),
+                    work(done.round),
+                    work(done.rounds),
+                );
                 self.bar.set_message(format!(
                     "seed {} imitation {} of {}, {} decisions, {:.1} % of the drives collided{left}",
                     self.seed,
@@ -292,11 +354,24 @@ impl<'a> SeedProgress<'a> {
 fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
         "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {:>10} {:>10} {:>7}  {}\n",
-        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "validation", "test", "gap m", "policy"
+        "seed",
+        "episodes",
+        "best",
+        "paper-1",
+        "paper-2",
+        "paper-3",
+        "validation",
+        "test",
+        "gap m",
+        "policy"
     );
     for result in results {
-        let Some(found) = &result.evaluation else { continue };
-        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "COLLISION" });
+        let Some(found) = &result.evaluation else {
+            continue;
+        };
+        let paper = found
+            .is_safe_in_paper
+            .map(|safe| if safe { "safe" } else { "COLLISION" });
         let held_out = match found.ranking_contacts {
             Some(contacts) => format!("{contacts}/{ranking_draws}"),
             None => format!("{:.0} % safe", 100.0 * found.safe_share),
@@ -311,7 +386,11 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
             paper[2],
             format!("{}/{UNSEEN_DRAWS}", result.unseen_contacts),
             found.smallest_gap_m,
-            result.policy_sha256.as_ref().and_then(|digest| digest.get(..12)).unwrap_or("none: nothing learned")
+            result
+                .policy_sha256
+                .as_ref()
+                .and_then(|digest| digest.get(..12))
+                .unwrap_or("none: nothing learned")
         );
     }
     text + "gap: smallest gap outside the test set\n"

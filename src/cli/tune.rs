@@ -8,7 +8,8 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_learn::tune::{
-    SettingRequest, SettingSearch, TuneError, TuningObjective, TuningPlan, TuningProgress, TuningSpace,
+    SettingRequest, SettingSearch, TuneError, TuningObjective, TuningPlan, TuningProgress,
+    TuningSpace,
 };
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
@@ -89,7 +90,11 @@ pub(super) struct Tune {
 }
 
 const OBJECTIVES: &[(TuningObjective, &str, &str)] = &[
-    (TuningObjective::Both, "both", "Collisions, and usability in everyday traffic"),
+    (
+        TuningObjective::Both,
+        "both",
+        "Collisions, and usability in everyday traffic",
+    ),
     (TuningObjective::Safety, "safety", "Collisions only"),
 ];
 
@@ -103,22 +108,35 @@ enum TuningMethod {
 
 /// Checks that the text is a built-in controller with settings.
 fn parse_tuned_controller(text: &str) -> Result<String, String> {
-    SettingSearch::parse(text, &[]).map(|_| text.to_owned()).map_err(|error| error.to_string())
+    SettingSearch::parse(text, &[])
+        .map(|_| text.to_owned())
+        .map_err(|error| error.to_string())
 }
 
 fn parse_tuning_space(words: &str) -> Result<TuningSpace, args::ArgumentError> {
     let (name, weight) = args::parse_weighted_name(words)?;
-    Ok(TuningSpace { space: args::parse_space(&name)?.1, weight })
+    Ok(TuningSpace {
+        space: args::parse_space(&name)?.1,
+        weight,
+    })
 }
 
 /// Parses `ttc_s`, or `ttc_s=0.5..3`.
 fn parse_request(words: &str) -> Result<SettingRequest, String> {
     let Some((name, range)) = words.split_once('=') else {
-        return Ok(SettingRequest { name: words.to_owned(), range: None });
+        return Ok(SettingRequest {
+            name: words.to_owned(),
+            range: None,
+        });
     };
-    let range = range.split_once("..").and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
+    let range = range
+        .split_once("..")
+        .and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
     let range = range.ok_or("a range is written as LOW..HIGH, for example ttc_s=0.5..3")?;
-    Ok(SettingRequest { name: name.to_owned(), range: Some(range) })
+    Ok(SettingRequest {
+        name: name.to_owned(),
+        range: Some(range),
+    })
 }
 
 /// Adds the option to an error about its value.
@@ -154,12 +172,18 @@ impl Tune {
         let show = |state: &TuningProgress| {
             bar.set_length(state.total);
             bar.set_position(state.done);
-            bar.set_message(format!("{} candidates, best objective {:.4};", state.candidates, state.best));
+            bar.set_message(format!(
+                "{} candidates, best objective {:.4};",
+                state.candidates, state.best
+            ));
         };
         let report = plan.run(&self.out, self.resume, &Listener(show));
         bar.finish_and_clear();
         let report = report.map_err(with_option)?;
-        output::note(&format!("wrote {out} (candidates.jsonl, report.md, report.json)"), quiet);
+        output::note(
+            &format!("wrote {out} (candidates.jsonl, report.md, report.json)"),
+            quiet,
+        );
         output::print_result(self.format, &report, || report.to_markdown())
     }
 }

@@ -12,12 +12,20 @@ use crumple_world::sim::AfterContact;
 type ArgValue<T> = (T, &'static str, &'static str);
 
 const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
-    (EstimatorKind::Kalman, "kalman", "Noisy sensors and a Kalman filter"),
+    (
+        EstimatorKind::Kalman,
+        "kalman",
+        "Noisy sensors and a Kalman filter",
+    ),
     (EstimatorKind::Truth, "truth", "The true state"),
 ];
 
 const AFTER_COLLISION: &[ArgValue<AfterContact>] = &[
-    (AfterContact::Stop, "stop", "End the run at the instant of the collision"),
+    (
+        AfterContact::Stop,
+        "stop",
+        "End the run at the instant of the collision",
+    ),
     (
         AfterContact::Continue,
         "continue",
@@ -26,7 +34,11 @@ const AFTER_COLLISION: &[ArgValue<AfterContact>] = &[
 ];
 
 pub(super) const PLANTS: &[ArgValue<PlantKind>] = &[
-    (PlantKind::PointMass, PlantKind::PointMass.name(), "A point mass with an ideal brake"),
+    (
+        PlantKind::PointMass,
+        PlantKind::PointMass.name(),
+        "A point mass with an ideal brake",
+    ),
     (
         PlantKind::MultiBody,
         PlantKind::MultiBody.name(),
@@ -35,20 +47,44 @@ pub(super) const PLANTS: &[ArgValue<PlantKind>] = &[
 ];
 
 pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
-    (AttackObjective::Mildest, AttackObjective::Mildest.name(), "A collision with the least ∫ a² of the leader"),
-    (AttackObjective::LeastPeak, AttackObjective::LeastPeak.name(), "A collision with the least peak of its braking"),
-    (AttackObjective::Severest, AttackObjective::Severest.name(), "The fastest impact"),
+    (
+        AttackObjective::Mildest,
+        AttackObjective::Mildest.name(),
+        "A collision with the least ∫ a² of the leader",
+    ),
+    (
+        AttackObjective::LeastPeak,
+        AttackObjective::LeastPeak.name(),
+        "A collision with the least peak of its braking",
+    ),
+    (
+        AttackObjective::Severest,
+        AttackObjective::Severest.name(),
+        "The fastest impact",
+    ),
 ];
 
 /// Vehicles whose braking makes an episode of a recording.
 pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
     (LeaderSelection::Any, "any", "Every vehicle with a follower"),
-    (LeaderSelection::First, "first", "Vehicles without a recorded vehicle ahead"),
+    (
+        LeaderSelection::First,
+        "first",
+        "Vehicles without a recorded vehicle ahead",
+    ),
 ];
 
 pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
-    (EvaluationLog::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
-    (EvaluationLog::Summary, "summary", "Only the summary and the counterexamples"),
+    (
+        EvaluationLog::Full,
+        "full",
+        "Every evaluation, as a row of a compressed CSV file",
+    ),
+    (
+        EvaluationLog::Summary,
+        "summary",
+        "Only the summary and the counterexamples",
+    ),
 ];
 
 /// Returns the clap parser of the option `--estimator`.
@@ -65,7 +101,14 @@ pub(super) fn after_collision() -> impl TypedValueParser<Value = AfterContact> {
 pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
     choices: &'static [ArgValue<T>],
 ) -> impl TypedValueParser<Value = T> {
-    let possible = choices.iter().map(|&(_, name, help)| PossibleValue::new(name).help(help));
-    PossibleValuesParser::new(possible)
-        .try_map(|name| choices.iter().find(|choice| choice.1 == name).map(|choice| choice.0).ok_or("unknown"))
+    let possible = choices
+        .iter()
+        .map(|&(_, name, help)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(possible).try_map(|name| {
+        choices
+            .iter()
+            .find(|choice| choice.1 == name)
+            .map(|choice| choice.0)
+            .ok_or("unknown")
+    })
 }

@@ -14,8 +14,8 @@ use super::{CliError, args, exposure, interrupt, invariant, progress, rare, reac
 use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
-    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, SampleSizeError, report_json,
-    required_runs, shipped_kernels,
+    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan,
+    SampleSizeError, report_json, required_runs, shipped_kernels,
 };
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -157,12 +157,19 @@ impl ShieldCommand {
         };
         let mut all = Vec::new();
         for (name, certificate) in &kernels {
-            let report = CertificateReport::new(self.out.join(file(name)).display().to_string(), certificate);
+            let report = CertificateReport::new(
+                self.out.join(file(name)).display().to_string(),
+                certificate,
+            );
             text += &verdict_line(&report)?;
             all.push(report);
         }
-        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, CliError>>()?;
-        OutputFolder::with_listing(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Replace)?;
+        let contents = kernels
+            .iter()
+            .map(contents)
+            .collect::<Result<Vec<_>, CliError>>()?;
+        OutputFolder::with_listing(&self.out, "shield.sha256")?
+            .write(&contents, EarlierFiles::Replace)?;
         match self.format {
             OutputFormat::Json => output::print(&report_json(&all).map_err(CliError::input)?),
             OutputFormat::Text => output::print_coloured(OutputFormat::Text, &text),
@@ -175,12 +182,15 @@ impl RateCommand {
         self.check_resampling()?;
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
-            (None, Some(rate)) => {
-                required_runs(rate, self.confidence, self.failures.unwrap_or(0)).map_err(|error| {
-                    let option = if let SampleSizeError::Confidence { .. } = error { "--" } else { "--rate-below: " };
+            (None, Some(rate)) => required_runs(rate, self.confidence, self.failures.unwrap_or(0))
+                .map_err(|error| {
+                    let option = if let SampleSizeError::Confidence { .. } = error {
+                        "--"
+                    } else {
+                        "--rate-below: "
+                    };
                     CliError::Input(format!("{option}{error}"))
-                })?
-            }
+                })?,
             (None, None) => return self.estimate(quiet),
         };
         // clap requires no option that conflicts with a given one, and `--rare` conflicts with `--runs`.
@@ -202,31 +212,54 @@ impl RateCommand {
             confidence: self.confidence,
             ..RateConfig::new(self.controller, self.space.1, runs)
         })?
-        .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
+        .with_resampling(
+            self.resamples.unwrap_or(200),
+            self.resample_runs.unwrap_or(500),
+        );
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let mut count = plan.register_in(&out, self.resume)?;
-        output::note(&format!("registered as {}", plan.registration().digest()), quiet);
+        output::note(
+            &format!("registered as {}", plan.registration().digest()),
+            quiet,
+        );
         interrupt::set_resume_message("the counts so far are in", &out, quiet);
         let bar = progress::run_bar("counting", runs, quiet);
-        let certificate = count.certify(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
+        let certificate = count.certify(&Listener(|done: &CountProgress| {
+            bar.set_position(done.runs)
+        }));
         bar.finish_and_clear();
         let (certificate, path) = match certificate {
             Ok(certificate) => (certificate, count.certificate_path()),
             // Print the counts even if the claim was rejected.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let confidence = Some(plan.registration().confidence);
-                let report = CountReport { confidence, ..CountReport::new(count.tally(), &out) };
-                let printed = output::print_result(self.format, &report, || tally_line(is_comparison, count.tally()));
+                let report = CountReport {
+                    confidence,
+                    ..CountReport::new(count.tally(), &out)
+                };
+                let printed = output::print_result(self.format, &report, || {
+                    tally_line(is_comparison, count.tally())
+                });
                 return CliError::gate_first(Err(rejected.into()), printed);
             }
             Err(error) => return Err(error.into()),
         };
         let message = certificate_verdict(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed = progress::show(&bar, |observer| plan.rate_per_exposure(count.tally(), observer));
+        let exposed = progress::show(&bar, |observer| {
+            plan.rate_per_exposure(count.tally(), observer)
+        });
         let exposed = exposed.map_err(CliError::input)?;
-        let on_the_road = exposed.as_ref().map(exposure::format_rate).unwrap_or_default();
-        let words = || format!("{}{message}{on_the_road}", tally_line(is_comparison, count.tally()));
+        let on_the_road = exposed
+            .as_ref()
+            .map(exposure::format_rate)
+            .unwrap_or_default();
+        let words = || {
+            format!(
+                "{}{message}{on_the_road}",
+                tally_line(is_comparison, count.tally())
+            )
+        };
         let report = CountReport {
             certificate: Some(&path),
             // The checker accepted it above.
@@ -270,13 +303,21 @@ impl RateCommand {
     fn check_resampling(&self) -> Result<(), CliError> {
         // `--resamples 0` asks for nothing, so it is valid everywhere.
         let asked = [
-            ("--resamples", self.resamples.is_some_and(|resamples| resamples > 0)),
+            (
+                "--resamples",
+                self.resamples.is_some_and(|resamples| resamples > 0),
+            ),
             ("--resample-runs", self.resample_runs.is_some()),
         ];
-        let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) else { return Ok(()) };
+        let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) else {
+            return Ok(());
+        };
         if self.space.1.spec().exposure.is_none() {
             let problem = "was not fitted to episodes, so there are none to resample";
-            return Err(CliError::Input(format!("{option}: the space `{}` {problem}", self.space.0)));
+            return Err(CliError::Input(format!(
+                "{option}: the space `{}` {problem}",
+                self.space.0
+            )));
         }
         if self.against.is_some() {
             let problem = "applies to the rate of one controller; omit it with --against";
@@ -329,14 +370,20 @@ fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
 }
 
 fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
-    verdict_line(&CertificateReport::new(path.display().to_string(), certificate))
+    verdict_line(&CertificateReport::new(
+        path.display().to_string(),
+        certificate,
+    ))
 }
 
 /// Formats the accepted claim in a line; a rejection is a failed gate.
 fn verdict_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
     match &report.accepted {
         Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),
-        Err(rejection) => Err(CliError::Gate(format!("{}: rejected: {rejection}", report.path))),
+        Err(rejection) => Err(CliError::Gate(format!(
+            "{}: rejected: {rejection}",
+            report.path
+        ))),
     }
 }
 

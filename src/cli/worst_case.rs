@@ -11,8 +11,9 @@ use super::{CliError, args, progress, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault, SearchedSizes,
-    SensorAttackResult, SensorFailure, attack, attack_sensors, max_sensor_simulations,
+    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault,
+    SearchedSizes, SensorAttackResult, SensorFailure, attack, attack_sensors,
+    max_sensor_simulations,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
@@ -105,19 +106,28 @@ impl WorstCase {
             ("--budget", self.budget.is_some()),
         ];
         if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given) {
-            return Err(CliError::Input(format!("{option}: belongs to `--attack braking`, not to `sensors`")));
+            return Err(CliError::Input(format!(
+                "{option}: belongs to `--attack braking`, not to `sensors`"
+            )));
         }
         if self.estimator == EstimatorKind::Truth {
-            return Err(CliError::Input("--estimator: `truth` ignores faults of sensors, so use `kalman`".to_owned()));
+            return Err(CliError::Input(
+                "--estimator: `truth` ignores faults of sensors, so use `kalman`".to_owned(),
+            ));
         }
         let scenario = args::load_scenario(&self.scenario)?;
         if !scenario.has_vehicle_under_test() {
-            return Err(CliError::Input(format!("{}: no vehicle is under test", self.scenario)));
+            return Err(CliError::Input(format!(
+                "{}: no vehicle is under test",
+                self.scenario
+            )));
         }
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let bar = progress::run_bar("searching", max_sensor_simulations(), quiet);
-        let result = progress::show(&bar, |observer| attack_sensors(&scenario, &options, observer))
-            .map_err(|error| CliError::Input(format!("{}: {error}", self.scenario)))?;
+        let result = progress::show(&bar, |observer| {
+            attack_sensors(&scenario, &options, observer)
+        })
+        .map_err(|error| CliError::Input(format!("{}: {error}", self.scenario)))?;
         self.controller.ensure_trusted()?;
         let report = SensorAttackReport {
             scenario: &scenario.spec().name,
@@ -127,17 +137,29 @@ impl WorstCase {
             result: &result,
         };
         let mut files = StagedFiles::default();
-        match report.mildest_collision.or(report.mildest_unnecessary_braking) {
+        match report
+            .mildest_collision
+            .or(report.mildest_unnecessary_braking)
+        {
             Some(fault) => {
                 let faulty = scenario.edited(|spec| {
-                    spec.name = format!("{}-fault", spec.name.chars().take(190).collect::<String>());
+                    spec.name =
+                        format!("{}-fault", spec.name.chars().take(190).collect::<String>());
                     spec.sensors.faults = fault.faults.clone();
                 });
                 let faulty = faulty.map_err(CliError::input)?;
-                let replay = || Ok(simulate(&Run::new(&faulty, options)?, RecordingLevel::Trace));
-                self.finding.stage(&faulty, &self.controller.name, &mut files, replay)?;
+                let replay = || {
+                    Ok(simulate(
+                        &Run::new(&faulty, options)?,
+                        RecordingLevel::Trace,
+                    ))
+                };
+                self.finding
+                    .stage(&faulty, &self.controller.name, &mut files, replay)?;
             }
-            None => self.finding.note_nothing_to_write("no fault was found, so there is nothing", quiet),
+            None => self
+                .finding
+                .note_nothing_to_write("no fault was found, so there is nothing", quiet),
         }
         files.commit()?;
         self.finding.print_report(&report, describe_sensor_attack)
@@ -146,12 +168,19 @@ impl WorstCase {
     fn attack_by_braking(&self, quiet: bool) -> Result<(), CliError> {
         let jerk_mps3 = self.jerk.unwrap_or(Envelope::DEFAULT_JERK_MPS3);
         if jerk_mps3.is_nan() || jerk_mps3 <= 0.0 {
-            return Err(CliError::Input(format!("--jerk: must be above 0, found {jerk_mps3}")));
+            return Err(CliError::Input(format!(
+                "--jerk: must be above 0, found {jerk_mps3}"
+            )));
         }
-        let (aim, budget) = (self.aim.unwrap_or(AttackObjective::Mildest), self.budget.unwrap_or(DEFAULT_BUDGET));
+        let (aim, budget) = (
+            self.aim.unwrap_or(AttackObjective::Mildest),
+            self.budget.unwrap_or(DEFAULT_BUDGET),
+        );
         let scenario = args::load_scenario(&self.scenario)?;
         let envelope = Envelope {
-            max_brake_mps2: self.max_brake.unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
+            max_brake_mps2: self
+                .max_brake
+                .unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
             jerk_mps3,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
@@ -168,21 +197,38 @@ impl WorstCase {
         let mut files = StagedFiles::default();
         match &result.attack {
             Some(attack) => {
-                let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, RecordingLevel::Trace));
-                self.finding.stage(&attack.scenario, &self.controller.name, &mut files, replay)?;
+                let replay = || {
+                    Ok(simulate(
+                        &Run::new(&attack.scenario, options)?,
+                        RecordingLevel::Trace,
+                    ))
+                };
+                self.finding
+                    .stage(&attack.scenario, &self.controller.name, &mut files, replay)?;
             }
-            None => self.finding.note_nothing_to_write("no collision was found, so there is nothing", quiet),
+            None => self
+                .finding
+                .note_nothing_to_write("no collision was found, so there is nothing", quiet),
         }
         files.commit()?;
         let name = &scenario.spec().name;
         let report = AttackReport::new(name, &self.controller, self.estimator, aim, &result);
         let is_over_budget = report.evaluations > budget as usize;
         let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
-        self.finding.print_report(&WorstCaseReport { report, budget, is_over_budget, over_budget_because }, describe)
+        self.finding.print_report(
+            &WorstCaseReport {
+                report,
+                budget,
+                is_over_budget,
+                over_budget_because,
+            },
+            describe,
+        )
     }
 }
 
-const OVER_BUDGET_REASON: &str = "the method completes its round and always runs its first and last simulations";
+const OVER_BUDGET_REASON: &str =
+    "the method completes its round and always runs its first and last simulations";
 
 #[derive(Serialize)]
 struct SensorAttackReport<'a> {
@@ -195,17 +241,40 @@ struct SensorAttackReport<'a> {
 }
 
 fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
-    let SensorAttackReport { scenario, controller, result, .. } = report;
-    let mut text = format!("{}: {}, faults of sensors\n", TerminalText(scenario), TerminalText(controller));
+    let SensorAttackReport {
+        scenario,
+        controller,
+        result,
+        ..
+    } = report;
+    let mut text = format!(
+        "{}: {}, faults of sensors\n",
+        TerminalText(scenario),
+        TerminalText(controller)
+    );
     for (failure, found, happens_anyway) in [
-        ("a collision", report.mildest_collision, result.collides_without_fault),
-        ("unnecessary braking", report.mildest_unnecessary_braking, result.brakes_unnecessarily_without_fault),
+        (
+            "a collision",
+            report.mildest_collision,
+            result.collides_without_fault,
+        ),
+        (
+            "unnecessary braking",
+            report.mildest_unnecessary_braking,
+            result.brakes_unnecessarily_without_fault,
+        ),
     ] {
         let _ = match found {
             _ if happens_anyway => writeln!(text, "  {failure} happens without a further fault"),
             None => writeln!(text, "  no simulated fault causes {failure}"),
             Some(fault) => {
-                let MildestFault { kind, share, amount, unit, .. } = fault;
+                let MildestFault {
+                    kind,
+                    share,
+                    amount,
+                    unit,
+                    ..
+                } = fault;
                 let percent = 100.0 * share;
                 writeln!(
                     text,
@@ -219,21 +288,43 @@ fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
         "  {:<16} {:<26} {:<16} {:>16} {:>20}",
         "fault", "limit", "sizes searched", "collision", "unnecessary braking"
     );
-    for FaultKindResult { kind, limit, sizes, collision, unnecessary_braking } in &result.kinds {
+    for FaultKindResult {
+        kind,
+        limit,
+        sizes,
+        collision,
+        unnecessary_braking,
+    } in &result.kinds
+    {
         let [collision, braking] = [
             (collision, result.collides_without_fault),
-            (unnecessary_braking, result.brakes_unnecessarily_without_fault),
+            (
+                unnecessary_braking,
+                result.brakes_unnecessarily_without_fault,
+            ),
         ]
         .map(|(found, happens_anyway)| match found {
             Some(fault) => format!("{} {}", fault.amount, fault.unit),
             None if happens_anyway => "not searched".to_owned(),
             None => format!("none of {}", sizes.count),
         });
-        let SearchedSizes { smallest, largest, unit, .. } = sizes;
+        let SearchedSizes {
+            smallest,
+            largest,
+            unit,
+            ..
+        } = sizes;
         let sizes = format!("{smallest} to {largest} {unit}");
-        let _ = writeln!(text, "  {kind:<16} {limit:<26} {sizes:<16} {collision:>16} {braking:>20}");
+        let _ = writeln!(
+            text,
+            "  {kind:<16} {limit:<26} {sizes:<16} {collision:>16} {braking:>20}"
+        );
     }
-    let _ = writeln!(text, "  mildest faults found; {} simulations", result.evaluations);
+    let _ = writeln!(
+        text,
+        "  mildest faults found; {} simulations",
+        result.evaluations
+    );
     text
 }
 
@@ -249,23 +340,47 @@ struct WorstCaseReport {
 fn describe(hunted: &WorstCaseReport) -> String {
     let mut text = describe_report(&hunted.report);
     if let Some(why) = hunted.over_budget_because {
-        let _ = writeln!(text, "  more simulations than --budget {}: {why}", hunted.budget);
+        let _ = writeln!(
+            text,
+            "  more simulations than --budget {}: {why}",
+            hunted.budget
+        );
     }
     text
 }
 
 fn describe_report(report: &AttackReport) -> String {
-    let AttackReport { scenario, controller, estimator, aim, .. } = report;
-    let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", TerminalText(scenario), TerminalText(controller));
+    let AttackReport {
+        scenario,
+        controller,
+        estimator,
+        aim,
+        ..
+    } = report;
+    let mut text = format!(
+        "{}: {}, estimator {estimator}, {aim}\n",
+        TerminalText(scenario),
+        TerminalText(controller)
+    );
     if report.nondeterministic {
         text += "  the controller declares that it is not deterministic: another attack may give another result\n";
     }
     let (Some(effort), Some(peak)) = (report.effort_m2ps3, report.peak_brake_mps2) else {
-        let AttackReport { evaluations, programs, .. } = report;
-        return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");
+        let AttackReport {
+            evaluations,
+            programs,
+            ..
+        } = report;
+        return text
+            + &format!(
+                "  no collision found in {evaluations} simulations and {programs} convex programs\n"
+            );
     };
     if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
-        let _ = writeln!(text, "  CONTROLLER FAILED and gave no valid command: {failed}");
+        let _ = writeln!(
+            text,
+            "  CONTROLLER FAILED and gave no valid command: {failed}"
+        );
     }
     if let Some(Outcome::Collision(contact)) = &report.outcome {
         let _ = writeln!(
@@ -274,14 +389,30 @@ fn describe_report(report: &AttackReport) -> String {
             contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
         );
     }
-    let _ = writeln!(text, "  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
+    let _ = writeln!(
+        text,
+        "  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²"
+    );
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
-        let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
+        let _ = writeln!(
+            text,
+            "  margin {margin:.3} m; the last program predicted {predicted:.3} m"
+        );
     }
-    let AttackReport { evaluations, programs, .. } = report;
+    let AttackReport {
+        evaluations,
+        programs,
+        ..
+    } = report;
     let _ = match report.method {
-        Some(_) => writeln!(text, "  best found; {evaluations} simulations, {programs} convex programs"),
-        None => writeln!(text, "  found in {evaluations} simulations and {programs} convex programs"),
+        Some(_) => writeln!(
+            text,
+            "  best found; {evaluations} simulations, {programs} convex programs"
+        ),
+        None => writeln!(
+            text,
+            "  found in {evaluations} simulations and {programs} convex programs"
+        ),
     };
     text
 }

@@ -7,8 +7,8 @@ use std::process::Command;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
-    AssessConfig, AssessmentGate, AssessmentPlan, AssessmentReport, CertificateStatus, CertificateSubject, ClaimStatus,
-    EvidenceCache, Strength, assess,
+    AssessConfig, AssessmentGate, AssessmentPlan, AssessmentReport, CertificateStatus,
+    CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
@@ -21,23 +21,44 @@ pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
     config.gates.clear();
-    (config.distributions, config.search.spaces) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
-    (config.paper, config.draws, config.rates.runs, config.everyday_draws) = (false, 40, 0, 4);
+    (config.distributions, config.search.spaces) =
+        (Some(vec!["paper".to_owned()]), Some(Vec::new()));
+    (
+        config.paper,
+        config.draws,
+        config.rates.runs,
+        config.everyday_draws,
+    ) = (false, 40, 0, 4);
     config.certificates = Some(Vec::new());
     config
 }
 
 pub(crate) fn run(config: AssessConfig, folder: &Path) -> AssessmentReport {
-    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &EvidenceCache::disabled(), None, &Quiet)
-        .expect("runs")
+    assess(
+        &AssessmentPlan::new(config, [], folder).expect("valid"),
+        &EvidenceCache::disabled(),
+        None,
+        &Quiet,
+    )
+    .expect("runs")
 }
 
 fn statuses(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
-    assessment.summary.claims.iter().flat_map(|row| &row.statuses).collect()
+    assessment
+        .summary
+        .claims
+        .iter()
+        .flat_map(|row| &row.statuses)
+        .collect()
 }
 
 fn rate_strength(assessment: &AssessmentReport, place: usize) -> &Strength {
-    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("rate at most")).expect("claimed");
+    let row = assessment
+        .summary
+        .claims
+        .iter()
+        .find(|row| row.claim.contains("rate at most"))
+        .expect("claimed");
     &row.statuses[place].strength
 }
 
@@ -74,7 +95,9 @@ fn foreign_certificates_change_no_claim() {
     let own = folder.path().join("own.safetensors");
     fs::write(&own, Policy::retrained_bytes()).expect("writes");
     let paper = built_in_space("paper").expect("built in");
-    let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
+    let text = space_file::to_toml(&paper)
+        .expect("written")
+        .replace("mean = 36.0", "mean = 37.0");
     let gentle = space_file::from_toml(&text, Path::new("gentle.toml")).expect("valid");
     assert_eq!(gentle.name(), paper.name(), "equal names");
     let there = folder.path().join("elsewhere");
@@ -83,8 +106,12 @@ fn foreign_certificates_change_no_claim() {
     let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
     let changed = |controller: &str, entry: &str, value: &str| {
         let mut certificate = count_certificate(controller, None, &paper, kalman, folder.path());
-        let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
-        rate.registration.configuration.insert(entry.to_owned(), value.to_owned());
+        let Statement::Rate(rate) = &mut certificate.statement else {
+            panic!("a rate")
+        };
+        rate.registration
+            .configuration
+            .insert(entry.to_owned(), value.to_owned());
         rate.registration_sha256 = rate.registration.digest();
         certificate
     };
@@ -92,9 +119,27 @@ fn foreign_certificates_change_no_claim() {
         count_certificate("own.safetensors", None, &paper, truth, folder.path()),
         count_certificate("own.safetensors", None, &gentle, kalman, folder.path()),
         count_certificate("own.safetensors", None, &paper, kalman, &there),
-        count_certificate("shield:own.safetensors", None, &paper, kalman, folder.path()),
-        count_certificate("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
-        count_certificate("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
+        count_certificate(
+            "shield:own.safetensors",
+            None,
+            &paper,
+            kalman,
+            folder.path(),
+        ),
+        count_certificate(
+            "baseline",
+            Some("own.safetensors"),
+            &gentle,
+            kalman,
+            folder.path(),
+        ),
+        count_certificate(
+            "own.safetensors",
+            Some("baseline-unlatched"),
+            &paper,
+            kalman,
+            folder.path(),
+        ),
         changed("own.safetensors", "crumple", "0.0.9"),
         changed("idm", "controller", "own.safetensors"),
     ];
@@ -109,16 +154,39 @@ fn foreign_certificates_change_no_claim() {
     };
     for (place, certificate) in hostile.iter().enumerate() {
         let with = assess_with(certificate);
-        let strengths =
-            |of: &AssessmentReport| statuses(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
+        let strengths = |of: &AssessmentReport| {
+            statuses(of)
+                .into_iter()
+                .map(|one| one.strength.clone())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
-        let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
+        let proof = with
+            .proofs
+            .certificates
+            .iter()
+            .find(|proof| proof.name == "given")
+            .expect("listed");
         let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { reason } if !reason.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
-    let with = assess_with(&count_certificate("own.safetensors", None, &paper, kalman, folder.path()));
-    assert!(matches!(rate_strength(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_strength(&bare, 1));
-    assert!(matches!(rate_strength(&with, 1), Strength::Bounded { .. }), "{:?}", rate_strength(&with, 1));
+    let with = assess_with(&count_certificate(
+        "own.safetensors",
+        None,
+        &paper,
+        kalman,
+        folder.path(),
+    ));
+    assert!(
+        matches!(rate_strength(&bare, 1), Strength::Undecided { .. }),
+        "{:?}",
+        rate_strength(&bare, 1)
+    );
+    assert!(
+        matches!(rate_strength(&with, 1), Strength::Bounded { .. }),
+        "{:?}",
+        rate_strength(&with, 1)
+    );
 }
 
 /// A file called like a shield is no shield, a shield for other limits has other kernels, and a copy of a policy is
@@ -128,30 +196,65 @@ fn names_prove_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let copy = "shield-candidate.safetensors";
     fs::write(folder.path().join(copy), Policy::reference_bytes()).expect("writes");
-    let all =
-        ["baseline", copy, "policy", "shield:policy", "shield,ahead=0.1:full-throttle", "shield,gap-error=0:policy"];
+    let all = [
+        "baseline",
+        copy,
+        "policy",
+        "shield:policy",
+        "shield,ahead=0.1:full-throttle",
+        "shield,gap-error=0:policy",
+    ];
     let mut asked = config(&all);
     asked.certificates = None;
     let assessment = run(asked, folder.path());
-    let rows: Vec<_> = assessment.summary.claims.iter().filter(|row| row.claim.contains("kernel")).collect();
+    let rows: Vec<_> = assessment
+        .summary
+        .claims
+        .iter()
+        .filter(|row| row.claim.contains("kernel"))
+        .collect();
     let proved = |strength: &Strength| matches!(strength, Strength::Proved { .. });
     let is_proved = |place: usize| rows.iter().any(|row| proved(&row.statuses[place].strength));
-    assert_eq!([0, 1, 2, 3, 4, 5].map(is_proved), [false, false, false, true, false, false]);
-    let is_claimed = |place: usize| rows.iter().filter(|row| row.claims[place].is_some()).count();
+    assert_eq!(
+        [0, 1, 2, 3, 4, 5].map(is_proved),
+        [false, false, false, true, false, false]
+    );
+    let is_claimed = |place: usize| {
+        rows.iter()
+            .filter(|row| row.claims[place].is_some())
+            .count()
+    };
     assert_eq!([0, 1, 2, 3, 4, 5].map(is_claimed), [0, 0, 0, 1, 1, 1]);
     let words = &rows[1].claim;
     assert!(
-        words.contains("harder than 0.1 m/s², while its estimation error stays within the bounds of the shield"),
+        words.contains(
+            "harder than 0.1 m/s², while its estimation error stays within the bounds of the shield"
+        ),
         "{words}"
     );
-    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of initial states")) {
+    for row in assessment
+        .summary
+        .claims
+        .iter()
+        .filter(|row| row.claim.contains("the box of initial states"))
+    {
         assert_eq!(row.statuses[1], row.statuses[2], "the copy is that policy");
-        assert!(matches!(row.statuses[3].strength, Strength::Untried), "before a shield it is another controller");
+        assert!(
+            matches!(row.statuses[3].strength, Strength::Untried),
+            "before a shield it is another controller"
+        );
     }
     assert!(
-        assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. }))
+        assessment
+            .proofs
+            .certificates
+            .iter()
+            .all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. }))
     );
-    assert!(!assessment.to_markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
+    assert!(
+        !assessment.to_markdown().to_lowercase().contains("paper-3"),
+        "nobody asked for the paper's scenarios"
+    );
 }
 
 #[test]
@@ -159,17 +262,28 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     let policy = "x;touch PWNED;# 'y'.safetensors";
     fs::write(folder.path().join(policy), Policy::reference_bytes()).expect("writes");
-    let space = space_file::to_toml(&built_in_space("high-risk").expect("built in")).expect("written");
-    fs::write(folder.path().join("own space.toml"), space.replacen("high-risk", "own", 1)).expect("writes");
+    let space =
+        space_file::to_toml(&built_in_space("high-risk").expect("built in")).expect("written");
+    fs::write(
+        folder.path().join("own space.toml"),
+        space.replacen("high-risk", "own", 1),
+    )
+    .expect("writes");
     fs::create_dir(folder.path().join("episodes")).expect("made");
     let episode = crumple_world::scenario::built_in_scenario("paper-2")
         .expect("built in")
         .edited(|spec| spec.name = "an episode".to_owned());
-    let episode = crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
+    let episode =
+        crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
     fs::write(folder.path().join("episodes/e.toml"), episode).expect("writes");
     let mut asked = config(&["baseline", policy, &format!("shield,ahead=8:{policy}")]);
     asked.search.spaces = Some(vec!["own space.toml".to_owned()]);
-    (asked.search.budget, asked.draws, asked.scenarios, asked.certificates) = (5, 5, vec!["episodes".into()], None);
+    (
+        asked.search.budget,
+        asked.draws,
+        asked.scenarios,
+        asked.certificates,
+    ) = (5, 5, vec!["episodes".into()], None);
     let assessment = run(asked, folder.path());
     let report = folder.path().join("the report");
     for (name, contents) in assessment.files().expect("renders") {
@@ -178,35 +292,84 @@ fn every_command_of_a_report_runs_in_its_folder() {
         fs::write(path, contents).expect("writes");
     }
     let program = Path::new(env!("CARGO_BIN_EXE_crumple"));
-    let path =
-        format!("{}:{}", program.parent().expect("a folder").display(), std::env::var("PATH").unwrap_or_default());
+    let path = format!(
+        "{}:{}",
+        program.parent().expect("a folder").display(),
+        std::env::var("PATH").unwrap_or_default()
+    );
     let shell = |command: &str| {
-        let ran = Command::new("sh").arg("-c").arg(command).current_dir(&report).env("PATH", &path).output();
+        let ran = Command::new("sh")
+            .arg("-c")
+            .arg(command)
+            .current_dir(&report)
+            .env("PATH", &path)
+            .output();
         let ran = ran.expect("a shell");
-        assert!(ran.status.success(), "{command}: {}", String::from_utf8_lossy(&ran.stderr));
+        assert!(
+            ran.status.success(),
+            "{command}: {}",
+            String::from_utf8_lossy(&ran.stderr)
+        );
     };
     let page = assessment.to_html();
-    let codes = page.split("<code>crumple ").skip(1).filter_map(|rest| rest.split("</code>").next());
-    let plain =
-        |code: &str| code.replace("&quot;", "\"").replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
-    let mut commands: Vec<String> = codes.map(|code| format!("crumple {}", plain(code))).collect();
+    let codes = page
+        .split("<code>crumple ")
+        .skip(1)
+        .filter_map(|rest| rest.split("</code>").next());
+    let plain = |code: &str| {
+        code.replace("&quot;", "\"")
+            .replace("&lt;", "<")
+            .replace("&gt;", ">")
+            .replace("&amp;", "&")
+    };
+    let mut commands: Vec<String> = codes
+        .map(|code| format!("crumple {}", plain(code)))
+        .collect();
     commands.sort();
     commands.dedup();
-    for wanted in
-        ["crumple simulate scenarios/", "crumple simulate counterexamples/", "crumple falsify", "crumple check"]
-    {
-        assert!(commands.iter().any(|command| command.starts_with(wanted)), "{wanted}: {commands:#?}");
+    for wanted in [
+        "crumple simulate scenarios/",
+        "crumple simulate counterexamples/",
+        "crumple falsify",
+        "crumple check",
+    ] {
+        assert!(
+            commands.iter().any(|command| command.starts_with(wanted)),
+            "{wanted}: {commands:#?}"
+        );
     }
     // The escape of an avoidable failure is a file of the report.
-    let own: Vec<String> = assessment.files().expect("renders").into_iter().map(|(name, _)| name).collect();
-    let found: Vec<_> = assessment.searches.spaces.iter().flat_map(|space| &space.controllers).collect();
+    let own: Vec<String> = assessment
+        .files()
+        .expect("renders")
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    let found: Vec<_> = assessment
+        .searches
+        .spaces
+        .iter()
+        .flat_map(|space| &space.controllers)
+        .collect();
     let failures: Vec<_> = found.iter().flat_map(|search| &search.failures).collect();
-    assert!(failures.iter().any(|failure| failure.class == AvoidabilityClass::Avoidable), "{failures:?}");
+    assert!(
+        failures
+            .iter()
+            .any(|failure| failure.class == AvoidabilityClass::Avoidable),
+        "{failures:?}"
+    );
     for failure in &failures {
         let beside = failure.file.replace(".toml", "-escape.toml");
         let is_avoidable = failure.class == AvoidabilityClass::Avoidable;
-        assert_eq!(failure.escape.as_ref().map(|escape| escape.file.clone()), is_avoidable.then(|| beside.clone()));
-        assert_eq!((report.join(&beside).exists(), own.contains(&beside)), (is_avoidable, is_avoidable), "{beside}");
+        assert_eq!(
+            failure.escape.as_ref().map(|escape| escape.file.clone()),
+            is_avoidable.then(|| beside.clone())
+        );
+        assert_eq!(
+            (report.join(&beside).exists(), own.contains(&beside)),
+            (is_avoidable, is_avoidable),
+            "{beside}"
+        );
     }
     commands.iter().for_each(|command| shell(command));
     let script = fs::read_to_string(report.join("replay.sh")).expect("written");
@@ -215,13 +378,28 @@ fn every_command_of_a_report_runs_in_its_folder() {
     // A replaced failure file is still a failure, and the listing detects the change.
     shell("crumple fsck .");
     let files = assessment.files().expect("renders");
-    let counterexample =
-        |(name, _): &&(String, Vec<u8>)| name.starts_with("counterexamples/") && name.ends_with(".toml");
-    let (name, contents) = files.iter().find(counterexample).expect("it fails somewhere");
-    fs::write(report.join(name), [contents, b"# edited\n".as_slice()].concat()).expect("writes");
-    let looked = Command::new(program).args(["fsck", "."]).current_dir(&report).output().expect("runs");
+    let counterexample = |(name, _): &&(String, Vec<u8>)| {
+        name.starts_with("counterexamples/") && name.ends_with(".toml")
+    };
+    let (name, contents) = files
+        .iter()
+        .find(counterexample)
+        .expect("it fails somewhere");
+    fs::write(
+        report.join(name),
+        [contents, b"# edited\n".as_slice()].concat(),
+    )
+    .expect("writes");
+    let looked = Command::new(program)
+        .args(["fsck", "."])
+        .current_dir(&report)
+        .output()
+        .expect("runs");
     let message = String::from_utf8_lossy(&looked.stdout);
-    assert!(looked.status.code() == Some(1) && message.contains(name.as_str()), "{message}");
+    assert!(
+        looked.status.code() == Some(1) && message.contains(name.as_str()),
+        "{message}"
+    );
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 
@@ -252,7 +430,10 @@ fn approach_space(name: &str, closing_mps: f64) -> String {
 
 /// Returns the text of each command in the Markdown of a report that begins like this.
 fn commands_in<'a>(markdown: &'a str, begin: &str) -> Vec<&'a str> {
-    markdown.split('`').filter(|code| code.starts_with(begin)).collect()
+    markdown
+        .split('`')
+        .filter(|code| code.starts_with(begin))
+        .collect()
 }
 
 /// The printed checks, and each command of `replay.sh`, end as the report states, for every kind of controller. A
@@ -260,9 +441,14 @@ fn commands_in<'a>(markdown: &'a str, begin: &str) -> Vec<&'a str> {
 #[test]
 fn a_fresh_report_passes_its_own_checks() {
     let folder = tempfile::tempdir().expect("a folder");
-    let write = |name: &str, contents: &[u8]| fs::write(folder.path().join(name), contents).expect("writes");
+    let write = |name: &str, contents: &[u8]| {
+        fs::write(folder.path().join(name), contents).expect("writes")
+    };
     write("keeps speed.sh", KEEPS_SPEED.as_bytes());
-    write("keeps.toml", b"version = 1\ncommand = [\"sh\", \"keeps speed.sh\"]\nfiles = [\"keeps speed.sh\"]\n");
+    write(
+        "keeps.toml",
+        b"version = 1\ncommand = [\"sh\", \"keeps speed.sh\"]\nfiles = [\"keeps speed.sh\"]\n",
+    );
     write("own.safetensors", Policy::retrained_bytes());
     let network = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers/ppo.zip");
     fs::copy(network, folder.path().join("ppo.zip")).expect("copied");
@@ -270,22 +456,38 @@ fn a_fresh_report_passes_its_own_checks() {
     write("calm.toml", approach_space("calm", 0.0).as_bytes());
     let paper = built_in_space("paper").expect("built in");
     let mut older = count_certificate("idm", None, &paper, EstimatorKind::Kalman, folder.path());
-    let Statement::Rate(rate) = &mut older.statement else { panic!("a rate") };
-    rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
+    let Statement::Rate(rate) = &mut older.statement else {
+        panic!("a rate")
+    };
+    rate.registration
+        .configuration
+        .insert("crumple".to_owned(), "0.0.9".to_owned());
     rate.registration_sha256 = rate.registration.digest();
-    write("older.json", serde_json::to_string(&older).expect("JSON").as_bytes());
+    write(
+        "older.json",
+        serde_json::to_string(&older).expect("JSON").as_bytes(),
+    );
     let config = "version = 1\npaper = false\ncontrollers = [\"keeps.toml\", \"own.safetensors\", \"ppo.zip\", \
                   \"shield:own.safetensors\", \"idm\"]\nsubject = \"own.safetensors\"\ndistributions = \
                   [\"barrier.toml\", \"calm.toml\"]\ndraws = 5\neveryday_draws = 0\nrates = { runs = 40, confidence = \
                   0.99 }\nsearch = { spaces = [\"barrier.toml\"], budget = 5 }\ncertificates = [\"older.json\"]\n";
     write("a.toml", config.as_bytes());
     let program = Path::new(env!("CARGO_BIN_EXE_crumple"));
-    let path =
-        format!("{}:{}", program.parent().expect("a folder").display(), std::env::var("PATH").unwrap_or_default());
+    let path = format!(
+        "{}:{}",
+        program.parent().expect("a folder").display(),
+        std::env::var("PATH").unwrap_or_default()
+    );
     let shell = |command: &str, at: &Path| {
-        let ran = Command::new("sh").arg("-c").arg(command).current_dir(at).env("PATH", &path).output();
+        let ran = Command::new("sh")
+            .arg("-c")
+            .arg(command)
+            .current_dir(at)
+            .env("PATH", &path)
+            .output();
         let ran = ran.expect("a shell");
-        let [out, error] = [&ran.stdout, &ran.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
+        let [out, error] =
+            [&ran.stdout, &ran.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
         assert!(ran.status.success(), "{command}: {out}{error}");
         out
     };
@@ -297,34 +499,76 @@ fn a_fresh_report_passes_its_own_checks() {
     fs::rename(&report, &moved).expect("moved");
     drop(folder);
     let evidence: serde_json::Value =
-        serde_json::from_str(&fs::read_to_string(moved.join("assessment.json")).expect("written")).expect("JSON");
+        serde_json::from_str(&fs::read_to_string(moved.join("assessment.json")).expect("written"))
+            .expect("JSON");
     let certificate = |name: &str| {
-        let all = evidence["proofs"]["certificates"].as_array().expect("a list");
-        all.iter().find(|proof| proof["name"] == name).unwrap_or_else(|| panic!("{name}: {all:#?}")).clone()
+        let all = evidence["proofs"]["certificates"]
+            .as_array()
+            .expect("a list");
+        all.iter()
+            .find(|proof| proof["name"] == name)
+            .unwrap_or_else(|| panic!("{name}: {all:#?}"))
+            .clone()
     };
     let shown = certificate("own-safetensors-against-keeps-toml-barrier");
     assert_eq!(shown["status"]["kind"], "accepted", "{shown}");
     let calm = certificate("own-safetensors-against-keeps-toml-calm");
-    assert_eq!((&calm["status"]["kind"], &calm["file"]), (&"nothing_shown".into(), &serde_json::Value::Null));
-    assert!(!moved.join("certificates/own-safetensors-against-keeps-toml-calm.json").exists());
+    assert_eq!(
+        (&calm["status"]["kind"], &calm["file"]),
+        (&"nothing_shown".into(), &serde_json::Value::Null)
+    );
+    assert!(
+        !moved
+            .join("certificates/own-safetensors-against-keeps-toml-calm.json")
+            .exists()
+    );
 
     let markdown = fs::read_to_string(moved.join("assessment.md")).expect("written");
     let checks = commands_in(&markdown, "crumple check");
     // A later part explains the option `--rerun`.
-    let [check, recount, ..] = checks[..] else { panic!("{checks:?}") };
+    let [check, recount, ..] = checks[..] else {
+        panic!("{checks:?}")
+    };
     assert_eq!(check, "crumple check certificates/*.json");
     shell(check, &moved);
-    let all = evidence["proofs"]["certificates"].as_array().expect("a list");
-    let is_counted = |proof: &&serde_json::Value| ["rate", "comparison"].map(Into::into).contains(&proof["statement"]);
+    let all = evidence["proofs"]["certificates"]
+        .as_array()
+        .expect("a list");
+    let is_counted = |proof: &&serde_json::Value| {
+        ["rate", "comparison"]
+            .map(Into::into)
+            .contains(&proof["statement"])
+    };
     // Another release counted `older`.
-    let is_shown = |proof: &&serde_json::Value| proof["status"]["kind"] == "accepted" && proof["name"] != "older";
+    let is_shown = |proof: &&serde_json::Value| {
+        proof["status"]["kind"] == "accepted" && proof["name"] != "older"
+    };
     let counted = all.iter().filter(is_counted).filter(is_shown).count();
-    assert_eq!(shell(recount, &moved).matches("confirmed: all 40 runs").count(), counted, "{recount}");
-    assert!(!recount.contains("older.json") && recount.contains("keeps.toml"), "{recount}");
+    assert_eq!(
+        shell(recount, &moved)
+            .matches("confirmed: all 40 runs")
+            .count(),
+        counted,
+        "{recount}"
+    );
+    assert!(
+        !recount.contains("older.json") && recount.contains("keeps.toml"),
+        "{recount}"
+    );
     let script = fs::read_to_string(moved.join("replay.sh")).expect("written");
-    let lines: Vec<&str> = script.lines().filter_map(|line| line.strip_prefix("run ")).collect();
-    assert!(lines.iter().any(|line| line.contains("/keeps.toml --expect collision")), "{script}");
-    lines.iter().for_each(|line| drop(shell(&format!("crumple {line}"), &moved)));
+    let lines: Vec<&str> = script
+        .lines()
+        .filter_map(|line| line.strip_prefix("run "))
+        .collect();
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.contains("/keeps.toml --expect collision")),
+        "{script}"
+    );
+    lines
+        .iter()
+        .for_each(|line| drop(shell(&format!("crumple {line}"), &moved)));
     shell("sh replay.sh", &moved);
 }
 
@@ -333,9 +577,15 @@ fn a_fresh_report_passes_its_own_checks() {
 fn gates_find_the_draws_of_own_spaces() {
     let folder = tempfile::tempdir().expect("a folder");
     let paper = built_in_space("paper").expect("built in");
-    let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
+    let text = space_file::to_toml(&paper)
+        .expect("written")
+        .replace("mean = 36.0", "mean = 37.0");
     let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
-    let text = text.replacen("The distribution the paper trains on:", "Drives of 0.099 h:", 1);
+    let text = text.replacen(
+        "The distribution the paper trains on:",
+        "Drives of 0.099 h:",
+        1,
+    );
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
     let rate = |controller: &str, percent| AssessmentGate::RateAtMost {
@@ -360,7 +610,12 @@ fn gates_find_the_draws_of_own_spaces() {
     let holds: Vec<_> = found.summary.gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, true, false]);
     let explanation = |name: &str| {
-        found.summary.named.iter().find(|named| named.name == name).map(|named| named.explanation.as_str())
+        found
+            .summary
+            .named
+            .iter()
+            .find(|named| named.name == name)
+            .map(|named| named.explanation.as_str())
     };
     assert_eq!(explanation("space `mine`"), Some("Drives of 0.099 h"));
     // Built-in spaces have their one-line descriptions, the others their own texts.
@@ -368,10 +623,19 @@ fn gates_find_the_draws_of_own_spaces() {
     assert_eq!(explanation("space `traffic`"), Some(traffic));
     let about = |name: &str| {
         let spaces = &found.space_descriptions.spaces;
-        spaces.iter().find(|space| space.name == name).map(|space| space.about.as_str())
+        spaces
+            .iter()
+            .find(|space| space.name == name)
+            .map(|space| space.about.as_str())
     };
-    assert_eq!(about("traffic"), Some(format!("E{}.", &traffic[1..]).as_str()));
-    assert!(about("mine").is_some_and(|about| about.starts_with("Drives of 0.099 h: scenarios 1 and 2")));
+    assert_eq!(
+        about("traffic"),
+        Some(format!("E{}.", &traffic[1..]).as_str())
+    );
+    assert!(
+        about("mine")
+            .is_some_and(|about| about.starts_with("Drives of 0.099 h: scenarios 1 and 2"))
+    );
 }
 
 /// A gate on a space counts its random scenarios, including everyday traffic; a gate on scenario files does not.
@@ -385,7 +649,9 @@ fn gates_on_spaces_look_at_random_scenarios() {
         space: space.to_owned(),
     };
     asked.gates = vec![
-        AssessmentGate::NoCollisionInScenarioFiles { controller: "full-throttle".to_owned() },
+        AssessmentGate::NoCollisionInScenarioFiles {
+            controller: "full-throttle".to_owned(),
+        },
         in_space("full-throttle", "traffic"),
         in_space("full-throttle", "high-risk"),
         in_space("full-throttle", "paper"),
@@ -403,27 +669,45 @@ fn gates_on_spaces_look_at_random_scenarios() {
     let gates = &found.summary.gates;
     let holds: Vec<_> = gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, false, false, true], "{gates:#?}");
-    assert!(gates[1].reason.ends_with("of 20 random scenarios collide"), "{}", gates[1].reason);
-    assert!(gates[3].reason.ends_with("of 40 random scenarios collide"), "{}", gates[3].reason);
+    assert!(
+        gates[1].reason.ends_with("of 20 random scenarios collide"),
+        "{}",
+        gates[1].reason
+    );
+    assert!(
+        gates[3].reason.ends_with("of 40 random scenarios collide"),
+        "{}",
+        gates[3].reason
+    );
 
     // The gates end the first page on a terminal, and are in both forms of the report.
     assert!(
-        found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"),
+        found
+            .first_page
+            .gates_to_plain_text()
+            .ends_with("2 of 5 gates hold.\n"),
         "{}",
         found.first_page.gates_to_plain_text()
     );
     for page in [found.first_page_to_html(), found.to_markdown()] {
-        let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"].map(|text| page.find(text));
+        let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"]
+            .map(|text| page.find(text));
         assert!(gates.is_some() && space > gates, "{page}");
     }
     let claims = found.to_markdown().find("## Claims").expect("a part");
-    assert!(found.to_markdown().find("2 of 5 gates hold.") < Some(claims), "on the first page");
+    assert!(
+        found.to_markdown().find("2 of 5 gates hold.") < Some(claims),
+        "on the first page"
+    );
 
-    for (space, message) in
-        [("standing", "gates[0].space: `standing` is neither among"), ("traffic", "needs `everyday_draws`")]
-    {
+    for (space, message) in [
+        ("standing", "gates[0].space: `standing` is neither among"),
+        ("traffic", "needs `everyday_draws`"),
+    ] {
         (asked.everyday_draws, asked.gates) = (0, vec![in_space("idm", space)]);
-        let refused = AssessmentPlan::new(asked.clone(), [], folder.path()).expect_err("refused").to_string();
+        let refused = AssessmentPlan::new(asked.clone(), [], folder.path())
+            .expect_err("refused")
+            .to_string();
         assert!(refused.contains(message), "{refused}");
     }
 }
@@ -458,9 +742,16 @@ const BRAKES: &str = ".pieces = { from_s = [0.1], accel_mps2 = [-7.0] }";
 #[test]
 fn runs_that_others_end_say_nothing_of_a_controller() {
     let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("others.toml"), third_party_crash_space([STILL, " = \"under-test\"", BRAKES, STILL]))
-        .expect("writes");
-    fs::write(folder.path().join("own.safetensors"), Policy::retrained_bytes()).expect("writes");
+    fs::write(
+        folder.path().join("others.toml"),
+        third_party_crash_space([STILL, " = \"under-test\"", BRAKES, STILL]),
+    )
+    .expect("writes");
+    fs::write(
+        folder.path().join("own.safetensors"),
+        Policy::retrained_bytes(),
+    )
+    .expect("writes");
     let mut asked = config(&["full-throttle", "idm", "own.safetensors"]);
     // The policy's certificate also consists only of runs that end with collisions of others.
     asked.rates.runs = 200;
@@ -468,33 +759,84 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
     asked.search.spaces = Some(vec!["others.toml".to_owned()]);
     (asked.search.budget, asked.everyday_draws) = (20, 0);
     let (controller, than) = ("idm".to_owned(), "full-throttle".to_owned());
-    asked.gates = vec![AssessmentGate::RateNotAbove { controller, than, space: None }];
+    asked.gates = vec![AssessmentGate::RateNotAbove {
+        controller,
+        than,
+        space: None,
+    }];
     let found = run(asked, folder.path());
     let message = |row: &str| -> Vec<&Strength> {
-        let rows = found.summary.claims.iter().filter(|known| known.claim.starts_with(row));
-        rows.flat_map(|row| row.statuses.iter().map(|status| &status.strength)).collect()
+        let rows = found
+            .summary
+            .claims
+            .iter()
+            .filter(|known| known.claim.starts_with(row));
+        rows.flat_map(|row| row.statuses.iter().map(|status| &status.strength))
+            .collect()
     };
     for row in ["no collision in", "no collision anywhere", "fewer failures"] {
-        assert!(message(row).iter().all(|strength| **strength == Strength::Untried), "{row}: {:?}", message(row));
+        assert!(
+            message(row)
+                .iter()
+                .all(|strength| **strength == Strength::Untried),
+            "{row}: {:?}",
+            message(row)
+        );
     }
     let undecided = |strength: &&&Strength| matches!(strength, Strength::Undecided { .. });
-    assert_eq!(message("collision rate at most").iter().filter(undecided).count(), 3);
-    let refuted = |strength: &&&Strength| matches!(strength, Strength::Refuted { failures: 40, runs: 40 });
-    assert_eq!(message("no collision of other vehicles").iter().filter(refuted).count(), 3);
-    assert!(!found.summary.gates[0].holds, "{}", found.summary.gates[0].reason);
+    assert_eq!(
+        message("collision rate at most")
+            .iter()
+            .filter(undecided)
+            .count(),
+        3
+    );
+    let refuted = |strength: &&&Strength| {
+        matches!(
+            strength,
+            Strength::Refuted {
+                failures: 40,
+                runs: 40
+            }
+        )
+    };
+    assert_eq!(
+        message("no collision of other vehicles")
+            .iter()
+            .filter(refuted)
+            .count(),
+        3
+    );
+    assert!(
+        !found.summary.gates[0].holds,
+        "{}",
+        found.summary.gates[0].reason
+    );
 }
 
 /// Refused before the first run, with file and field.
 #[test]
 fn misleading_configurations_are_refused_at_the_start() {
     let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("nobody.toml"), third_party_crash_space([STILL, " = \"idm\"", BRAKES, STILL]))
-        .expect("writes");
+    fs::write(
+        folder.path().join("nobody.toml"),
+        third_party_crash_space([STILL, " = \"idm\"", BRAKES, STILL]),
+    )
+    .expect("writes");
     let begin = "version = 1\ncontrollers = [\"idm\", \"baseline\"]\npaper = false\n";
     for (rest, message) in [
-        ("distributions = [\"nobody.toml\"]\n", "a.toml:4: distributions[0]: nobody.toml: no vehicle is under test"),
-        ("distributions = [\"gone.toml\"]\n", "a.toml:4: distributions[0]: "),
-        ("[[gates]]\nrequire = \"proofs-accepted\"\ncontroler = \"idm\"\n", "controler"),
+        (
+            "distributions = [\"nobody.toml\"]\n",
+            "a.toml:4: distributions[0]: nobody.toml: no vehicle is under test",
+        ),
+        (
+            "distributions = [\"gone.toml\"]\n",
+            "a.toml:4: distributions[0]: ",
+        ),
+        (
+            "[[gates]]\nrequire = \"proofs-accepted\"\ncontroler = \"idm\"\n",
+            "controler",
+        ),
         (
             "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"idm\"\n",
             "gates[0].than: is the controller itself",
@@ -510,7 +852,9 @@ fn misleading_configurations_are_refused_at_the_start() {
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
-        let refused = AssessmentPlan::load(&path).expect_err("refused").to_string();
+        let refused = AssessmentPlan::load(&path)
+            .expect_err("refused")
+            .to_string();
         assert!(refused.contains(message), "{rest}: {refused}");
     }
 }
@@ -522,8 +866,16 @@ fn a_count_in_vain_is_not_outweighed() {
     let own = folder.path().join("own.safetensors");
     fs::write(&own, Policy::retrained_bytes()).expect("writes");
     let paper = built_in_space("paper").expect("built in");
-    let mut forged = count_certificate("own.safetensors", Some("idm"), &paper, EstimatorKind::Kalman, folder.path());
-    let Statement::Comparison(two) = &mut forged.statement else { panic!("a comparison") };
+    let mut forged = count_certificate(
+        "own.safetensors",
+        Some("idm"),
+        &paper,
+        EstimatorKind::Kalman,
+        folder.path(),
+    );
+    let Statement::Comparison(two) = &mut forged.statement else {
+        panic!("a comparison")
+    };
     (two.only_first_failed, two.only_second_failed) = (0, 0);
     for (counted, _) in &mut two.blocks {
         *counted = [0, 100];
@@ -535,9 +887,19 @@ fn a_count_in_vain_is_not_outweighed() {
     (asked.rates.runs, asked.rates.confidence) = (4000, 0.999);
     asked.certificates = Some(vec![path]);
     let found = run(asked, folder.path());
-    let row = found.summary.claims.iter().find(|row| row.claim.contains("fewer failures") && row.part == "proofs");
+    let row = found
+        .summary
+        .claims
+        .iter()
+        .find(|row| row.claim.contains("fewer failures") && row.part == "proofs");
     let status = &row.expect("claimed").statuses[1];
-    assert!(matches!(status.strength, Strength::NotShownByCounting { runs: 4000, .. }), "{status:?}");
+    assert!(
+        matches!(
+            status.strength,
+            Strength::NotShownByCounting { runs: 4000, .. }
+        ),
+        "{status:?}"
+    );
     assert!(
         matches!(status.secondary[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
         "{status:?}"
@@ -547,11 +909,16 @@ fn a_count_in_vain_is_not_outweighed() {
 #[test]
 fn a_recording_is_assessed_as_its_episodes() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
+    let recording =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
     fs::copy(recording, folder.path().join("platoon.csv")).expect("copied");
     let with = |rest: &str| {
         let path = folder.path().join("a.toml");
-        fs::write(&path, format!("version = 1\ncontrollers = [\"idm\"]\npaper = false\n{rest}")).expect("writes");
+        fs::write(
+            &path,
+            format!("version = 1\ncontrollers = [\"idm\"]\npaper = false\n{rest}"),
+        )
+        .expect("writes");
         AssessmentPlan::load(&path).map_err(|error| error.to_string())
     };
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
@@ -565,7 +932,15 @@ fn a_recording_is_assessed_as_its_episodes() {
         "each car that brakes leads one: {}",
         found.summary.gates[0].reason
     );
-    assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));
+    assert!(
+        found
+            .command_files
+            .iter()
+            .any(|file| file.file.starts_with("scenarios/openacc"))
+    );
     let refused = with("recordings = [\"gone.csv\"]\n").expect_err("refused");
-    assert!(refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"), "{refused}");
+    assert!(
+        refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"),
+        "{refused}"
+    );
 }

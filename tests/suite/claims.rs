@@ -2,8 +2,8 @@
 //! JSON.
 
 use crumple_report::assessment::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Ledger, Property, Rounded, Strength, Subject,
-    UncomparedText,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Ledger, Property, Rounded,
+    Strength, Subject, UncomparedText,
 };
 use crumple_world::observation::EstimatorKind;
 use proptest::prelude::*;
@@ -12,13 +12,18 @@ use serde_json::Value;
 
 /// A few of each kind, so that claims meet: equal names with different hashes, and the reverse.
 fn any_known(kind: &'static str) -> impl Strategy<Value = ContentId> {
-    (0..2_u8, 0..2_u8)
-        .prop_map(move |(name, content)| ContentId::new(format!("{kind} {name}"), format!("{kind} {content}")))
+    (0..2_u8, 0..2_u8).prop_map(move |(name, content)| {
+        ContentId::new(format!("{kind} {name}"), format!("{kind} {content}"))
+    })
 }
 
 fn subject() -> impl Strategy<Value = Subject> {
-    (any_known("controller"), select(&EstimatorKind::ALL[..]))
-        .prop_map(|(controller, estimator)| Subject { controller, estimator })
+    (any_known("controller"), select(&EstimatorKind::ALL[..])).prop_map(
+        |(controller, estimator)| Subject {
+            controller,
+            estimator,
+        },
+    )
 }
 
 fn property() -> impl Strategy<Value = Property> {
@@ -26,7 +31,9 @@ fn property() -> impl Strategy<Value = Property> {
         Just(Property::NoContact),
         Just(Property::NoContactAhead),
         Just(Property::FailureRate),
-        (0..3_u8).prop_map(|percent| Property::RateAtMost { percent: Rounded::new(f64::from(percent)) }),
+        (0..3_u8).prop_map(|percent| Property::RateAtMost {
+            percent: Rounded::new(f64::from(percent))
+        }),
         any_known("controller").prop_map(|than| Property::FailsLessOften { than }),
         Just(Property::NoUnnecessaryBraking),
         Just(Property::KeepsUp),
@@ -36,11 +43,21 @@ fn property() -> impl Strategy<Value = Property> {
 
 fn domain() -> impl Strategy<Value = Domain> {
     prop_oneof![
-        prop::collection::vec(any_known("scenario"), 1..3)
-            .prop_map(|all| Domain::Scenarios { about: UncomparedText("some".to_owned()), all }),
-        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws { space, seed, draws: 10 }),
+        prop::collection::vec(any_known("scenario"), 1..3).prop_map(|all| Domain::Scenarios {
+            about: UncomparedText("some".to_owned()),
+            all
+        }),
+        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws {
+            space,
+            seed,
+            draws: 10
+        }),
         any_known("space").prop_map(|space| Domain::Space { space }),
-        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search { space, seed, budget: 10 }),
+        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search {
+            space,
+            seed,
+            budget: 10
+        }),
         any_known("box").prop_map(|around| Domain::Box { around }),
     ]
 }
@@ -58,11 +75,25 @@ fn strength() -> impl Strategy<Value = Strength> {
         Just(Strength::Proved { certificates: 1 }),
         (1..9_u64).prop_map(|runs| Strength::Tested { runs }),
         between,
-        (1..3_u64).prop_map(move |runs| Strength::Counted { confidence_percent, runs }),
-        (1..3_u64).prop_map(move |runs| Strength::NotShownByCounting { confidence_percent, runs }),
-        (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
+        (1..3_u64).prop_map(move |runs| Strength::Counted {
+            confidence_percent,
+            runs
+        }),
+        (1..3_u64).prop_map(move |runs| Strength::NotShownByCounting {
+            confidence_percent,
+            runs
+        }),
+        (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared {
+            own,
+            other,
+            runs: 9
+        }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
-        Just(Strength::Falsified { failures: 2, avoidable: 1, reason: None }),
+        Just(Strength::Falsified {
+            failures: 2,
+            avoidable: 1,
+            reason: None
+        }),
         (any::<bool>(), 0..2_u64).prop_map(|(refutes, failures)| Strength::Unanswered {
             unanswered: 3,
             failures,
@@ -70,8 +101,13 @@ fn strength() -> impl Strategy<Value = Strength> {
             reason: "at 1.00 s, it is gone".to_owned(),
             refutes,
         }),
-        Just(Strength::PartlyProved { share_percent: Rounded::new(40.0) }),
-        (0.9..1.1).prop_map(|largest| Strength::Gain { largest: Rounded::new(largest), points: 9 }),
+        Just(Strength::PartlyProved {
+            share_percent: Rounded::new(40.0)
+        }),
+        (0.9..1.1).prop_map(|largest| Strength::Gain {
+            largest: Rounded::new(largest),
+            points: 9
+        }),
         Just(Strength::Untried),
     ]
 }
@@ -110,8 +146,10 @@ fn strength_level(text: &Value) -> u8 {
 /// Computes the highest level that evidence allows, from the rules that the report prints.
 fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
-    let about_runs =
-        |p: &Value| ["no_contact", "no_contact_ahead", "no_needless_braking"].contains(&p["kind"].as_str().unwrap());
+    let about_runs = |p: &Value| {
+        ["no_contact", "no_contact_ahead", "no_needless_braking"]
+            .contains(&p["kind"].as_str().unwrap())
+    };
     let same_property = |a: &Value, b: &Value| {
         a["kind"] == b["kind"]
             && a["percent"] == b["percent"]
@@ -119,22 +157,31 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     };
     let scenarios = |d: &Value| d["all"].as_array().cloned().unwrap_or_default();
     let within = |part: &Value, whole: &Value| -> bool {
-        match (part["kind"].as_str().unwrap(), whole["kind"].as_str().unwrap()) {
-            ("scenarios", "scenarios") => scenarios(part).iter().all(|p| scenarios(whole).iter().any(|w| same(p, w))),
+        match (
+            part["kind"].as_str().unwrap(),
+            whole["kind"].as_str().unwrap(),
+        ) {
+            ("scenarios", "scenarios") => scenarios(part)
+                .iter()
+                .all(|p| scenarios(whole).iter().any(|w| same(p, w))),
             ("draws" | "search", "space") => same(&part["space"], &whole["space"]),
             ("box", "box") => same(&part["around"], &whole["around"]),
-            (a, b) => a == b && same(&part["space"], &whole["space"]) && part["seed"] == whole["seed"],
+            (a, b) => {
+                a == b && same(&part["space"], &whole["space"]) && part["seed"] == whole["seed"]
+            }
         }
     };
-    let equal = |a: &Value, b: &Value| match (a["kind"] == "scenarios") && (b["kind"] == "scenarios") {
-        true => {
-            let (a, b) = (scenarios(a), scenarios(b));
-            a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b))
-        }
-        false => a["kind"] == b["kind"] && within(a, b),
+    let equal =
+        |a: &Value, b: &Value| match (a["kind"] == "scenarios") && (b["kind"] == "scenarios") {
+            true => {
+                let (a, b) = (scenarios(a), scenarios(b));
+                a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b))
+            }
+            false => a["kind"] == b["kind"] && within(a, b),
+        };
+    let stronger = |p: &Value, q: &Value| {
+        same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead")
     };
-    let stronger =
-        |p: &Value, q: &Value| same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead");
     // The registration of a count, and its evidence against the claim; the largest decides.
     let fixed = |one: &Value| {
         let against = match one["strength"].as_str() {
@@ -142,29 +189,48 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             Some("counted_in_vain") => 100.0,
             _ => one["upper_percent"].as_f64().unwrap(),
         };
-        (one["confidence_percent"].as_f64().unwrap(), one["runs"].as_f64().unwrap(), against)
+        (
+            one["confidence_percent"].as_f64().unwrap(),
+            one["runs"].as_f64().unwrap(),
+            against,
+        )
     };
     let has_subject = |own: &Value| {
-        same(&own["subject"]["controller"], &claim["subject"]["controller"])
-            && own["subject"]["estimator"] == claim["subject"]["estimator"]
+        same(
+            &own["subject"]["controller"],
+            &claim["subject"]["controller"],
+        ) && own["subject"]["estimator"] == claim["subject"]["estimator"]
     };
     let counts = |one: &Value| {
         let own = &one["claim"];
-        let is_rate = own["property"]["kind"] == "failure_rate" && claim["property"]["kind"] == "rate_at_most";
+        let is_rate = own["property"]["kind"] == "failure_rate"
+            && claim["property"]["kind"] == "rate_at_most";
         let is_counted = match one["strength"].as_str() {
             Some("between") => is_rate,
-            Some("counted" | "counted_in_vain") => same_property(&own["property"], &claim["property"]),
+            Some("counted" | "counted_in_vain") => {
+                same_property(&own["property"], &claim["property"])
+            }
             _ => false,
         };
         has_subject(own) && is_counted && equal(&own["domain"], &claim["domain"])
     };
-    let decides = |one: &Value| evidence.iter().filter(|rival| counts(rival)).all(|rival| fixed(rival) <= fixed(one));
+    let decides = |one: &Value| {
+        evidence
+            .iter()
+            .filter(|rival| counts(rival))
+            .all(|rival| fixed(rival) <= fixed(one))
+    };
     let (mut best, mut refuted) = (1, false);
     let mut proved: Vec<Value> = Vec::new();
     for one in evidence {
         let own = &one["claim"];
         let is_subjects = has_subject(own);
-        let (p, q, d, e) = (&own["property"], &claim["property"], &own["domain"], &claim["domain"]);
+        let (p, q, d, e) = (
+            &own["property"],
+            &claim["property"],
+            &own["domain"],
+            &claim["domain"],
+        );
         let mut says = strength_level(one);
         let applies = if same_property(p, q) && equal(d, e) {
             !counts(one) || decides(one)
@@ -186,11 +252,16 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         } else if !(about_runs(p) && about_runs(q)) {
             false
         } else {
-            (says == 0 && stronger(q, p) && within(d, e)) || (says == 4 && stronger(p, q) && within(e, d))
+            (says == 0 && stronger(q, p) && within(d, e))
+                || (says == 4 && stronger(p, q) && within(e, d))
         };
         if is_subjects && says == 4 && stronger(p, q) && d["kind"] == "scenarios" {
             // Evidence that is not about all runs is about one scenario only if it was proved for that one.
-            proved.extend(scenarios(d).into_iter().filter(|_| about_runs(p) || scenarios(d).len() == 1));
+            proved.extend(
+                scenarios(d)
+                    .into_iter()
+                    .filter(|_| about_runs(p) || scenarios(d).len() == 1),
+            );
         }
         if is_subjects && applies {
             refuted |= says == 0;
@@ -199,9 +270,9 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     }
     // Disjoint bounds on one rate contradict each other, regardless of what each decides.
     let mut meet = (0.0, 100.0);
-    for one in
-        evidence.iter().filter(|one| one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate")
-    {
+    for one in evidence.iter().filter(|one| {
+        one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate"
+    }) {
         let own = &one["claim"];
         if has_subject(own) && equal(&own["domain"], &claim["domain"]) {
             meet = (
@@ -214,7 +285,10 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         return 0;
     }
     let parts = scenarios(&claim["domain"]);
-    let united = !parts.is_empty() && parts.iter().all(|part| proved.iter().any(|one| same(one, part)));
+    let united = !parts.is_empty()
+        && parts
+            .iter()
+            .all(|part| proved.iter().any(|one| same(one, part)));
     if refuted {
         0
     } else if united {

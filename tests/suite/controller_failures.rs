@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
-use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess};
+use crumple_report::assessment::{
+    AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess,
+};
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, Ego, RequiredNeighbours, ShieldSettings,
@@ -14,8 +16,8 @@ use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{
-    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions,
-    ShieldedSource, simulate, simulate_batch,
+    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError,
+    RunOptions, ShieldedSource, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 
@@ -33,7 +35,13 @@ struct FailingController {
 
 impl FailingController {
     fn new(fails_at: usize, answer: Result<f64, ControllerFailure>) -> Self {
-        Self { fails_at, answer, needs: RequiredNeighbours::Nothing, identity: Some("failing"), answered: 0 }
+        Self {
+            fails_at,
+            answer,
+            needs: RequiredNeighbours::Nothing,
+            identity: Some("failing"),
+            answered: 0,
+        }
     }
 
     fn into_kind(self) -> ControllerKind {
@@ -65,16 +73,24 @@ impl ControllerSource for FailingController {
 impl Controller for FailingController {
     fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
         self.answered += 1;
-        if self.answered > self.fails_at { self.answer.clone() } else { Ok(0.2) }
+        if self.answered > self.fails_at {
+            self.answer.clone()
+        } else {
+            Ok(0.2)
+        }
     }
 }
 
 fn died_failure() -> ControllerFailure {
-    ControllerFailure::Died { message: "no longer there".to_owned() }
+    ControllerFailure::Died {
+        message: "no longer there".to_owned(),
+    }
 }
 
 fn all_under_test_scenario() -> Scenario {
-    let edited = built_in_scenario("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
+    let edited = built_in_scenario("paper-2")
+        .unwrap()
+        .edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
     edited.unwrap()
 }
 
@@ -132,10 +148,22 @@ fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
     ] {
         let refused = Run::new(
             &scenario,
-            RunOptions::new(FailingController { needs, ..FailingController::new(9, Ok(0.0)) }.into_kind()),
+            RunOptions::new(
+                FailingController {
+                    needs,
+                    ..FailingController::new(9, Ok(0.0))
+                }
+                .into_kind(),
+            ),
         )
         .err();
-        assert_eq!(refused, missing.map(|missing| RunError::MissingNeighbour { vehicle: 2, missing }));
+        assert_eq!(
+            refused,
+            missing.map(|missing| RunError::MissingNeighbour {
+                vehicle: 2,
+                missing
+            })
+        );
     }
 }
 
@@ -145,8 +173,14 @@ fn every_specification_is_violated_at_its_worst() {
     let options = RunOptions::new(FailingController::new(100, Err(died_failure())).into_kind());
     for text in [Specification::NO_COLLISION, "always v1.speed_mps >= 0"] {
         let specification = Specification::parse(text, &scenario).unwrap();
-        let verdict = specification.evaluate_scenario(&scenario, options.clone()).unwrap();
-        assert_eq!((verdict.robustness, verdict.failure), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");
+        let verdict = specification
+            .evaluate_scenario(&scenario, options.clone())
+            .unwrap();
+        assert_eq!(
+            (verdict.robustness, verdict.failure),
+            (f64::NEG_INFINITY, Some((1.0, 1))),
+            "{text}"
+        );
     }
 }
 
@@ -169,14 +203,27 @@ fn a_rate_counts_and_reports_controller_failures() {
     plan.count_batch(&mut tally).unwrap();
     assert_eq!((tally.runs, tally.failures), (50, 50));
     let configuration = &plan.registration().configuration;
-    assert_eq!(configuration["failure"], "vehicles touch, or a controller fails");
+    assert_eq!(
+        configuration["failure"],
+        "vehicles touch, or a controller fails"
+    );
     assert_eq!(configuration["controller_sha256"], "failing");
-    let unknown = FailingController { identity: None, ..FailingController::new(10, Err(died_failure())) }.into_named();
-    assert!(matches!(rate_plan(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing"));
+    let unknown = FailingController {
+        identity: None,
+        ..FailingController::new(10, Err(died_failure()))
+    }
+    .into_named();
+    assert!(
+        matches!(rate_plan(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing")
+    );
 }
 
 fn campaign(controller: NamedController) -> Campaign {
-    Campaign { estimator: EstimatorKind::Truth, budget: 30, ..Campaign::new(controller, paper_space()) }
+    Campaign {
+        estimator: EstimatorKind::Truth,
+        budget: 30,
+        ..Campaign::new(controller, paper_space())
+    }
 }
 
 #[test]
@@ -188,24 +235,66 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     assert!(summary.falsified);
     let found = &summary.counterexamples[0];
     assert_eq!(found.kind, "the controller of vehicle 1 fails");
-    assert_eq!((found.robustness, found.contact_time_s), (f64::NEG_INFINITY, None));
-    assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
-    let again = own.run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet).unwrap();
+    assert_eq!(
+        (found.robustness, found.contact_time_s),
+        (f64::NEG_INFINITY, None)
+    );
+    assert!(
+        found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(),
+        "{}",
+        found.file
+    );
+    let again = own
+        .run(
+            &out,
+            CampaignOptions {
+                resume: true,
+                ..Default::default()
+            },
+            &Quiet,
+        )
+        .unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
-    let other =
-        FailingController { identity: Some("other"), ..FailingController::new(10, Err(died_failure())) }.into_named();
+    let other = FailingController {
+        identity: Some("other"),
+        ..FailingController::new(10, Err(died_failure()))
+    }
+    .into_named();
     let refused = campaign(other)
-        .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
-        .unwrap_err()
-        .to_string();
-    assert!(refused.contains("the campaign there has a different configuration"), "{refused}");
-    let unknown = FailingController { identity: None, ..FailingController::new(10, Err(died_failure())) }.into_named();
-    let refused = campaign(unknown)
-        .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
+        .run(
+            &out,
+            CampaignOptions {
+                resume: true,
+                ..Default::default()
+            },
+            &Quiet,
+        )
         .unwrap_err()
         .to_string();
     assert!(
-        refused.starts_with("the controller `failing` states no identity, so its campaign cannot be resumed"),
+        refused.contains("the campaign there has a different configuration"),
+        "{refused}"
+    );
+    let unknown = FailingController {
+        identity: None,
+        ..FailingController::new(10, Err(died_failure()))
+    }
+    .into_named();
+    let refused = campaign(unknown)
+        .run(
+            &out,
+            CampaignOptions {
+                resume: true,
+                ..Default::default()
+            },
+            &Quiet,
+        )
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.starts_with(
+            "the controller `failing` states no identity, so its campaign cannot be resumed"
+        ),
         "{refused}"
     );
 }
@@ -216,17 +305,41 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
     // The other controller avoids collisions: classifying each collision would take most of the time.
     config.controllers = vec!["idm".to_owned()];
     config.gates.clear();
-    (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);
-    (config.search.spaces, config.certificates) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
+    (
+        config.draws,
+        config.search.budget,
+        config.rates.runs,
+        config.everyday_draws,
+    ) = (20, 5, 0, 4);
+    (config.search.spaces, config.certificates) =
+        (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     config.distributions = Some(vec!["paper".to_owned()]);
     let own = [FailingController::new(100, Ok(f64::NAN)).into_named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
     let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];
-    assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
-    assert!(assessment.to_markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
-    let drawn =
-        assessment.rate_spaces.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
-    assert_eq!((drawn.ends.collisions, drawn.ends.failures()), (0, 20), "all draws fail, and nobody touches");
+    assert!(
+        matches!(
+            &case.verdict,
+            CaseVerdict::ControllerFailed { vehicle: 1, .. }
+        ),
+        "{:?}",
+        case.verdict
+    );
+    assert!(
+        assessment
+            .to_markdown()
+            .contains("controller of 1 failed at 1.00 s: it answered with a number")
+    );
+    let drawn = assessment.rate_spaces.spaces[0]
+        .controllers
+        .iter()
+        .find(|drawn| drawn.controller == "failing")
+        .unwrap();
+    assert_eq!(
+        (drawn.ends.collisions, drawn.ends.failures()),
+        (0, 20),
+        "all draws fail, and nobody touches"
+    );
     assert_eq!(drawn.mean_impact_speed_mps, None);
 }

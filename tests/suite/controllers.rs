@@ -18,12 +18,22 @@ prop_compose! {
 /// Any observation, including diverged estimates such as negative gaps and impossible accelerations.
 fn any_observation() -> impl Strategy<Value = Observation> {
     let neighbour = || {
-        let seen = (-10.0..500.0_f64, 0.0..110.0_f64, -100.0..100.0_f64)
-            .prop_map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour { gap_m, speed_mps, acceleration_mps2 });
+        let seen = (-10.0..500.0_f64, 0.0..110.0_f64, -100.0..100.0_f64).prop_map(
+            |(gap_m, speed_mps, acceleration_mps2)| Neighbour {
+                gap_m,
+                speed_mps,
+                acceleration_mps2,
+            },
+        );
         prop::option::weighted(0.9, seen)
     };
     (0.0..110.0_f64, -100.0..100.0_f64, neighbour(), neighbour()).prop_map(
-        |(speed_mps, acceleration_mps2, ahead, behind)| Observation { speed_mps, acceleration_mps2, ahead, behind },
+        |(speed_mps, acceleration_mps2, ahead, behind)| Observation {
+            speed_mps,
+            acceleration_mps2,
+            ahead,
+            behind,
+        },
     )
 }
 
@@ -77,7 +87,14 @@ proptest! {
 /// A new rule-based controller is generated too, with its settings.
 #[test]
 fn every_rule_is_generated() {
-    for rule in ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference) {
-        assert!(crumple_testing::generator::CONTROLLERS.contains(&rule), "{}", rule.name());
+    for rule in ControllerSpec::all()
+        .into_iter()
+        .filter(|spec| spec.role() <= Role::Reference)
+    {
+        assert!(
+            crumple_testing::generator::CONTROLLERS.contains(&rule),
+            "{}",
+            rule.name()
+        );
     }
 }

@@ -13,8 +13,11 @@ fn scenario_corpus() -> PathBuf {
 
 /// Returns the paths of all recorded scenario files, each once.
 fn scenario_paths(index: &ExpectedFile) -> Vec<PathBuf> {
-    let mut paths: Vec<PathBuf> =
-        index.expected.iter().map(|expected| scenario_corpus().join(&expected.scenario)).collect();
+    let mut paths: Vec<PathBuf> = index
+        .expected
+        .iter()
+        .map(|expected| scenario_corpus().join(&expected.scenario))
+        .collect();
     paths.sort();
     paths.dedup();
     paths
@@ -30,17 +33,28 @@ fn every_kept_scenario_still_ends_as_recorded() {
         }
         let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; \
             with UPDATE_CORPORA=1 it\n# renews them.\n";
-        fs::write(&path, format!("{about}{}", toml::to_string(&index).unwrap())).unwrap();
+        fs::write(
+            &path,
+            format!("{about}{}", toml::to_string(&index).unwrap()),
+        )
+        .unwrap();
     }
     assert!(index.expected.len() >= 4, "a handful at least");
     let mut failures = Vec::new();
     for expected in &index.expected {
         let replayed = expected.replay(&scenario_corpus()).unwrap();
         if !replayed.as_recorded {
-            failures.push(format!("{} under {}: {replayed:?}", expected.scenario, expected.controller));
+            failures.push(format!(
+                "{} under {}: {replayed:?}",
+                expected.scenario, expected.controller
+            ));
         }
     }
-    assert!(failures.is_empty(), "{}: if that is meant, run with UPDATE_CORPORA=1", failures.join("\n"));
+    assert!(
+        failures.is_empty(),
+        "{}: if that is meant, run with UPDATE_CORPORA=1",
+        failures.join("\n")
+    );
 }
 
 /// The controller in the file name still fails, and the recorded avoidability is still the result of convex
@@ -50,18 +64,33 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
     let index = ExpectedFile::load_from_folder(&scenario_corpus()).unwrap();
     for path in scenario_paths(&index) {
         let file = path.file_name().unwrap().to_str().unwrap();
-        let own: Vec<_> = index.expected.iter().filter(|expected| expected.scenario == file).collect();
+        let own: Vec<_> = index
+            .expected
+            .iter()
+            .filter(|expected| expected.scenario == file)
+            .collect();
         let named = own.iter().find(|expected| {
-            file.starts_with(&expected.controller) || (file.starts_with("policy") && expected.policy_sha256.is_some())
+            file.starts_with(&expected.controller)
+                || (file.starts_with("policy") && expected.policy_sha256.is_some())
         });
-        assert!(named.is_some_and(|expected| expected.violated), "{file}: whoever it is named after does not fail");
+        assert!(
+            named.is_some_and(|expected| expected.violated),
+            "{file}: whoever it is named after does not fail"
+        );
         let class = Avoidability::classify_contact(&load(&path).unwrap());
         for expected in own {
-            let recorded = if expected.violated { class.class() } else { AvoidabilityClass::NotAsked };
+            let recorded = if expected.violated {
+                class.class()
+            } else {
+                AvoidabilityClass::NotAsked
+            };
             assert_eq!(expected.avoidable, recorded, "{file}");
             let gaps = expected.best_min_gap_m.zip(class.best_min_gap_m());
             // Differences between solvers on different machines are smaller.
-            assert!(gaps.is_none_or(|(recorded, found)| (recorded - found).abs() < 1e-3), "{file}: {gaps:?}");
+            assert!(
+                gaps.is_none_or(|(recorded, found)| (recorded - found).abs() < 1e-3),
+                "{file}: {gaps:?}"
+            );
         }
     }
 }
@@ -79,6 +108,10 @@ fn every_corpus_scenario_is_recorded_with_its_reason() {
     assert_eq!(kept, recorded);
     for path in kept {
         let scenario = load(&path).unwrap();
-        assert!(scenario.spec().about.len() > 40, "{} does not say why it is there", path.display());
+        assert!(
+            scenario.spec().about.len() > 40,
+            "{} does not say why it is there",
+            path.display()
+        );
     }
 }

@@ -35,9 +35,15 @@ fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         method: Method::Uniform,
         budget: 60,
         seed,
-        ..Campaign::new(ControllerSpec::from_name("baseline").unwrap(), built_in_space("paper").unwrap())
+        ..Campaign::new(
+            ControllerSpec::from_name("baseline").unwrap(),
+            built_in_space("paper").unwrap(),
+        )
     };
-    let options = CampaignOptions { resume: true, ..Default::default() };
+    let options = CampaignOptions {
+        resume: true,
+        ..Default::default()
+    };
     campaign
         .run(folder, options, &Listener(|_: &CampaignProgress| tick()))
         .map(|_| ())
@@ -49,9 +55,15 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
         seed,
         estimator: EstimatorKind::Truth,
         confidence: 0.9,
-        ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 300)
+        ..RateConfig::new(
+            ControllerSpec::from_name("idm").unwrap(),
+            built_in_space("paper").unwrap(),
+            300,
+        )
     });
-    let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| error.to_string());
+    let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| {
+        error.to_string()
+    });
     let mut count = plan.register_in(folder, true).map_err(error)?;
     let certificate = count.certify(&Listener(|_: &CountProgress| tick()));
     certificate.map(|_| ()).map_err(error)
@@ -64,7 +76,10 @@ fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         seed,
-        effort: SplittingConfig { samples: 50, repetitions: 10 },
+        effort: SplittingConfig {
+            samples: 50,
+            repetitions: 10,
+        },
     };
     let error = |error: crumple_evidence::rare::RareError| error.to_string();
     let observer = Listener(|_: &RunProgress| tick());
@@ -73,16 +88,25 @@ fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         return Ok(());
     }
     let pilot = kept.run_pilot(&plan, &observer).map_err(error)?;
-    kept.estimate(&plan, &pilot, 0, &observer).map(|_| ()).map_err(error)
+    kept.estimate(&plan, &pilot, 0, &observer)
+        .map(|_| ())
+        .map_err(error)
 }
 
 fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
-    let mut config = TrainingConfig::parse(&tiny::with_small_memory(&tiny::training()), Path::new("tiny")).unwrap();
+    let mut config = TrainingConfig::parse(
+        &tiny::with_small_memory(&tiny::training()),
+        Path::new("tiny"),
+    )
+    .unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
-    training.train(&held_out, &Listener(|_: &TrainingEvent| tick())).map(|_| ()).map_err(error)
+    training
+        .train(&held_out, &Listener(|_: &TrainingEvent| tick()))
+        .map(|_| ())
+        .map_err(error)
 }
 
 fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
@@ -93,7 +117,11 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
         spaces: built_in_space("paper").unwrap().into(),
         attacked: vec![built_in_scenario("paper-1").unwrap()],
         regression_spaces: vec![built_in_space("traffic").unwrap()],
-        training: TrainingConfig::parse(&tiny::with_small_memory(&tiny::retraining()), Path::new("tiny")).unwrap(),
+        training: TrainingConfig::parse(
+            &tiny::with_small_memory(&tiny::retraining()),
+            Path::new("tiny"),
+        )
+        .unwrap(),
         method: Method::Uniform,
         seed,
         settings: RetrainingSettings {
@@ -108,23 +136,35 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
             ..RetrainingSettings::DEFAULT
         },
     };
-    plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick())).map(|_| ()).map_err(|error| error.to_string())
+    plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick()))
+        .map(|_| ())
+        .map_err(|error| error.to_string())
 }
 
 /// Creates a folder, in memory if possible, since thousands of resumptions need no disk.
 pub(crate) fn scratch_folder() -> TempDir {
-    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+    tempfile::tempdir_in("/dev/shm")
+        .or_else(|_| tempfile::tempdir())
+        .unwrap()
 }
 
 /// Reads all files below a folder.
 pub(crate) fn read_tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let (mut found, mut folders) = (BTreeMap::new(), vec![folder.to_owned()]);
     while let Some(next) = folders.pop() {
-        for path in fs::read_dir(&next).unwrap().map(|entry| entry.unwrap().path()) {
+        for path in fs::read_dir(&next)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+        {
             if path.is_dir() {
                 folders.push(path);
             } else {
-                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+                let name = path
+                    .strip_prefix(folder)
+                    .unwrap()
+                    .to_str()
+                    .unwrap()
+                    .to_owned();
                 found.insert(name, fs::read(&path).unwrap());
             }
         }
@@ -134,7 +174,10 @@ pub(crate) fn read_tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 
 /// Reads all files below a folder but the locks.
 pub(crate) fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    read_tree(folder).into_iter().filter(|(name, _)| !name.ends_with("work.lock")).collect()
+    read_tree(folder)
+        .into_iter()
+        .filter(|(name, _)| !name.ends_with("work.lock"))
+        .collect()
 }
 
 fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
@@ -145,7 +188,11 @@ fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
     }
 }
 
-fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
+fn files_after_stop(
+    work: ResumableWork,
+    seed: u64,
+    stop: Option<usize>,
+) -> BTreeMap<String, Vec<u8>> {
     let (folder, ticks) = (scratch_folder(), AtomicUsize::new(0));
     let tick = || {
         if stop == Some(ticks.fetch_add(1, Ordering::SeqCst) + 1) {
@@ -153,16 +200,26 @@ fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTre
         }
     };
     let ended = catch_unwind(AssertUnwindSafe(|| work(folder.path(), seed, &tick)));
-    assert_eq!(ended.is_err(), stop.is_some(), "stopped at {stop:?} of {ticks:?} ticks");
+    assert_eq!(
+        ended.is_err(),
+        stop.is_some(),
+        "stopped at {stop:?} of {ticks:?} ticks"
+    );
     let name = |name: String| name.replace(&format!("seed-{seed}"), "seed-1");
-    read_files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
+    read_files(folder.path())
+        .into_iter()
+        .map(|(path, bytes)| (name(path), bytes))
+        .collect()
 }
 
 fn damaged_variants<'a>(
     bytes: &'a [u8],
     other: Option<&'a Vec<u8>>,
 ) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
-    let flips = std::env::var("FLIPS").ok().and_then(|flips| flips.parse().ok()).unwrap_or(DEFAULT_FLIPS);
+    let flips = std::env::var("FLIPS")
+        .ok()
+        .and_then(|flips| flips.parse().ok())
+        .unwrap_or(DEFAULT_FLIPS);
     let flipped = (0..flips.min(8 * bytes.len())).map(move |flip| {
         let bit = flip * (8 * bytes.len() - 1) / (flips - 1).max(1);
         let mut bytes = bytes.to_vec();
@@ -172,13 +229,19 @@ fn damaged_variants<'a>(
     let cut = [bytes.len() / 2, bytes.len().saturating_sub(1), 0]
         .map(|to| (format!("cut to {to}"), Some(bytes[..to].to_vec())));
     let swapped = other.map(|other| ("swapped with another run's".to_owned(), Some(other.clone())));
-    flipped.chain(cut).chain([("lost".to_owned(), None)]).chain(swapped)
+    flipped
+        .chain(cut)
+        .chain([("lost".to_owned(), None)])
+        .chain(swapped)
 }
 
 /// Damages each file of begun or complete work in every way. Returns the number of refused changes.
 fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
     let genuine = files_after_stop(work, 1, None);
-    let (begun, other) = (files_after_stop(work, 1, stop), files_after_stop(work, 2, stop));
+    let (begun, other) = (
+        files_after_stop(work, 1, stop),
+        files_after_stop(work, 2, stop),
+    );
     let (mut refused, mut same) = (0, 0);
     let folder = scratch_folder();
     write_files(folder.path(), &begun);
@@ -192,13 +255,18 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
             }
             match work(folder.path(), 1, &|| {}) {
                 Err(text) => {
-                    let named = text.contains(name) || text.contains(path.parent().unwrap().to_str().unwrap());
+                    let named = text.contains(name)
+                        || text.contains(path.parent().unwrap().to_str().unwrap());
                     assert!(named, "{name}, {what}: refused without its name: {text}");
                     refused += 1;
                     fs::write(&path, bytes).unwrap();
                 }
                 Ok(()) => {
-                    assert_same_contents(&read_files(folder.path()), &genuine, &format!("{name}, {what}: believed"));
+                    assert_same_contents(
+                        &read_files(folder.path()),
+                        &genuine,
+                        &format!("{name}, {what}: believed"),
+                    );
                     same += 1;
                     fs::remove_dir_all(folder.path()).unwrap();
                     write_files(folder.path(), &begun);
@@ -206,11 +274,18 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
             }
         }
     }
-    assert!(read_files(folder.path()) == begun, "what is refused is not changed");
+    assert!(
+        read_files(folder.path()) == begun,
+        "what is refused is not changed"
+    );
     let folder = scratch_folder();
     write_files(folder.path(), &other);
     if work(folder.path(), 1, &|| {}).is_ok() {
-        assert_same_contents(&read_files(folder.path()), &genuine, "another run's folder: believed");
+        assert_same_contents(
+            &read_files(folder.path()),
+            &genuine,
+            "another run's folder: believed",
+        );
     }
     println!("{} files: {refused} refused, {same} the same", begun.len());
     refused
@@ -224,7 +299,10 @@ pub(crate) fn assert_same_contents(
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(found), names(expected), "{what}");
     for (name, bytes) in found {
-        assert!(*bytes == expected[name], "{what}: {name} differs in the end");
+        assert!(
+            *bytes == expected[name],
+            "{what}: {name} differs in the end"
+        );
     }
 }
 

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 /// Returns all files below a folder, or a file itself.
 pub(crate) fn files_below(path: PathBuf) -> Vec<PathBuf> {
     match fs::read_dir(&path) {
-        Ok(entries) => entries.flat_map(|entry| files_below(entry.unwrap().path())).collect(),
+        Ok(entries) => entries
+            .flat_map(|entry| files_below(entry.unwrap().path()))
+            .collect(),
         Err(_) => vec![path],
     }
 }
@@ -15,9 +17,18 @@ pub(crate) fn files_below(path: PathBuf) -> Vec<PathBuf> {
 fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeMap::new();
-    for folder in ["docs", "corpora", "examples", "python", "reports", "README.md", "CONTRIBUTING.md"] {
-        for page in
-            files_below(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
+    for folder in [
+        "docs",
+        "corpora",
+        "examples",
+        "python",
+        "reports",
+        "README.md",
+        "CONTRIBUTING.md",
+    ] {
+        for page in files_below(root.join(folder))
+            .into_iter()
+            .filter(|path| path.extension().is_some_and(|end| end == "md"))
         {
             let text = fs::read_to_string(&page).unwrap();
             let mut kind = None;
@@ -29,11 +40,19 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
                     (None, Some("sh")) => lines.push(line),
                     (None, Some("console")) => lines.extend(line.strip_prefix("$ ")),
                     (None, Some(_)) => {}
-                    (None, None) => lines.extend(line.strip_suffix("` |").and_then(|row| row.rsplit('`').next())),
+                    (None, None) => lines.extend(
+                        line.strip_suffix("` |")
+                            .and_then(|row| row.rsplit('`').next()),
+                    ),
                 }
             }
-            let commands = lines.iter().map(|line| line.split(" # ").next().unwrap_or(line).trim().to_owned());
-            found.insert(page.strip_prefix(root).unwrap().display().to_string(), commands.collect());
+            let commands = lines
+                .iter()
+                .map(|line| line.split(" # ").next().unwrap_or(line).trim().to_owned());
+            found.insert(
+                page.strip_prefix(root).unwrap().display().to_string(),
+                commands.collect(),
+            );
         }
     }
     found
@@ -44,22 +63,41 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
 fn the_readme_begins_with_two_commands_in_a_clone() {
     let commands = &commands_by_page()["README.md"];
     let clone = "git clone https://github.com/crumple-rs/crumple && cd crumple";
-    assert_eq!(commands[..3], [clone, "cargo run --release -- assess", "cargo test"]);
+    assert_eq!(
+        commands[..3],
+        [clone, "cargo run --release -- assess", "cargo test"]
+    );
 }
 
 /// Returns the modules that the table in the documentation of a `lib.rs` lists, in their order.
 fn listed_modules(documented: &str) -> Vec<&str> {
-    let rows = documented.lines().filter_map(|line| line.strip_prefix("//! | "));
-    let names = rows.filter_map(|row| row.split(" | ").next()).map(|name| name.trim_matches(['[', ']', '`']));
-    names.filter(|name| *name != "module" && name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect()
+    let rows = documented
+        .lines()
+        .filter_map(|line| line.strip_prefix("//! | "));
+    let names = rows
+        .filter_map(|row| row.split(" | ").next())
+        .map(|name| name.trim_matches(['[', ']', '`']));
+    names
+        .filter(|name| {
+            *name != "module" && name.chars().all(|c| c.is_ascii_lowercase() || c == '_')
+        })
+        .collect()
 }
 
 /// Returns the modules of the crate that the code of a file names, without its tests.
 fn used_modules(source: &str) -> Vec<&str> {
     let code = source.split("#[cfg(test)]\nmod tests {").next().unwrap();
-    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let lines = code
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"));
     let after = lines.flat_map(|line| line.split("crate::").skip(1));
-    after.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap()).collect()
+    after
+        .map(|rest| {
+            rest.split(|c: char| !c.is_alphanumeric() && c != '_')
+                .next()
+                .unwrap()
+        })
+        .collect()
 }
 
 #[test]
@@ -71,13 +109,29 @@ fn modules_use_only_those_listed_above_them() {
         let documented = fs::read_to_string(source.join("lib.rs")).unwrap();
         let modules = listed_modules(&documented);
         for (position, module) in modules.iter().enumerate() {
-            let files = [source.join(format!("{module}.rs"))].into_iter().chain(files_below(source.join(module)));
-            let is_code = |file: &PathBuf| file.is_file() && file.extension().is_some_and(|end| end == "rs");
-            let is_test = |file: &PathBuf| file.strip_prefix(&source).unwrap().to_str().unwrap().contains("test");
+            let files = [source.join(format!("{module}.rs"))]
+                .into_iter()
+                .chain(files_below(source.join(module)));
+            let is_code =
+                |file: &PathBuf| file.is_file() && file.extension().is_some_and(|end| end == "rs");
+            let is_test = |file: &PathBuf| {
+                file.strip_prefix(&source)
+                    .unwrap()
+                    .to_str()
+                    .unwrap()
+                    .contains("test")
+            };
             for file in files.filter(|file| is_code(file) && !is_test(file)) {
                 let code = fs::read_to_string(&file).unwrap();
-                let later = used_modules(&code).into_iter().find(|used| modules[position + 1..].contains(used));
-                assert_eq!(later, None, "{}: {module} is listed above it", file.display());
+                let later = used_modules(&code)
+                    .into_iter()
+                    .find(|used| modules[position + 1..].contains(used));
+                assert_eq!(
+                    later,
+                    None,
+                    "{}: {module} is listed above it",
+                    file.display()
+                );
                 compared += 1;
             }
         }
@@ -90,27 +144,50 @@ fn modules_use_only_those_listed_above_them() {
 fn pages_that_a_help_names_explain_it() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     for file in files_below(root.join("src/cli")) {
-        let Ok(source) = fs::read_to_string(&file) else { continue };
+        let Ok(source) = fs::read_to_string(&file) else {
+            continue;
+        };
         for rest in source.split("docs/").skip(1) {
-            let Some(name) = rest.split_once(".md").map(|(name, _)| name) else { continue };
+            let Some(name) = rest.split_once(".md").map(|(name, _)| name) else {
+                continue;
+            };
             if !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c == '-') {
-                assert!(root.join(format!("docs/{name}.md")).is_file(), "{}: docs/{name}.md", file.display());
+                assert!(
+                    root.join(format!("docs/{name}.md")).is_file(),
+                    "{}: docs/{name}.md",
+                    file.display()
+                );
             }
         }
     }
     let replay = fs::read_to_string(root.join("src/cli/replay.rs")).unwrap();
     let glossary = fs::read_to_string(root.join("docs/glossary.md")).unwrap();
     assert!(replay.contains("(docs/glossary.md): more than 2 m/s²"));
-    assert!(glossary.lines().any(|line| line.starts_with("| unnecessary braking |") && line.contains("2 m/s² harder")));
+    assert!(
+        glossary
+            .lines()
+            .any(|line| line.starts_with("| unnecessary braking |")
+                && line.contains("2 m/s² harder"))
+    );
 }
 
 /// Figures of FalCAuN_ARCH2026_summary.csv (commit 3b47594), and times between the changes of zlscheck's inputs.
 #[test]
 fn the_comparison_has_the_published_figures() {
-    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md")).unwrap();
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md"))
+        .unwrap();
     let words = page.split_whitespace().collect::<Vec<_>>().join(" ");
-    for (specification, simulations) in [("AT1", 448), ("AT2", 128), ("AT6a", 501), ("AT6c", 449), ("AT6abc", 616)] {
-        let row = page.lines().find(|line| line.starts_with(&format!("| {specification} |"))).unwrap();
+    for (specification, simulations) in [
+        ("AT1", 448),
+        ("AT2", 128),
+        ("AT6a", 501),
+        ("AT6c", 449),
+        ("AT6abc", 616),
+    ] {
+        let row = page
+            .lines()
+            .find(|line| line.starts_with(&format!("| {specification} |")))
+            .unwrap();
         assert!(row.ends_with(&format!(" | {simulations} |")), "{row}");
     }
     for stated in [
@@ -130,20 +207,47 @@ fn claims_about_drivers_name_their_space_and_follower() {
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     for (page, stated) in [
-        ("README.md", "In the space `traffic` both are as comfortable as `idm`"),
-        ("README.md", "of `high-risk`, in %; followers drive `baseline`"),
-        ("docs/limits.md", "In `paper` and `high-risk` the follower drives `baseline`"),
-        ("docs/commands.md", "In `paper` and `high-risk`, followers drive `baseline`"),
-        ("reports/driver.md", "The follower drives `baseline` in `paper` and `high-risk`"),
-        ("reports/driver.md", "| collisions in 6000 random scenarios of `high-risk-human`, % | 23.1 | 27.3 | 24.6 |"),
-        ("reports/retraining.md", "In `high-risk` the follower drives `baseline`"),
-        ("reports/plants-and-sensors.md", "The follower drives `baseline`."),
+        (
+            "README.md",
+            "In the space `traffic` both are as comfortable as `idm`",
+        ),
+        (
+            "README.md",
+            "of `high-risk`, in %; followers drive `baseline`",
+        ),
+        (
+            "docs/limits.md",
+            "In `paper` and `high-risk` the follower drives `baseline`",
+        ),
+        (
+            "docs/commands.md",
+            "In `paper` and `high-risk`, followers drive `baseline`",
+        ),
+        (
+            "reports/driver.md",
+            "The follower drives `baseline` in `paper` and `high-risk`",
+        ),
+        (
+            "reports/driver.md",
+            "| collisions in 6000 random scenarios of `high-risk-human`, % | 23.1 | 27.3 | 24.6 |",
+        ),
+        (
+            "reports/retraining.md",
+            "In `high-risk` the follower drives `baseline`",
+        ),
+        (
+            "reports/plants-and-sensors.md",
+            "The follower drives `baseline`.",
+        ),
     ] {
         assert!(read(page).contains(stated), "{page}: {stated}");
     }
     let study = read("reports/aeb-behind.md");
     let begin = "# Emergency braking and rear-end collisions **Withdrawn: the summary and the findings 1 to 3.**";
-    assert!(study.starts_with(begin) || !study.contains("no brake, brakes after impact"), "{begin}");
+    assert!(
+        study.starts_with(begin) || !study.contains("no brake, brakes after impact"),
+        "{begin}"
+    );
 }
 
 /// `.ci/nightly` trains every committed policy again, and runs every fuzz target that has seeds.
@@ -152,25 +256,44 @@ fn tier_3_has_a_part_for_each_policy_and_fuzz_target() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let script = fs::read_to_string(root.join(".ci/nightly")).unwrap();
     for policy in files_below(root.join("corpora/policy")) {
-        if policy.extension().is_some_and(|extension| extension == "safetensors") {
+        if policy
+            .extension()
+            .is_some_and(|extension| extension == "safetensors")
+        {
             let name = policy.file_stem().unwrap().to_str().unwrap();
-            assert!(script.contains(&format!("    \"{name}\": (\"")), "no training of {name}");
+            assert!(
+                script.contains(&format!("    \"{name}\": (\"")),
+                "no training of {name}"
+            );
         }
     }
     assert!(script.contains("(ROOT / \"corpora/fuzz\").glob(\"*/\")"));
-    assert!(!script.contains(env!("CARGO_PKG_VERSION")), "the version is that of the policies");
+    assert!(
+        !script.contains(env!("CARGO_PKG_VERSION")),
+        "the version is that of the policies"
+    );
 }
 
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {
         for command in &commands {
-            for name in command.split('$').skip(1).map(|rest| rest.trim_start_matches(['{', '('])) {
-                let name: String = name.chars().take_while(|c| c.is_ascii_alphanumeric() || *c == '_').collect();
-                let is_set = commands
-                    .iter()
-                    .any(|line| line.contains(&format!("for {name} in ")) || line.contains(&format!("{name}=")));
-                assert!(name.is_empty() || is_set, "{page}: `{command}` needs ${name}, which the page does not set");
+            for name in command
+                .split('$')
+                .skip(1)
+                .map(|rest| rest.trim_start_matches(['{', '(']))
+            {
+                let name: String = name
+                    .chars()
+                    .take_while(|c| c.is_ascii_alphanumeric() || *c == '_')
+                    .collect();
+                let is_set = commands.iter().any(|line| {
+                    line.contains(&format!("for {name} in ")) || line.contains(&format!("{name}="))
+                });
+                assert!(
+                    name.is_empty() || is_set,
+                    "{page}: `{command}` needs ${name}, which the page does not set"
+                );
             }
         }
     }
@@ -178,17 +301,22 @@ fn every_variable_of_a_command_is_set_on_its_page() {
 
 #[test]
 fn every_exception_is_a_command_of_a_page_with_its_reason_and_run_time() {
-    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/commands.toml")).unwrap();
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/commands.toml"))
+        .unwrap();
     let list: toml::Table = text.parse().unwrap();
     let pages = commands_by_page();
     for exception in list["exception"].as_array().unwrap() {
         let field = |name: &str| exception.get(name).and_then(toml::Value::as_str);
         let command = field("command").unwrap();
         let is_shown = |(page, commands): (&String, &Vec<String>)| {
-            field("page").is_none_or(|named| named == page) && commands.iter().any(|shown| shown == command)
+            field("page").is_none_or(|named| named == page)
+                && commands.iter().any(|shown| shown == command)
         };
         assert!(pages.iter().any(is_shown), "no page shows `{command}`");
-        assert!(field("reason").is_some() && (field("takes").is_some() || field("until").is_some()), "{command}");
+        assert!(
+            field("reason").is_some() && (field("takes").is_some() || field("until").is_some()),
+            "{command}"
+        );
     }
     let count = |page: &str| pages[page].len();
     let with_results = count("README.md") + count("reports/paper.md") + count("docs/comparison.md");

@@ -18,10 +18,24 @@ type ScenarioSetup = (Scenario, RunSetup);
 fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
     let alike = |shape: &ScenarioShape, setup: &RunSetup| {
         let setup = setup.clone();
-        let after = move |after_contact| RunSetup { after_contact, ..setup.clone() };
-        prop::collection::vec((any_scenario_of_shape(shape), any_after_contact().prop_map(after)), 1..8)
+        let after = move |after_contact| RunSetup {
+            after_contact,
+            ..setup.clone()
+        };
+        prop::collection::vec(
+            (
+                any_scenario_of_shape(shape),
+                any_after_contact().prop_map(after),
+            ),
+            1..8,
+        )
     };
-    (any_shape(), any_setup(), any::<u8>().prop_map(DriverKind::non_nominal), 0..5_u8)
+    (
+        any_shape(),
+        any_setup(),
+        any::<u8>().prop_map(DriverKind::non_nominal),
+        0..5_u8,
+    )
         .prop_flat_map(move |(shape, setup, kind, difference)| {
             let (mut other, mut other_setup) = (shape.clone(), setup.clone());
             match difference {
@@ -38,13 +52,17 @@ fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
 }
 
 fn build_runs<'s>(cases: impl IntoIterator<Item = &'s ScenarioSetup>) -> Vec<Run> {
-    let run =
-        |(scenario, setup): &'s ScenarioSetup| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
+    let run = |(scenario, setup): &'s ScenarioSetup| {
+        Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits")
+    };
     cases.into_iter().map(run).collect()
 }
 
 fn batch_bits(runs: &[Run], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64>> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("threads");
     pool.install(|| simulate_batch(runs, keep, |_, result| result_bits(&result)))
 }
 
@@ -80,11 +98,16 @@ proptest! {
 /// More runs than one batch holds, all of one shape, with every controller: the paper's distribution.
 #[test]
 fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
-    let draws: Vec<_> = (0..150).map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap()).collect();
+    let draws: Vec<_> = (0..150)
+        .map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap())
+        .collect();
     for controller in ControllerSpec::all() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
             let options = RunOptions::new(controller.clone()).with_after_contact(after_contact);
-            let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
+            let runs: Vec<_> = draws
+                .iter()
+                .map(|draw| Run::new(draw, options.clone()).unwrap())
+                .collect();
             let together = batch_bits(&runs, RecordingLevel::Summary, 3);
             for (run, bits_together) in runs.iter().zip(together) {
                 let name = &run.scenario().spec().name;
@@ -101,9 +124,14 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
 /// The index given to `reduce` is that of the run, and results are in the order of the runs.
 #[test]
 fn results_come_back_in_order() {
-    let draws: Vec<_> = (0..100).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap()).collect();
+    let draws: Vec<_> = (0..100)
+        .map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap())
+        .collect();
     let options = RunOptions::new(ControllerSpec::from_name("match-leader").unwrap());
-    let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
+    let runs: Vec<_> = draws
+        .iter()
+        .map(|draw| Run::new(draw, options.clone()).unwrap())
+        .collect();
     let indices = simulate_batch(&runs, RecordingLevel::Summary, |index, _| index);
     assert_eq!(indices, (0..100).collect::<Vec<_>>());
     assert!(simulate_batch(&[], RecordingLevel::Trace, |index, _| index).is_empty());

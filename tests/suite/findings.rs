@@ -5,7 +5,9 @@ use std::fs;
 use std::path::Path;
 
 fn is_test(text: &str, name: &str) -> bool {
-    let Some((before, _)) = text.split_once(&format!("fn {name}(")) else { return false };
+    let Some((before, _)) = text.split_once(&format!("fn {name}(")) else {
+        return false;
+    };
     let attributes: Vec<&str> = before
         .lines()
         .rev()
@@ -18,7 +20,9 @@ fn is_test(text: &str, name: &str) -> bool {
 #[test]
 fn every_finding_names_tests_and_proofs_that_there_are() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let read = |file: &str| fs::read_to_string(root.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let read = |file: &str| {
+        fs::read_to_string(root.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"))
+    };
     let proved = read("verify/coq/output.txt");
     let page = read("tests/findings.md");
     let sections: Vec<_> = page.split("\n## ").skip(1).collect();
@@ -26,14 +30,21 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
         let (mut found, mut tests) = (BTreeSet::new(), 0);
         for row in section.lines().filter(|line| line.starts_with("| ")) {
             let cells: Vec<&str> = row.split(" | ").collect();
-            let Ok(finding) = cells[0].trim_start_matches("| ").parse::<u32>() else { continue };
+            let Ok(finding) = cells[0].trim_start_matches("| ").parse::<u32>() else {
+                continue;
+            };
             found.insert(finding);
             let named = cells[cells.len() - 1].split('`').skip(1).step_by(2);
             let mut of_row = 0;
             for (file, name) in named.filter_map(|name| name.split_once("::")) {
                 match file.rsplit_once('.') {
-                    Some((_, "py")) => assert!(read(file).contains(&format!("def {name}(")), "{file} has no {name}"),
-                    Some((_, "rs")) => assert!(is_test(&read(file), name), "{file} has no test {name}"),
+                    Some((_, "py")) => assert!(
+                        read(file).contains(&format!("def {name}(")),
+                        "{file} has no {name}"
+                    ),
+                    Some((_, "rs")) => {
+                        assert!(is_test(&read(file), name), "{file} has no test {name}")
+                    }
                     Some((_, "v")) => assert!(
                         read(file).contains(&format!("Theorem {name} "))
                             && proved.contains(&format!("proved: {name}\n")),
@@ -48,7 +59,10 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
         }
         // The rows of a commit are added together, when all of its faults are fixed.
         if !found.is_empty() || findings != 35 {
-            assert!(found.into_iter().eq(1..=findings) && tests > least_tests, "{tests}");
+            assert!(
+                found.into_iter().eq(1..=findings) && tests > least_tests,
+                "{tests}"
+            );
         }
     }
     assert_eq!(sections.len(), 3);

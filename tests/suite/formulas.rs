@@ -86,7 +86,10 @@ fn rounding_opens_no_gap() {
         in_lane_s: Track::THROUGHOUT_S,
     };
     let vehicles = vec![track([5.0; 3]), track([3.0 - 1e-10, 3.0 + 1e-10, 2.999])];
-    let trace = Trace { time_s: vec![0.0, 0.1, 0.2], vehicles };
+    let trace = Trace {
+        time_s: vec![0.0, 0.1, 0.2],
+        vehicles,
+    };
     let signals = motion_signals(&trace, 0.1, &["v1.gap_m"]).unwrap();
     let gaps_m = signals.get("v1.gap_m").unwrap();
     assert_eq!(gaps_m[..2], [0.0, 0.0]);
@@ -118,34 +121,64 @@ fn equality_satisfies_non_strict_comparisons() {
 fn undefined_values_are_reported_with_their_time() {
     let mut signals = SampledSignals::new(0.1, 10).unwrap();
     for name in ["x", "y"] {
-        let samples: Vec<f64> = (0..10).map(|k| if k == 7 { f64::INFINITY } else { 0.0 }).collect();
+        let samples: Vec<f64> = (0..10)
+            .map(|k| if k == 7 { f64::INFINITY } else { 0.0 })
+            .collect();
         signals.insert(name, samples).unwrap();
     }
     let formula: Formula = "always (x - y >= 0)".parse().unwrap();
     let error = formula.robustness(&signals).unwrap_err().to_string();
-    assert_eq!(naive_robustness(&formula, &signals, 0).unwrap_err().to_string(), error);
+    assert_eq!(
+        naive_robustness(&formula, &signals, 0)
+            .unwrap_err()
+            .to_string(),
+        error
+    );
     assert!(error.contains("0.7"), "{error}");
 }
 
 /// The page lists every operator and signal, and explains the parsing of formulas.
 #[test]
 fn the_page_on_formulas_is_complete_and_right() {
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/stl.md")).unwrap();
-    for word in ["not", "and", "or", "implies", "always[a,b]", "eventually[a,b]", "until[a,b]", "inf"] {
+    let page =
+        std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/stl.md")).unwrap();
+    for word in [
+        "not",
+        "and",
+        "or",
+        "implies",
+        "always[a,b]",
+        "eventually[a,b]",
+        "until[a,b]",
+        "inf",
+    ] {
         assert!(page.contains(&format!("`{word}`")), "{word}");
     }
-    for sign in ["<", "<=", ">", ">=", "≤", "≥", "!", "¬", "□", "◇", "&&", "∧", "\\|\\|", "∨", "->", "=>", "→"]
-    {
+    for sign in [
+        "<", "<=", ">", ">=", "≤", "≥", "!", "¬", "□", "◇", "&&", "∧", "\\|\\|", "∨", "->", "=>",
+        "→",
+    ] {
         assert!(page.contains(&format!("`{sign}`")), "{sign}");
     }
-    for name in motion_signal_names(2).iter().filter_map(|name| name.strip_prefix("v1.")) {
+    for name in motion_signal_names(2)
+        .iter()
+        .filter_map(|name| name.strip_prefix("v1."))
+    {
         assert!(page.contains(&format!("| `vi.{name}` |")), "{name}");
     }
     let table = page.split("| written | read as |").nth(1).expect("a table");
-    let rows: Vec<Vec<&str>> =
-        table.lines().skip(2).take_while(|line| line.starts_with('|')).map(|line| line.split('`').collect()).collect();
+    let rows: Vec<Vec<&str>> = table
+        .lines()
+        .skip(2)
+        .take_while(|line| line.starts_with('|'))
+        .map(|line| line.split('`').collect())
+        .collect();
     assert_eq!(rows.len(), 5);
     for row in rows {
-        assert_eq!(row[1].parse::<Formula>().unwrap().to_string(), row[3], "{row:?}");
+        assert_eq!(
+            row[1].parse::<Formula>().unwrap().to_string(),
+            row[3],
+            "{row:?}"
+        );
     }
 }

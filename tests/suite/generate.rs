@@ -6,24 +6,36 @@
 use arbitrary::Unstructured;
 pub(crate) use crumple_cases::with_cases;
 use crumple_fuzzing::{
-    Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SETUP_BYTES, TEST_CASE_BYTES, TestCase,
+    Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SETUP_BYTES, TEST_CASE_BYTES,
+    TestCase,
 };
 use crumple_testing::generator::{self, SCENARIO_BYTES, ScenarioShape};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{
-    Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleSpec,
+    Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    VehicleSpec,
 };
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_world::sim::{
+    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
 pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> SimulationResult {
-    simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
+    simulate(
+        &Run::new(scenario, options.clone()).expect("fits"),
+        RecordingLevel::Trace,
+    )
 }
 
 /// Returns a specification with default sensors, a dry road and seed 0.
-pub(crate) fn scenario_spec(name: &str, step_s: f64, duration_s: f64, vehicles: Vec<VehicleSpec>) -> ScenarioSpec {
+pub(crate) fn scenario_spec(
+    name: &str,
+    step_s: f64,
+    duration_s: f64,
+    vehicles: Vec<VehicleSpec>,
+) -> ScenarioSpec {
     ScenarioSpec {
         version: SCENARIO_VERSION,
         name: name.to_owned(),
@@ -47,7 +59,10 @@ pub(crate) fn check_oracle(test_case: &TestCase, oracle: OracleFn) -> Result<(),
 }
 
 /// Returns the first values of a strategy with the fixed seed of proptest.
-pub(crate) fn first_values<S: Strategy>(count: usize, strategy: &S) -> impl Iterator<Item = S::Value> + use<'_, S> {
+pub(crate) fn first_values<S: Strategy>(
+    count: usize,
+    strategy: &S,
+) -> impl Iterator<Item = S::Value> + use<'_, S> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(move |_| strategy.new_tree(&mut runner).expect("generates").current())
 }
@@ -66,17 +81,22 @@ pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
 }
 
 pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
-    any_bytes(SCENARIO_BYTES).prop_map(|bytes| generator::read_scenario(&mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES)
+        .prop_map(|bytes| generator::read_scenario(&mut Unstructured::new(&bytes)))
 }
 
-pub(crate) fn any_scenario_of_shape(shape: &ScenarioShape) -> impl Strategy<Value = Scenario> + use<> {
+pub(crate) fn any_scenario_of_shape(
+    shape: &ScenarioShape,
+) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
-    any_bytes(SCENARIO_BYTES)
-        .prop_map(move |bytes| generator::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES).prop_map(move |bytes| {
+        generator::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes))
+    })
 }
 
 pub(crate) fn any_shape() -> impl Strategy<Value = ScenarioShape> {
-    any_bytes(ScenarioShape::BYTES).prop_map(|bytes| ScenarioShape::read(&mut Unstructured::new(&bytes)))
+    any_bytes(ScenarioShape::BYTES)
+        .prop_map(|bytes| ScenarioShape::read(&mut Unstructured::new(&bytes)))
 }
 
 /// Any controller under test, either estimator, the scenario's step or a smaller one, either behaviour after a
@@ -97,7 +117,8 @@ pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
 /// Any built-in controller, with any sensible settings.
 pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
     let index = 0..ControllerSpec::all().len() as u8;
-    (index, any_bytes(32)).prop_map(|(index, bytes)| generator::controller_from_bytes(index, &bytes))
+    (index, any_bytes(32))
+        .prop_map(|(index, bytes)| generator::controller_from_bytes(index, &bytes))
 }
 
 /// Returns a scenario without noise; reaction and actuator delays stay.
@@ -116,7 +137,11 @@ pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
 /// Makes a human driver the average one without glances off the road, so that it draws no random numbers.
 pub(crate) fn make_average(driver: &mut ControllerSpec) {
     if let ControllerSpec::Human(human) = driver {
-        (human.reaction_shape, human.brake_deviation_mps2, human.glance_per_s) = (0.0, 0.0, 0.0);
+        (
+            human.reaction_shape,
+            human.brake_deviation_mps2,
+            human.glance_per_s,
+        ) = (0.0, 0.0, 0.0);
     }
 }
 
@@ -124,7 +149,11 @@ pub(crate) fn make_average(driver: &mut ControllerSpec) {
 pub(crate) fn without_learned_drivers(scenario: &Scenario) -> Scenario {
     let learned = Driver::Controller(ControllerSpec::Policy(Default::default()));
     let replace = |spec: &mut ScenarioSpec| {
-        for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == learned) {
+        for vehicle in spec
+            .vehicles
+            .iter_mut()
+            .filter(|vehicle| vehicle.driver == learned)
+        {
             vehicle.driver = Driver::Controller(ControllerSpec::MatchLeader(Default::default()));
         }
     };

@@ -23,25 +23,44 @@ fn the_count_of_harm_is_that_of_its_runs() {
     config.harm = Some(harm);
     let report = run(config, folder.path());
     let files = report.files().expect("encodes");
-    let (_, csv) = files.iter().find(|(name, _)| name == "runs.csv").expect("written");
-    let rows: Vec<Vec<&str>> =
-        std::str::from_utf8(csv).expect("text").lines().skip(1).map(|line| line.rsplit(',').collect()).collect();
+    let (_, csv) = files
+        .iter()
+        .find(|(name, _)| name == "runs.csv")
+        .expect("written");
+    let rows: Vec<Vec<&str>> = std::str::from_utf8(csv)
+        .expect("text")
+        .lines()
+        .skip(1)
+        .map(|line| line.rsplit(',').collect())
+        .collect();
     let groups = &report.harm.as_ref().expect("counted").groups;
     assert_eq!(rows.len(), 120);
     let (all, rest) = groups.split_first().expect("a group");
-    assert_eq!((all.follower.as_str(), all.drives, all.avoidable[2]), ("all", 40, 3));
+    assert_eq!(
+        (all.follower.as_str(), all.drives, all.avoidable[2]),
+        ("all", 40, 3)
+    );
     assert_eq!(rest.iter().map(|group| group.drives).sum::<u64>(), 40);
     for (controller, rows) in all.controllers.iter().zip(rows.chunks(40)) {
         // From the end of a row: harm, behind, ahead, activates.
-        let count = |column: usize| rows.iter().filter(|row| !["", "0"].contains(&row[column])).count() as u64;
+        let count = |column: usize| {
+            rows.iter()
+                .filter(|row| !["", "0"].contains(&row[column]))
+                .count() as u64
+        };
         assert_eq!(controller.activations, count(3));
         let ahead = RateInterval::clopper_pearson(count(2), 40, 0.95);
         assert!((controller.ahead_percent.upper.value() - 100.0 * ahead.upper).abs() < 0.011);
         assert!((controller.behind_percent.observed.value() - 2.5 * count(1) as f64).abs() < 1e-9);
-        let harm: f64 = rows.iter().map(|row| row[0].parse::<f64>().expect("a number")).sum();
+        let harm: f64 = rows
+            .iter()
+            .map(|row| row[0].parse::<f64>().expect("a number"))
+            .sum();
         assert!((controller.harm_per_1000[0].value() - 25.0 * harm).abs() < 1e-3);
     }
-    let [never, brake, _] = &all.controllers[..] else { panic!("three") };
+    let [never, brake, _] = &all.controllers[..] else {
+        panic!("three")
+    };
     assert_eq!((never.activations, never.avoided, never.caused), (0, 0, 0));
     assert!(brake.activations > 0 && brake.avoided > 0, "{brake:?}");
 }
@@ -59,12 +78,21 @@ fn a_search_for_harm_finds_a_fast_lorry() {
         ..Campaign::new(controller, space)
     };
     let results = folder.path().join("harm");
-    let found = campaign.run(&results, CampaignOptions::default(), &Quiet).expect("runs");
+    let found = campaign
+        .run(&results, CampaignOptions::default(), &Quiet)
+        .expect("runs");
     let harms = found.counterexamples.iter().map(|one| {
         let scenario = file::load(&results.join(&one.file)).expect("written");
-        let mass_kg = |vehicle: Option<usize>| scenario.vehicles()[vehicle.expect("a collision")].mass_kg();
-        let masses_kg = [mass_kg(one.front_vehicle.map(as_index)), mass_kg(one.rear_vehicle.map(as_index))];
-        (harm_of_pair(one.impact_speed_mps.expect("a collision"), masses_kg), masses_kg[1])
+        let mass_kg =
+            |vehicle: Option<usize>| scenario.vehicles()[vehicle.expect("a collision")].mass_kg();
+        let masses_kg = [
+            mass_kg(one.front_vehicle.map(as_index)),
+            mass_kg(one.rear_vehicle.map(as_index)),
+        ];
+        (
+            harm_of_pair(one.impact_speed_mps.expect("a collision"), masses_kg),
+            masses_kg[1],
+        )
     });
     let (harm, rear_kg) = harms.max_by(|a, b| a.0.total_cmp(&b.0)).expect("a failure");
     assert!(harm > 0.15 && rear_kg > 5000.0, "{harm} {rear_kg}");
@@ -78,10 +106,16 @@ fn as_index(vehicle: u32) -> usize {
 #[test]
 fn a_human_behind_idm_collides_in_no_everyday_traffic() {
     let space = built_in_space(HUMAN_SPACES[1].0).expect("built in");
-    let options = RunOptions::new(crumple_world::control::ControllerSpec::Idm(Default::default()));
+    let options = RunOptions::new(crumple_world::control::ControllerSpec::Idm(
+        Default::default(),
+    ));
     let runs: Vec<_> = (0..200)
-        .map(|index| Run::new(&space.draw(3, index).expect("valid"), options.clone()).expect("valid"))
+        .map(|index| {
+            Run::new(&space.draw(3, index).expect("valid"), options.clone()).expect("valid")
+        })
         .collect();
-    let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.is_safe());
+    let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
+        result.outcome.is_safe()
+    });
     assert_eq!(safe.iter().filter(|&&safe| !safe).count(), 0);
 }

@@ -3,7 +3,9 @@
 use std::fs;
 
 use crumple_core::observer::Quiet;
-use crumple_evidence::{InvariantOptions, InvariantPlan, InvariantSet, InvariantSpec, check_binding};
+use crumple_evidence::{
+    InvariantOptions, InvariantPlan, InvariantSet, InvariantSpec, check_binding,
+};
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::HeightTable;
 use crumple_verify::{Certificate, InvariantClaim, ProvedClaim, Statement, WorkLimit, check_with};
@@ -26,7 +28,11 @@ fn spec(motion: MotionModel, own: [f64; 2], leader: [f64; 2]) -> InvariantSpec {
         version: 1,
         scenario: "paper-1".to_owned(),
         motion,
-        leader_mps2: if motion == MotionModel::Absolute { [-7.5, 3.0] } else { [0.0; 2] },
+        leader_mps2: if motion == MotionModel::Absolute {
+            [-7.5, 3.0]
+        } else {
+            [0.0; 2]
+        },
         observation_error: [1e-9; 3],
         region_gap_m: 100.0,
         ends_beyond_gap_m: None,
@@ -41,11 +47,17 @@ fn plan(controller: impl Into<ControllerKind>, spec: InvariantSpec) -> Invariant
 }
 
 fn search(plan: &InvariantPlan, cells: u32) -> (InvariantSet, f64) {
-    let options = InvariantOptions { cells, splits: 1, smallest_gap_m: 0.0 };
+    let options = InvariantOptions {
+        cells,
+        splits: 1,
+        smallest_gap_m: 0.0,
+    };
     let set = plan.search(options, &Quiet).unwrap().expect("a set");
     check_binding(&set.certificate, plan.policy_bytes()).unwrap();
     match check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED).unwrap() {
-        ProvedClaim::Invariant { share, min_gap_m, .. } => {
+        ProvedClaim::Invariant {
+            share, min_gap_m, ..
+        } => {
             assert!(min_gap_m > 0.0);
             (set, share)
         }
@@ -61,14 +73,26 @@ fn idm_set(mps: f64, cells: u32) -> (InvariantPlan, InvariantSet, f64) {
 }
 
 fn claim(certificate: &Certificate) -> &InvariantClaim {
-    let Statement::Invariant(claim) = &certificate.statement else { panic!("a set") };
+    let Statement::Invariant(claim) = &certificate.statement else {
+        panic!("a set")
+    };
     claim
 }
 
 /// Drives `idm` behind a random or hard-braking leader, and returns the smallest gap, with the exact motion between
 /// decisions.
-fn attack([mut gap, mut own, mut leader]: [f64; 3], most_mps: f64, random: &mut Xoshiro256PlusPlus) -> f64 {
-    let ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 5.0, step_s: STEP_S };
+fn attack(
+    [mut gap, mut own, mut leader]: [f64; 3],
+    most_mps: f64,
+    random: &mut Xoshiro256PlusPlus,
+) -> f64 {
+    let ego = Ego {
+        vehicle: 1,
+        max_brake_mps2: 7.5,
+        max_accel_mps2: 3.0,
+        length_m: 5.0,
+        step_s: STEP_S,
+    };
     let mut controller = ControllerSpec::from_name("idm").unwrap().start(&ego, 0);
     // Accelerate for a random time, then brake, with a random part of random pieces.
     let (brakes_at, is_random) = (random.random_range(0..300_u32), random.random_bool(0.3));
@@ -83,8 +107,17 @@ fn attack([mut gap, mut own, mut leader]: [f64; 3], most_mps: f64, random: &mut 
         (covered, end)
     };
     for step in 0..1500_u32 {
-        let ahead = Some(Neighbour { gap_m: gap, speed_mps: leader, acceleration_mps2: 0.0 });
-        let seen = Observation { speed_mps: own, acceleration_mps2: 0.0, ahead, behind: None };
+        let ahead = Some(Neighbour {
+            gap_m: gap,
+            speed_mps: leader,
+            acceleration_mps2: 0.0,
+        });
+        let seen = Observation {
+            speed_mps: own,
+            acceleration_mps2: 0.0,
+            ahead,
+            behind: None,
+        };
         let command = controller.decide(&seen).unwrap().clamp(-7.5, 3.0);
         for _ in 0..PARTS {
             let part = STEP_S / f64::from(PARTS);
@@ -95,8 +128,10 @@ fn attack([mut gap, mut own, mut leader]: [f64; 3], most_mps: f64, random: &mut 
             };
             // The leader never exceeds its largest speed.
             let acceleration = f64::min(wish, (most_mps - leader) / part);
-            let ((own_m, own_later), (leader_m, leader_later)) =
-                (advance(own, command, part), advance(leader, acceleration, part));
+            let ((own_m, own_later), (leader_m, leader_later)) = (
+                advance(own, command, part),
+                advance(leader, acceleration, part),
+            );
             gap += leader_m - own_m;
             (own, leader, smallest) = (own_later, leader_later, smallest.min(gap));
         }
@@ -111,7 +146,12 @@ fn attack_boundary(table: &HeightTable, mps: f64, attacks: u32) -> f64 {
     for _ in 0..attacks {
         let (own, leader) = (random.random_range(0.0..mps), random.random_range(0.0..mps));
         let height = table.height_at([own, leader]).expect("in the table");
-        let gap = height + if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..5.0) };
+        let gap = height
+            + if random.random_bool(0.5) {
+                0.0
+            } else {
+                random.random_range(0.0..5.0)
+            };
         smallest = smallest.min(attack([gap, own, leader], mps, &mut random));
     }
     smallest
@@ -122,10 +162,16 @@ fn no_attack_from_a_certified_state_causes_a_collision() {
     let mps = 15.0;
     let (plan, set, share) = idm_set(mps, 60);
     let smallest = attack_boundary(&set.table, mps, 300);
-    assert!(smallest >= claim(&set.certificate).min_gap_m_at_least, "{smallest}");
+    assert!(
+        smallest >= claim(&set.certificate).min_gap_m_at_least,
+        "{smallest}"
+    );
     // No follower that brakes at 7.5 m/s² is safe from less than (v² - w²)/15.
     let kernel = 1.0 - mps * mps / 90.0 / 100.0;
-    assert!(share >= 0.95 * kernel && share <= kernel, "{share} of {kernel}");
+    assert!(
+        share >= 0.95 * kernel && share <= kernel,
+        "{share} of {kernel}"
+    );
     // A leader defeats the controller from below the boundary.
     let defeat = plan.defeat(&set.table).unwrap().expect("a leader");
     assert!(plan.collides(&defeat).unwrap());
@@ -144,7 +190,10 @@ fn ten_thousand_attacks_cause_no_collision() {
 /// Changes a certificate at random. `INVARIANT_FORGERIES` is the number of attempts.
 #[test]
 fn forged_sets_are_accepted_only_if_their_claim_is_true() {
-    let wanted: u64 = std::env::var("INVARIANT_FORGERIES").ok().and_then(|text| text.parse().ok()).unwrap_or(100);
+    let wanted: u64 = std::env::var("INVARIANT_FORGERIES")
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(100);
     let mps = 6.0;
     let (_, set, share) = idm_set(mps, 16);
     let genuine = claim(&set.certificate);
@@ -167,13 +216,21 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
             3 => forged.own_mps2[0] *= random.random_range(1.0..1.5),
             4 => forged.share_at_least += random.random_range(1e-9..0.1),
             5 => forged.min_gap_m_at_least += random.random_range(1e-6..0.1),
-            6 => forged.ends_beyond_gap_m = Some(forged.region_gap_m + random.random_range(-1.0..20.0)),
+            6 => {
+                forged.ends_beyond_gap_m =
+                    Some(forged.region_gap_m + random.random_range(-1.0..20.0))
+            }
             7 => forged.splits = random.random_range(0..3),
             8 => forged.axes[random.random_range(0..2_usize)].high *= random.random_range(1.0..1.2),
-            _ => forged.observation_error[random.random_range(0..3_usize)] += random.random_range(0.01..0.5),
+            _ => {
+                forged.observation_error[random.random_range(0..3_usize)] +=
+                    random.random_range(0.01..0.5)
+            }
         }
-        let certificate =
-            Certificate { statement: Statement::Invariant(Box::new(forged.clone())), ..set.certificate.clone() };
+        let certificate = Certificate {
+            statement: Statement::Invariant(Box::new(forged.clone())),
+            ..set.certificate.clone()
+        };
         if check_binding(&certificate, None).is_err() {
             continue;
         }
@@ -186,7 +243,10 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
         assert!(proved >= forged.share_at_least && proved < share + 0.05);
         let table = HeightTable::from_runs(forged.axes, &forged.heights).unwrap();
         let smallest = attack_boundary(&table, mps, 20);
-        assert!(smallest >= forged.min_gap_m_at_least, "forgery {index}: {smallest}");
+        assert!(
+            smallest >= forged.min_gap_m_at_least,
+            "forgery {index}: {smallest}"
+        );
     }
     println!("{accepted} of {wanted} forgeries were accepted, with true claims");
     assert!(accepted < wanted);
@@ -203,7 +263,9 @@ fn network_controller(network: &[u8], second_input: &str, high_mps2: f64) -> Con
         [output]\nlow_mps2 = -7.5\nhigh_mps2 = {high_mps2:?}\n"
     );
     fs::write(folder.path().join("two.toml"), mapping).unwrap();
-    NamedController::find("two.toml", folder.path()).unwrap_or_else(|error| panic!("{error}")).kind
+    NamedController::find("two.toml", folder.path())
+        .unwrap_or_else(|error| panic!("{error}"))
+        .kind
 }
 
 /// A network of the shape that the N3V benchmark uses: gap and relative speed, two layers of 64 ReLUs. It brakes fully
@@ -211,11 +273,18 @@ fn network_controller(network: &[u8], second_input: &str, high_mps2: f64) -> Con
 #[test]
 fn a_network_with_two_inputs_has_a_certified_set() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(0);
-    let mut small = |count: usize| -> Vec<f32> { (0..count).map(|_| random.random_range(-0.01..0.01_f32)).collect() };
+    let mut small = |count: usize| -> Vec<f32> {
+        (0..count)
+            .map(|_| random.random_range(-0.01..0.01_f32))
+            .collect()
+    };
     let (mut first, mut second, mut last) = (small(2 * 64), small(64 * 64), small(64));
     let (mut bias, zeros) = (small(64), small(64));
     (first[0], first[64], bias[0]) = (-1.0, -2.0, 5.0);
-    second.iter_mut().take(64).for_each(|weight| *weight *= 0.01);
+    second
+        .iter_mut()
+        .take(64)
+        .for_each(|weight| *weight *= 0.01);
     (second[0], last[0]) = (1.0, -3.0);
     let network = model_bytes(
         2,
@@ -228,16 +297,29 @@ fn a_network_with_two_inputs_has_a_certified_set() {
         ],
     );
     let controller = network_controller(&network, "relative_speed_ahead_mps\"\nabsent = 0.0", 1.5);
-    let plan = plan(controller, spec(MotionModel::Relative, [-20.0, 20.0], [0.0; 2]));
+    let plan = plan(
+        controller,
+        spec(MotionModel::Relative, [-20.0, 20.0], [0.0; 2]),
+    );
     let begin = std::time::Instant::now();
     let (set, share) = search(&plan, 160);
-    println!("share {share}, {} passes, {:.1} s", set.passes, begin.elapsed().as_secs_f64());
+    println!(
+        "share {share}, {} passes, {:.1} s",
+        set.passes,
+        begin.elapsed().as_secs_f64()
+    );
     // Full braking needs q²/15 behind a leader at constant speed.
     let kernel = 1.0 - 400.0 / 45.0 / 2.0 / 100.0;
     assert!(share > 0.9 * kernel && share < kernel, "{share}");
     let motion = MotionModel::Absolute;
-    let absolute = InvariantClaim { motion, ..claim(&set.certificate).clone() };
-    let forged = Certificate { statement: Statement::Invariant(Box::new(absolute)), ..set.certificate };
+    let absolute = InvariantClaim {
+        motion,
+        ..claim(&set.certificate).clone()
+    };
+    let forged = Certificate {
+        statement: Statement::Invariant(Box::new(absolute)),
+        ..set.certificate
+    };
     assert!(check_with(&forged, plan.policy_bytes(), WorkLimit::UNLIMITED).is_err());
 }
 
@@ -247,7 +329,16 @@ fn a_network_that_observes_the_follower_has_a_claim_without_one() {
     // Brakes fully behind the gap of 200 m that stands for an absent follower, and accelerates before a close one.
     let network = model_bytes(2, &[TestOnnxNode::Gemm(2, 1, vec![0.0, -0.1], vec![3.0])]);
     let controller = network_controller(&network, "gap_behind_m\"\nabsent = 200.0", 3.0);
-    let (set, share) = search(&plan(controller, spec(MotionModel::Absolute, [0.0, 5.0], [0.0, 5.0])), 20);
+    let (set, share) = search(
+        &plan(
+            controller,
+            spec(MotionModel::Absolute, [0.0, 5.0], [0.0, 5.0]),
+        ),
+        20,
+    );
     assert!(share > 0.9, "{share}");
-    assert_eq!(set.certificate.scope().behind.as_deref(), Some("behind: no vehicle"));
+    assert_eq!(
+        set.certificate.scope().behind.as_deref(),
+        Some("behind: no vehicle")
+    );
 }

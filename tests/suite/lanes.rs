@@ -4,13 +4,18 @@ use std::path::Path;
 
 use crumple_fuzzing::oracle::{
     entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent,
-    leaving_last_vehicle_changes_nothing_ahead, metrics_agree, monitor_agrees, step_size_changes_nothing,
+    leaving_last_vehicle_changes_nothing_ahead, metrics_agree, monitor_agrees,
+    step_size_changes_nothing,
 };
-use crumple_fuzzing::{Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase};
+use crumple_fuzzing::{
+    Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase,
+};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LaneChange};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
+use crumple_world::sim::{
+    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
+};
 use proptest::prelude::*;
 
 use crate::generate::{any_lane_case, check_oracle, first_values, with_cases};
@@ -43,18 +48,43 @@ fn generated_scenarios_change_lanes() {
     let all = first_lane_cases(200);
     let entered = |test_case: &&TestCase| {
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
-        let result = simulate(&Run::new(&test_case.scenario, options).unwrap(), RecordingLevel::Trace);
-        result.trace.unwrap().vehicles.iter().any(|track| track.in_lane_s != Track::THROUGHOUT_S)
+        let result = simulate(
+            &Run::new(&test_case.scenario, options).unwrap(),
+            RecordingLevel::Trace,
+        );
+        result
+            .trace
+            .unwrap()
+            .vehicles
+            .iter()
+            .any(|track| track.in_lane_s != Track::THROUGHOUT_S)
     };
-    let changing: Vec<_> = all.iter().filter(|test_case| !test_case.scenario.keeps_lanes()).collect();
+    let changing: Vec<_> = all
+        .iter()
+        .filter(|test_case| !test_case.scenario.keeps_lanes())
+        .collect();
     assert!(changing.len() >= 60, "{}", changing.len());
     assert!(all.iter().filter(entered).count() >= 60);
-    let changes = || changing.iter().flat_map(|one| one.scenario.vehicles()).flat_map(|one| [one.enters, one.leaves]);
+    let changes = || {
+        changing
+            .iter()
+            .flat_map(|one| one.scenario.vehicles())
+            .flat_map(|one| [one.enters, one.leaves])
+    };
     for field in ["at_s", "gap_m", "ttc_s"] {
-        assert!(changes().flatten().any(|change| change.field() == field), "{field}");
+        assert!(
+            changes().flatten().any(|change| change.field() == field),
+            "{field}"
+        );
     }
-    for oracle in [entering_at_start_changes_nothing, leaving_last_vehicle_changes_nothing_ahead] {
-        let holds = all.iter().filter(|one| one.check(oracle, &Crumple) == Ok(OracleOutcome::Holds)).count();
+    for oracle in [
+        entering_at_start_changes_nothing,
+        leaving_last_vehicle_changes_nothing_ahead,
+    ] {
+        let holds = all
+            .iter()
+            .filter(|one| one.check(oracle, &Crumple) == Ok(OracleOutcome::Holds))
+            .count();
         assert!(holds >= 1, "{holds}");
     }
 }
@@ -74,19 +104,33 @@ impl System for LaneFault {
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         let scenario = run.scenario();
         let late = scenario.edited(|spec| {
-            for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters == Some(LaneChange::At(0.0))) {
+            for vehicle in spec
+                .vehicles
+                .iter_mut()
+                .filter(|vehicle| vehicle.enters == Some(LaneChange::At(0.0)))
+            {
                 vehicle.enters = Some(LaneChange::At(0.3));
             }
         });
         let mut result = match (self, late) {
-            (Self::EntryLate, Ok(late)) => simulate(&Run::new(&late, run.options().clone()).unwrap(), keep),
+            (Self::EntryLate, Ok(late)) => {
+                simulate(&Run::new(&late, run.options().clone()).unwrap(), keep)
+            }
             _ => simulate(run, keep),
         };
-        let tracks = result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles);
+        let tracks = result
+            .trace
+            .iter_mut()
+            .flat_map(|trace| &mut trace.vehicles);
         match self {
             Self::EntryForgotten => tracks.for_each(|track| track.in_lane_s = Track::THROUGHOUT_S),
             Self::LeaderMoved if !scenario.keeps_lanes() => {
-                tracks.take(1).for_each(|track| track.position_m.iter_mut().for_each(|position_m| *position_m += 1e-6));
+                tracks.take(1).for_each(|track| {
+                    track
+                        .position_m
+                        .iter_mut()
+                        .for_each(|position_m| *position_m += 1e-6)
+                });
             }
             _ => {}
         }
@@ -97,12 +141,36 @@ impl System for LaneFault {
 #[test]
 fn lane_invariants_detect_injected_faults() {
     let wrong: [(LaneFault, OracleFn, Invariant); 6] = [
-        (LaneFault::EntryForgotten, lane_times_are_consistent, Invariant::Lanes),
-        (LaneFault::EntryForgotten, metrics_agree, Invariant::MetricsAgree),
-        (LaneFault::EntryForgotten, monitor_agrees, Invariant::Monitor),
-        (LaneFault::EntryForgotten, estimates_within_bounds, Invariant::Estimates),
-        (LaneFault::EntryLate, entering_at_start_changes_nothing, Invariant::Lanes),
-        (LaneFault::LeaderMoved, leaving_last_vehicle_changes_nothing_ahead, Invariant::Lanes),
+        (
+            LaneFault::EntryForgotten,
+            lane_times_are_consistent,
+            Invariant::Lanes,
+        ),
+        (
+            LaneFault::EntryForgotten,
+            metrics_agree,
+            Invariant::MetricsAgree,
+        ),
+        (
+            LaneFault::EntryForgotten,
+            monitor_agrees,
+            Invariant::Monitor,
+        ),
+        (
+            LaneFault::EntryForgotten,
+            estimates_within_bounds,
+            Invariant::Estimates,
+        ),
+        (
+            LaneFault::EntryLate,
+            entering_at_start_changes_nothing,
+            Invariant::Lanes,
+        ),
+        (
+            LaneFault::LeaderMoved,
+            leaving_last_vehicle_changes_nothing_ahead,
+            Invariant::Lanes,
+        ),
     ];
     let all = first_lane_cases(400);
     for (fault, oracle, law) in wrong {
@@ -117,20 +185,29 @@ fn lane_invariants_detect_injected_faults() {
 fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
     let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
     let mut asked = [0; 2];
-    for TestCase { scenario, .. } in first_lane_cases(300).into_iter().filter(|one| !one.scenario.keeps_lanes()) {
+    for TestCase { scenario, .. } in first_lane_cases(300)
+        .into_iter()
+        .filter(|one| !one.scenario.keeps_lanes())
+    {
         let verdict = avoid(&scenario, AvoidOptions::default()).map(|found| found.verdict);
         match verdict {
             Ok(AvoidanceVerdict::Undecided(UndecidedReason::LaneChanges)) => asked[0] += 1,
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 assert!(!escape.scenario.keeps_lanes());
-                let run =
-                    Run::new(&escape.scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
+                let run = Run::new(
+                    &escape.scenario,
+                    RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+                )
+                .unwrap();
                 assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
             }
             Ok(other) => panic!("{other:?}"),
             Err(_) => {}
         }
-        let is_tested = scenario.vehicles().iter().any(|vehicle| vehicle.driver == Driver::UnderTest);
+        let is_tested = scenario
+            .vehicles()
+            .iter()
+            .any(|vehicle| vehicle.driver == Driver::UnderTest);
         // The decision instants of a policy need not be those of this scenario.
         let Err(error) = Run::new(&scenario, RunOptions::new(shield.kind.clone())) else {
             assert!(!is_tested, "behind a shield");

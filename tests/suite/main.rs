@@ -2,7 +2,12 @@
 //!
 //! Each property test states its number of cases for `PROPERTY_CASES=256` (`crates/cases`). proptest stores failures in
 //! `proptest-regressions/`.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "everything here is a test"
+)]
 
 mod assessments;
 mod claims;

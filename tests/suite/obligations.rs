@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crumple_world::control::{
-    ErrorBounds, ShieldParams, ShieldState, ViabilityKernel, distance_and_speed_after, max_closing_m,
+    ErrorBounds, ShieldParams, ShieldState, ViabilityKernel, distance_and_speed_after,
+    max_closing_m,
 };
 use crumple_world::scenario::VehicleClass;
 
@@ -21,14 +22,19 @@ fn obligations_folder() -> PathBuf {
 }
 
 fn exact_quotient(limit_mps2: f64) -> [String; 2] {
-    let halvings =
-        (0..40).find(|&k| (limit_mps2 * 2.0_f64.powi(k)).fract() == 0.0).expect("a limit has few binary places");
+    let halvings = (0..40)
+        .find(|&k| (limit_mps2 * 2.0_f64.powi(k)).fract() == 0.0)
+        .expect("a limit has few binary places");
     [limit_mps2 * 2.0_f64.powi(halvings), 2.0_f64.powi(halvings)].map(|whole| format!("{whole:.0}"))
 }
 
 fn code_terms() -> [(&'static str, String); 13] {
     let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::symbol);
-    let demanded = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
+    let demanded = ViabilityKernel {
+        own_brake_mps2: b,
+        ahead_brake_mps2: c,
+    }
+    .demanded_gap_m(v, w);
     let [covered, speed] = distance_and_speed_after(v, a, h);
     let frame = |share: &str, noise_mps2: Term| ShieldParams {
         step_s: h,
@@ -42,9 +48,19 @@ fn code_terms() -> [(&'static str, String); 13] {
         behind: None,
         margin_m: Term::symbol("m"),
     };
-    let state = ShieldState { gap_m: Term::symbol("g"), speed_mps: v, ahead_mps: w, response_mps2: Term::symbol("r") };
+    let state = ShieldState {
+        gap_m: Term::symbol("g"),
+        speed_mps: v,
+        ahead_mps: w,
+        response_mps2: Term::symbol("r"),
+    };
     let [seen_gap_m, seen_mps, seen_ahead_mps] = ["seen-g", "seen-v", "seen-w"].map(Term::symbol);
-    let seen = ShieldState { gap_m: seen_gap_m, speed_mps: seen_mps, ahead_mps: seen_ahead_mps, ..state };
+    let seen = ShieldState {
+        gap_m: seen_gap_m,
+        speed_mps: seen_mps,
+        ahead_mps: seen_ahead_mps,
+        ..state
+    };
     let sluggish = frame("share", zero);
     let predicted = frame("share", Term::symbol("n")).after(seen, a);
     let own = Term::symbol("own");
@@ -55,7 +71,10 @@ fn code_terms() -> [(&'static str, String); 13] {
         ("{largest-closing}", max_closing_m(v, own, w, c, h).text()),
         ("{admits}", frame("1.0", zero).admits(state, a).text()),
         ("{to-lose}", sluggish.speed_to_lose_mps(state).text()),
-        ("{to-lose-after-braking}", sluggish.speed_to_lose_mps(sluggish.after(state, -b)).text()),
+        (
+            "{to-lose-after-braking}",
+            sluggish.speed_to_lose_mps(sluggish.after(state, -b)).text(),
+        ),
         ("{predicted-gap}", predicted.gap_m.text()),
         ("{predicted-speed}", predicted.speed_mps.text()),
         ("{predicted-ahead}", predicted.ahead_mps.text()),
@@ -83,13 +102,23 @@ const STATEMENTS: [&str; 11] = [
 fn obligations() -> Vec<(String, String)> {
     let of_code = code_terms();
     let statement = |name: &str| {
-        let text = fs::read_to_string(obligations_folder().join("statements").join(format!("{name}.smt2"))).unwrap();
-        of_code.iter().fold(text, |text, (place, term)| text.replace(place, term))
+        let text = fs::read_to_string(
+            obligations_folder()
+                .join("statements")
+                .join(format!("{name}.smt2")),
+        )
+        .unwrap();
+        of_code
+            .iter()
+            .fold(text, |text, (place, term)| text.replace(place, term))
     };
     let mut all = Vec::new();
     for own in VehicleClass::ALL {
         for ahead in VehicleClass::ALL {
-            let ([n, d], [m, e]) = (exact_quotient(own.max_brake_mps2()), exact_quotient(ahead.max_brake_mps2()));
+            let ([n, d], [m, e]) = (
+                exact_quotient(own.max_brake_mps2()),
+                exact_quotient(ahead.max_brake_mps2()),
+            );
             let title = format!("{} behind {}", own.name(), ahead.name());
             let filled = statement("definitions")
                 .replace("{title}", &title)
@@ -98,7 +127,10 @@ fn obligations() -> Vec<(String, String)> {
                 .replace("{ahead_numerator}", &m)
                 .replace("{ahead_denominator}", &e);
             let harder = own.max_brake_mps2() > ahead.max_brake_mps2();
-            for name in STATEMENTS.into_iter().filter(|name| *name != "control" || harder) {
+            for name in STATEMENTS
+                .into_iter()
+                .filter(|name| *name != "control" || harder)
+            {
                 let file = format!("{}/{name}.smt2", title.replace(' ', "-"));
                 all.push((file, filled.clone() + &statement(name)));
             }
@@ -109,7 +141,8 @@ fn obligations() -> Vec<(String, String)> {
 
 #[test]
 fn obligations_are_those_of_the_shipped_limits_and_each_is_proved() {
-    let results = fs::read_to_string(obligations_folder().join("results.json")).unwrap_or_else(|_| "[]".to_owned());
+    let results = fs::read_to_string(obligations_folder().join("results.json"))
+        .unwrap_or_else(|_| "[]".to_owned());
     let results: Vec<serde_json::Value> = serde_json::from_str(&results).unwrap();
     let updating = std::env::var_os("UPDATE_OBLIGATIONS").is_some();
     for (file, contents) in obligations() {
@@ -120,17 +153,29 @@ fn obligations_are_those_of_the_shipped_limits_and_each_is_proved() {
             continue;
         }
         let committed = fs::read_to_string(&path).unwrap_or_default();
-        assert_eq!(committed, contents, "{file}: run with UPDATE_OBLIGATIONS=1, then verify/obligations/run.py");
+        assert_eq!(
+            committed, contents,
+            "{file}: run with UPDATE_OBLIGATIONS=1, then verify/obligations/run.py"
+        );
         let digest = crumple_core::digest::sha256(&contents);
-        let expected = if contents.contains("(set-info :status unsat)") { "unsat" } else { "sat" };
-        let answers: Vec<_> =
-            results.iter().filter(|r| r["file"] == file.as_str() && r["sha256"] == digest.as_str()).collect();
+        let expected = if contents.contains("(set-info :status unsat)") {
+            "unsat"
+        } else {
+            "sat"
+        };
+        let answers: Vec<_> = results
+            .iter()
+            .filter(|r| r["file"] == file.as_str() && r["sha256"] == digest.as_str())
+            .collect();
         assert!(
             answers.iter().any(|r| r["result"] == expected),
             "{file}: no recorded proof, run verify/obligations/run.py"
         );
         let contrary = if expected == "unsat" { "sat" } else { "unsat" };
-        assert!(answers.iter().all(|r| r["result"] != contrary), "{file}: a solver contradicts");
+        assert!(
+            answers.iter().all(|r| r["result"] != contrary),
+            "{file}: a solver contradicts"
+        );
     }
 }
 
@@ -152,26 +197,48 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
     let theories = ["Kernel.v", "Rounding.v"].map(|file| {
         let theory = read(&format!("verify/coq/{file}"));
         let recorded = format!("{file} {}", crumple_core::digest::sha256(&theory));
-        assert!(message.lines().any(|line| line == recorded), "run verify/coq/run: {file}");
+        assert!(
+            message.lines().any(|line| line == recorded),
+            "run verify/coq/run: {file}"
+        );
         for gap in ["Admitted.", "admit.", "Axiom ", "Parameter ", "Hypothesis "] {
             assert!(!theory.contains(gap), "{file}: {gap}");
         }
         theory
     });
     let page = read("docs/kernel-theorems.md");
-    let shown: Vec<_> = page.split("```coq\n").skip(1).filter_map(|rest| rest.split("\n```").next()).collect();
+    let shown: Vec<_> = page
+        .split("```coq\n")
+        .skip(1)
+        .filter_map(|rest| rest.split("\n```").next())
+        .collect();
     let shown: Vec<_> = shown.iter().flat_map(|block| block.split("\n\n")).collect();
     assert!(shown.len() > 10);
     for statement in shown {
-        let is_there = theories.iter().any(|theory| theory.contains(&format!("\n{statement}\n")));
+        let is_there = theories
+            .iter()
+            .any(|theory| theory.contains(&format!("\n{statement}\n")));
         assert!(is_there, "in none of the files: {statement}");
-        if let Some(theorem) = statement.strip_prefix("Theorem ").and_then(|rest| rest.split(' ').next()) {
-            assert!(message.contains(&format!("proved: {theorem}\n")), "{theorem}");
+        if let Some(theorem) = statement
+            .strip_prefix("Theorem ")
+            .and_then(|rest| rest.split(' ').next())
+        {
+            assert!(
+                message.contains(&format!("proved: {theorem}\n")),
+                "{theorem}"
+            );
         }
     }
     // Theorems that the derivation of the margin uses. Other names are shorter.
     let derivation = read("crates/world/src/control/shield/rounding.rs");
-    let names = derivation.split('`').skip(1).step_by(2).filter(|name| name.matches('_').count() >= 3);
-    let missing: Vec<_> = names.clone().filter(|name| !message.contains(&format!("proved: {name}\n"))).collect();
+    let names = derivation
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .filter(|name| name.matches('_').count() >= 3);
+    let missing: Vec<_> = names
+        .clone()
+        .filter(|name| !message.contains(&format!("proved: {name}\n")))
+        .collect();
     assert!(names.count() > 10 && missing.is_empty(), "{missing:?}");
 }

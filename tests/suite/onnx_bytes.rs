@@ -27,16 +27,33 @@ fn varint_field(number: u8, value: usize) -> Vec<u8> {
 }
 
 fn tensor(name: &str, shape: &[usize], numbers: &[f32]) -> Vec<u8> {
-    let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-    let dims: Vec<u8> = shape.iter().flat_map(|&size| varint_field(1, size)).collect();
-    [dims, varint_field(2, 1), bytes_field(8, name.as_bytes()), bytes_field(9, &raw)].concat()
+    let raw: Vec<u8> = numbers
+        .iter()
+        .flat_map(|number| number.to_le_bytes())
+        .collect();
+    let dims: Vec<u8> = shape
+        .iter()
+        .flat_map(|&size| varint_field(1, size))
+        .collect();
+    [
+        dims,
+        varint_field(2, 1),
+        bytes_field(8, name.as_bytes()),
+        bytes_field(9, &raw),
+    ]
+    .concat()
 }
 
 fn value_info(name: &str, width: usize) -> Vec<u8> {
-    let dims = [1, width].map(|size| bytes_field(1, &varint_field(1, size))).concat();
+    let dims = [1, width]
+        .map(|size| bytes_field(1, &varint_field(1, size)))
+        .concat();
     [
         bytes_field(1, name.as_bytes()),
-        bytes_field(2, &bytes_field(1, &[varint_field(1, 1), bytes_field(2, &dims)].concat())),
+        bytes_field(
+            2,
+            &bytes_field(1, &[varint_field(1, 1), bytes_field(2, &dims)].concat()),
+        ),
     ]
     .concat()
 }
@@ -60,17 +77,33 @@ pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
             }
             TestOnnxNode::Unary(operator, attributes) => (*operator, attributes.as_slice()),
         };
-        let mut bytes = names.iter().flat_map(|name| bytes_field(1, name.as_bytes())).collect::<Vec<u8>>();
+        let mut bytes = names
+            .iter()
+            .flat_map(|name| bytes_field(1, name.as_bytes()))
+            .collect::<Vec<u8>>();
         bytes.extend(bytes_field(2, format!("h{}", index + 1).as_bytes()));
         bytes.extend(bytes_field(4, operator.as_bytes()));
         for (name, value) in attributes {
             let value = [vec![2 << 3 | 5], value.to_le_bytes().to_vec()].concat();
-            bytes.extend(bytes_field(5, &[bytes_field(1, name.as_bytes()), value].concat()));
+            bytes.extend(bytes_field(
+                5,
+                &[bytes_field(1, name.as_bytes()), value].concat(),
+            ));
         }
         graph.extend(bytes_field(1, &bytes));
     }
-    constants.iter().for_each(|constant| graph.extend(bytes_field(5, constant)));
+    constants
+        .iter()
+        .for_each(|constant| graph.extend(bytes_field(5, constant)));
     graph.extend(bytes_field(11, &value_info("h0", inputs)));
-    graph.extend(bytes_field(12, &value_info(&format!("h{}", nodes.len()), width)));
-    [varint_field(1, 4), bytes_field(8, &varint_field(2, 9)), bytes_field(7, &graph)].concat()
+    graph.extend(bytes_field(
+        12,
+        &value_info(&format!("h{}", nodes.len()), width),
+    ));
+    [
+        varint_field(1, 4),
+        bytes_field(8, &varint_field(2, 9)),
+        bytes_field(7, &graph),
+    ]
+    .concat()
 }

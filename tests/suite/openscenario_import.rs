@@ -23,12 +23,16 @@ fn import(exported: &OpenScenario) -> Result<Scenario, String> {
     fs::write(&path, &exported.scenario).expect("written");
     fs::write(folder.path().join("road.xodr"), &exported.road).expect("written");
     let imported = OpenScenarioSource::load(&path).and_then(|source| source.scenario(None, &[]));
-    imported.map(|imported| imported.scenario).map_err(|error| error.to_string())
+    imported
+        .map(|imported| imported.scenario)
+        .map_err(|error| error.to_string())
 }
 
 fn drive(scenario: &Scenario) -> Trace {
     let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
-    let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
+    let options = options
+        .with_estimator(EstimatorKind::Truth)
+        .with_after_contact(AfterContact::Stop);
     simulate_traced(scenario, &options).trace.expect("traced")
 }
 
@@ -65,8 +69,12 @@ fn assert_same_file(file: &[u8], again: &[u8]) {
     let [file, again] = [file, again].map(String::from_utf8_lossy);
     assert_eq!(file.split('"').count(), again.split('"').count());
     for (value, other) in file.split('"').zip(again.split('"')) {
-        let is_near = || Some((value.parse::<f64>().ok()? - other.parse::<f64>().ok()?).abs() <= 1e-8);
-        assert!(value == other || is_near() == Some(true), "{value} instead of {other} in {again}");
+        let is_near =
+            || Some((value.parse::<f64>().ok()? - other.parse::<f64>().ok()?).abs() <= 1e-8);
+        assert!(
+            value == other || is_near() == Some(true),
+            "{value} instead of {other} in {again}"
+        );
     }
 }
 
@@ -83,7 +91,12 @@ fn assert_trajectories_survive(scenario: &Scenario) {
     let trace = drive(scenario);
     let exported = export_trajectories(scenario, &trace, None, "road.xodr").expect("exports");
     let imported = import(&exported).expect("imports");
-    assert!(imported.vehicles().iter().all(|vehicle| matches!(vehicle.driver, Driver::Profile(_))));
+    assert!(
+        imported
+            .vehicles()
+            .iter()
+            .all(|vehicle| matches!(vehicle.driver, Driver::Profile(_)))
+    );
     assert_same_motion(&trace, &drive(&imported), TRAJECTORY_TOLERANCE_MPS);
 }
 

@@ -3,7 +3,9 @@
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_world::sim::{
+    AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
@@ -12,11 +14,15 @@ fn scenario(name: &str) -> Scenario {
 }
 
 fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
-    RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(estimator)
+    RunOptions::new(ControllerSpec::from_name(controller).expect("built in"))
+        .with_estimator(estimator)
 }
 
 fn run(scenario: &Scenario, options: RunOptions) -> SimulationResult {
-    simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
+    simulate(
+        &Run::new(scenario, options).expect("fits"),
+        RecordingLevel::Summary,
+    )
 }
 
 fn run_with_truth(name: &str, controller: &str) -> SimulationResult {
@@ -24,16 +30,28 @@ fn run_with_truth(name: &str, controller: &str) -> SimulationResult {
 }
 
 fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
-    assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected} ± {tolerance}");
+    assert!(
+        (found - expected).abs() <= tolerance,
+        "{what}: {found}, expected {expected} ± {tolerance}"
+    );
 }
 
-fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> SimulationResult {
+fn assert_hit_from_behind(
+    name: &str,
+    time_s: f64,
+    [ego_mps, follower_mps]: [f64; 2],
+) -> SimulationResult {
     let result = run_with_truth(name, "baseline");
     let contact = result.outcome.contact().expect("a rear collision");
     assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
     assert_near(contact.time_s, time_s, 0.02, "time of contact");
     assert_near(contact.front_speed_mps, ego_mps, 0.1, "speed of the ego");
-    assert_near(contact.rear_speed_mps, follower_mps, 0.1, "speed of the follower");
+    assert_near(
+        contact.rear_speed_mps,
+        follower_mps,
+        0.1,
+        "speed of the follower",
+    );
     result
 }
 
@@ -41,14 +59,22 @@ fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_heavy_follower() {
     let result = assert_hit_from_behind("paper-1", 5.50, [7.4, 17.5]);
-    assert_near(result.vehicles[1].min_gap_m.unwrap(), 4.34, 0.05, "smallest front gap");
+    assert_near(
+        result.vehicles[1].min_gap_m.unwrap(),
+        4.34,
+        0.05,
+        "smallest front gap",
+    );
 }
 
 /// Scenario 2: a light follower hits it, at 14.6 against 6.3 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_light_follower() {
     let result = assert_hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
-    assert!(result.vehicles[1].min_gap_m.unwrap() > 0.0, "no front contact");
+    assert!(
+        result.vehicles[1].min_gap_m.unwrap() > 0.0,
+        "no front contact"
+    );
 }
 
 /// Scenario 3: the first two of three middle vehicles collide first, then a counted pile-up follows.
@@ -58,14 +84,34 @@ fn three_middle_vehicles_pile_up() {
     let contact = first.contact().expect("a collision");
     assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
     assert_near(contact.time_s, 5.64, 0.02, "time of first contact");
-    let going_on = options("baseline", EstimatorKind::Truth).with_after_contact(AfterContact::Continue);
+    let going_on =
+        options("baseline", EstimatorKind::Truth).with_after_contact(AfterContact::Continue);
     let pile_up = run(&scenario("paper-3"), going_on);
-    assert_eq!(pile_up.outcome, first, "going on does not change the first contact");
+    assert_eq!(
+        pile_up.outcome, first,
+        "going on does not change the first contact"
+    );
     assert!(pile_up.impacts.len() > 1, "it grows: {:?}", pile_up.impacts);
-    assert_eq!(pile_up.vehicles_involved(), 5, "the heavy one pushes the others into the leader");
-    assert!(pile_up.impacts.windows(2).all(|pair| pair[0].contact.time_s <= pair[1].contact.time_s));
-    let heaviest = pile_up.impacts.iter().map(|impact| impact.delta_v_mps(3)).fold(0.0, f64::max);
-    assert!(heaviest > 5.0, "the truck pushes the last of them hard: {heaviest} m/s");
+    assert_eq!(
+        pile_up.vehicles_involved(),
+        5,
+        "the heavy one pushes the others into the leader"
+    );
+    assert!(
+        pile_up
+            .impacts
+            .windows(2)
+            .all(|pair| pair[0].contact.time_s <= pair[1].contact.time_s)
+    );
+    let heaviest = pile_up
+        .impacts
+        .iter()
+        .map(|impact| impact.delta_v_mps(3))
+        .fold(0.0, f64::max);
+    assert!(
+        heaviest > 5.0,
+        "the truck pushes the last of them hard: {heaviest} m/s"
+    );
 }
 
 /// Two trivial controllers avoid all three collisions, with the Kalman filter too.
@@ -75,7 +121,11 @@ fn trivial_controllers_avoid_all_three() {
         for controller in ["match-leader", "constant-brake"] {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
                 let result = run(&scenario(name), options(controller, estimator));
-                assert_eq!(result.outcome, Outcome::NoCollision, "{name} {controller} {estimator:?}");
+                assert_eq!(
+                    result.outcome,
+                    Outcome::NoCollision,
+                    "{name} {controller} {estimator:?}"
+                );
             }
         }
     }
@@ -86,13 +136,23 @@ fn trivial_controllers_avoid_all_three() {
 #[test]
 fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
     let scenario = scenario("paper-2");
-    let run = Run::new(&scenario, options("baseline-unlatched", EstimatorKind::Truth)).unwrap();
+    let run = Run::new(
+        &scenario,
+        options("baseline-unlatched", EstimatorKind::Truth),
+    )
+    .unwrap();
     let result = simulate(&run, RecordingLevel::Trace);
     assert_eq!(result.outcome, Outcome::NoCollision);
     let closest = result.vehicles[1].min_gap_m.unwrap();
-    assert!((0.0..0.1).contains(&closest), "scrapes through: {closest} m");
+    assert!(
+        (0.0..0.1).contains(&closest),
+        "scrapes through: {closest} m"
+    );
     let ego = &result.trace.as_ref().unwrap().vehicles[1].acceleration_mps2;
-    let releases = ego.windows(2).filter(|pair| pair[0] == -7.5 && pair[1] == 0.0).count();
+    let releases = ego
+        .windows(2)
+        .filter(|pair| pair[0] == -7.5 && pair[1] == 0.0)
+        .count();
     assert!(releases > 10, "chatters: lets go {releases} times");
 }
 
@@ -104,16 +164,32 @@ fn the_integration_step_decides_nothing() {
         for controller in ControllerSpec::all() {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
                 for after_contact in [AfterContact::Stop, AfterContact::Continue] {
-                    let options = options(controller.name(), estimator).with_after_contact(after_contact);
-                    let [coarse, fine] =
-                        [0.01, 0.001].map(|dt_s| run(&scenario(name), options.clone().with_dt_s(dt_s)).impacts);
-                    let what = format!("{name} {} {estimator:?} {after_contact:?}", controller.name());
+                    let options =
+                        options(controller.name(), estimator).with_after_contact(after_contact);
+                    let [coarse, fine] = [0.01, 0.001]
+                        .map(|dt_s| run(&scenario(name), options.clone().with_dt_s(dt_s)).impacts);
+                    let what = format!(
+                        "{name} {} {estimator:?} {after_contact:?}",
+                        controller.name()
+                    );
                     assert_eq!(coarse.len(), fine.len(), "{what}");
                     for (coarse, fine) in coarse.iter().zip(&fine) {
-                        assert_eq!(coarse.contact.rear_vehicle, fine.contact.rear_vehicle, "{what}");
+                        assert_eq!(
+                            coarse.contact.rear_vehicle, fine.contact.rear_vehicle,
+                            "{what}"
+                        );
                         // This brake is released and fires again, each time at a decision.
-                        let tolerance_s = if controller.name() == "emergency-brake" { 0.02 } else { 1e-3 };
-                        assert_near(coarse.contact.time_s, fine.contact.time_s, tolerance_s, &what);
+                        let tolerance_s = if controller.name() == "emergency-brake" {
+                            0.02
+                        } else {
+                            1e-3
+                        };
+                        assert_near(
+                            coarse.contact.time_s,
+                            fine.contact.time_s,
+                            tolerance_s,
+                            &what,
+                        );
                     }
                 }
             }
@@ -151,6 +227,16 @@ fn an_independent_simulation_of_scenario_1_agrees() {
         }
     }
     let result = run_with_truth("paper-1", "baseline");
-    assert_near(result.outcome.contact().unwrap().time_s, contact_s.expect("a collision"), 1e-3, "time of contact");
-    assert_near(result.vehicles[1].min_gap_m.unwrap(), smallest_front_gap, 1e-3, "smallest front gap");
+    assert_near(
+        result.outcome.contact().unwrap().time_s,
+        contact_s.expect("a collision"),
+        1e-3,
+        "time of contact",
+    );
+    assert_near(
+        result.vehicles[1].min_gap_m.unwrap(),
+        smallest_front_gap,
+        1e-3,
+        "smallest front gap",
+    );
 }

@@ -11,25 +11,47 @@ const NOT_PRINTED: [&str; 1] = ["nav"];
 
 /// Returns the committed report, which another test compares with what `crumple assess` writes.
 fn committed_report() -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports/assessment.html")).unwrap()
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports/assessment.html"))
+        .unwrap()
 }
 
 /// Returns the print-only rules of a page's style, as selectors and declarations.
 fn print_rules(page: &str) -> Vec<(&str, &str)> {
     let (_, style) = page.split_once("<style>").unwrap();
     let (style, _) = style.split_once("</style>").unwrap();
-    let of_block = |block: &'static str| style.split(block).skip(1).filter_map(|rest| rest.split_once("}}"));
-    let rules = ["@media print{", "@media print,(min-width:900px){"].into_iter().flat_map(of_block);
-    rules.flat_map(|(block, _)| block.split('}')).filter_map(|rule| rule.split_once('{')).collect()
+    let of_block = |block: &'static str| {
+        style
+            .split(block)
+            .skip(1)
+            .filter_map(|rest| rest.split_once("}}"))
+    };
+    let rules = ["@media print{", "@media print,(min-width:900px){"]
+        .into_iter()
+        .flat_map(of_block);
+    rules
+        .flat_map(|(block, _)| block.split('}'))
+        .filter_map(|rule| rule.split_once('{'))
+        .collect()
 }
 
 fn assert_prints_everything(page: &str, folded: usize) {
     assert!(page.matches("<details").count() >= folded);
     let rules = print_rules(page);
-    assert!(rules.contains(&("details::details-content", "content-visibility:visible")), "{rules:?}");
+    assert!(
+        rules.contains(&("details::details-content", "content-visibility:visible")),
+        "{rules:?}"
+    );
     for (selectors, declarations) in &rules {
-        if ["display:none", "visibility:hidden", "overflow:hidden"].iter().any(|hides| declarations.contains(hides)) {
-            assert!(selectors.split(',').all(|selector| NOT_PRINTED.contains(&selector)), "{selectors} is not printed");
+        if ["display:none", "visibility:hidden", "overflow:hidden"]
+            .iter()
+            .any(|hides| declarations.contains(hides))
+        {
+            assert!(
+                selectors
+                    .split(',')
+                    .all(|selector| NOT_PRINTED.contains(&selector)),
+                "{selectors} is not printed"
+            );
         }
     }
     let units = ["m/s,", "m/s", "m/s²", "m,", "m", "s,", "s", "%"];
@@ -40,9 +62,19 @@ fn assert_prints_everything(page: &str, folded: usize) {
             (Some(name), Some(end)) if end.strip_prefix('/') == Some(name) => verbatim = None,
             _ => {}
         }
-        let words: Vec<&str> = if verbatim.is_none() { text.split(' ').collect() } else { Vec::new() };
-        let is_broken = |pair: &&[&str]| pair[0].ends_with(|c: char| c.is_ascii_digit()) && units.contains(&pair[1]);
-        assert_eq!(words.windows(2).find(is_broken), None, "a line may end between a number and its unit");
+        let words: Vec<&str> = if verbatim.is_none() {
+            text.split(' ').collect()
+        } else {
+            Vec::new()
+        };
+        let is_broken = |pair: &&[&str]| {
+            pair[0].ends_with(|c: char| c.is_ascii_digit()) && units.contains(&pair[1])
+        };
+        assert_eq!(
+            words.windows(2).find(is_broken),
+            None,
+            "a line may end between a number and its unit"
+        );
     }
 }
 
@@ -57,7 +89,11 @@ fn print_in_browser(page: &str) {
         Err(error) => return println!("skipped: no python3: {error}"),
     };
     print!("{}", String::from_utf8_lossy(&output.stdout));
-    assert!(matches!(output.status.code(), Some(0 | 77)), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        matches!(output.status.code(), Some(0 | 77)),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 #[test]

@@ -10,13 +10,16 @@ use crumple_verify::reach::{
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::{
-    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, ObservedQuantity, OutputMapping, Squash,
+    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, ObservedQuantity,
+    OutputMapping, Squash,
 };
 use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
+use crumple_world::sim::{
+    ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate,
+};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -29,28 +32,45 @@ fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
     BoxSpec::from_toml(&text, Path::new("box.toml")).unwrap()
 }
 
-fn random_product(before: usize, after: usize, gain: f32, random: &mut Xoshiro256PlusPlus) -> NetworkStep {
+fn random_product(
+    before: usize,
+    after: usize,
+    gain: f32,
+    random: &mut Xoshiro256PlusPlus,
+) -> NetworkStep {
     let scale = gain * (3.0 / before as f32).sqrt();
-    let weights = (0..before * after).map(|_| scale * random.random_range(-1.0..1.0_f32)).collect();
-    let biases = (0..after).map(|_| 0.3 * random.random_range(-1.0..1.0_f32)).collect();
+    let weights = (0..before * after)
+        .map(|_| scale * random.random_range(-1.0..1.0_f32))
+        .collect();
+    let biases = (0..after)
+        .map(|_| 0.3 * random.random_range(-1.0..1.0_f32))
+        .collect();
     NetworkStep::Linear(Linear { weights, biases })
 }
 
 fn any_elementwise(width: usize, random: &mut Xoshiro256PlusPlus) -> NetworkStep {
-    let mut operands =
-        |low: f32, high: f32| -> Vec<f32> { (0..width).map(|_| random.random_range(low..high)).collect() };
+    let mut operands = |low: f32, high: f32| -> Vec<f32> {
+        (0..width).map(|_| random.random_range(low..high)).collect()
+    };
     let (some, away_from_0) = (operands(-1.0, 1.0), operands(0.5, 2.0));
     let number = some[0];
     NetworkStep::Elementwise(match random.random_range(0..9_u32) {
         0 => Elementwise::Relu,
-        1 => Elementwise::LeakyRelu { slope: 0.5 * number },
-        2 => Elementwise::Elu { alpha: number.abs() },
+        1 => Elementwise::LeakyRelu {
+            slope: 0.5 * number,
+        },
+        2 => Elementwise::Elu {
+            alpha: number.abs(),
+        },
         3 => Elementwise::Tanh,
         4 => Elementwise::Sigmoid,
         5 => Elementwise::Add(some),
         6 => Elementwise::Multiply(some),
         7 => Elementwise::Divide(away_from_0),
-        _ => Elementwise::Clip { low: vec![number - 0.5; width], high: vec![number + 0.5; width] },
+        _ => Elementwise::Clip {
+            low: vec![number - 0.5; width],
+            high: vec![number + 0.5; width],
+        },
     })
 }
 
@@ -92,7 +112,12 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
             steps.push(any_elementwise(width, random));
         }
         let after = random.random_range(1..14);
-        steps.push(random_product(width, after, random.random_range(0.3..1.2), random));
+        steps.push(random_product(
+            width,
+            after,
+            random.random_range(0.3..1.2),
+            random,
+        ));
         width = after;
     }
     if random.random_bool(0.5) {
@@ -122,15 +147,21 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
 fn random_point(ranges: &InitialRanges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
     BoxDimension::ALL.map(|dimension| {
         let range = ranges.get(dimension);
-        (range.low() + random.random::<f64>() * (range.high() - range.low())).clamp(range.low(), range.high())
+        (range.low() + random.random::<f64>() * (range.high() - range.low()))
+            .clamp(range.low(), range.high())
     })
 }
 
 fn observed_values(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
-    let [leader, ego, rest @ ..] = trace.vehicles.as_slice() else { panic!("two at least") };
+    let [leader, ego, rest @ ..] = trace.vehicles.as_slice() else {
+        panic!("two at least")
+    };
     let before = |a: &[f64]| k.checked_sub(1).map_or(0.0, |before| a[before]);
     let mut seen = vec![
-        (0, leader.position_m[k] - leader.length_m - ego.position_m[k]),
+        (
+            0,
+            leader.position_m[k] - leader.length_m - ego.position_m[k],
+        ),
         (2, leader.speed_mps[k]),
         (3, ego.speed_mps[k]),
         (5, before(&leader.acceleration_mps2)),
@@ -154,44 +185,77 @@ struct ReachComparison {
 impl ReachComparison {
     /// The checker accepts the certificate, every trajectory is in the tube, no gap is below the bound, and falsified
     /// states collide.
-    fn compare_plan(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
+    fn compare_plan(
+        &mut self,
+        plan: &ReachPlan,
+        options: &RunOptions,
+        random: &mut Xoshiro256PlusPlus,
+        seed: u64,
+    ) {
         let partition = plan.partition(2, &Quiet).unwrap();
-        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default());
-        assert!(matches!(accepted, Ok(ProvedClaim::Reach { .. })), "{seed}: {accepted:?}");
+        let accepted = check_with(
+            &partition.certificate,
+            Some(plan.policy_bytes()),
+            WorkLimit::default(),
+        );
+        assert!(
+            matches!(accepted, Ok(ProvedClaim::Reach { .. })),
+            "{seed}: {accepted:?}"
+        );
         check_binding(&partition.certificate, Some(plan.policy_bytes())).unwrap();
         let actor = NeuralController::from_bytes(plan.policy_bytes()).unwrap();
-        let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
+        let Statement::Reach(claim) = &partition.certificate.statement else {
+            panic!("reach")
+        };
         let whole = claim.problem(&actor).unwrap();
         for (cell, ranges, _) in claim.leaves().unwrap() {
             if let PartitionCell::Falsified(point) = cell {
                 self.falsified += 1;
                 let run = Run::new(&plan.scenario_at(&point).unwrap(), options.clone()).unwrap();
-                assert_ne!(simulate(&run, RecordingLevel::Summary).outcome, Outcome::NoCollision, "{seed}");
+                assert_ne!(
+                    simulate(&run, RecordingLevel::Summary).outcome,
+                    Outcome::NoCollision,
+                    "{seed}"
+                );
             }
-            let scene = ReachProblem { ranges, stop_when_undecided: false, ..whole.clone() };
+            let scene = ReachProblem {
+                ranges,
+                stop_when_undecided: false,
+                ..whole.clone()
+            };
             let (_, tube) = reach_with_tube(&scene);
             for _ in 0..4 {
                 let scenario = plan.scenario_at(&random_point(&ranges, random)).unwrap();
-                let run = simulate(&Run::new(&scenario, options.clone()).unwrap(), RecordingLevel::Trace);
+                let run = simulate(
+                    &Run::new(&scenario, options.clone()).unwrap(),
+                    RecordingLevel::Trace,
+                );
                 let trace = run.trace.as_ref().expect("recorded");
                 if cell == PartitionCell::Verified {
                     self.verified += 1;
                     assert_eq!(run.outcome, Outcome::NoCollision, "{seed}");
                     let gaps = (0..trace.time_s.len()).flat_map(|k| observed_values(trace, k));
-                    let least =
-                        gaps.filter(|(number, _)| *number < 2).map(|(_, gap)| gap).fold(f64::INFINITY, f64::min);
+                    let least = gaps
+                        .filter(|(number, _)| *number < 2)
+                        .map(|(_, gap)| gap)
+                        .fold(f64::INFINITY, f64::min);
                     assert!(least >= claim.min_gap_m_at_least - 1e-8, "{seed}: {least}");
                 }
                 let Some(tube) = &tube else { continue };
                 for (decision, bounds) in tube.iter().enumerate() {
                     let k = decision * scene.decision_steps as usize;
-                    if k + 1 >= trace.time_s.len() && run.outcome != Outcome::NoCollision || k >= trace.time_s.len() {
+                    if k + 1 >= trace.time_s.len() && run.outcome != Outcome::NoCollision
+                        || k >= trace.time_s.len()
+                    {
                         break;
                     }
                     for (number, seen) in observed_values(trace, k) {
                         let bound = bounds[number];
                         let inside = bound.low() - 1e-7 <= seen && seen <= bound.high() + 1e-7;
-                        assert!(inside, "{seed}: number {number} at decision {decision}: {seen} not in {bound:?}");
+                        assert!(
+                            inside,
+                            "{seed}: number {number} at decision {decision}: {seen} not in {bound:?}"
+                        );
                         self.numbers += 1;
                     }
                 }
@@ -207,10 +271,19 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
         16.0 - size,
         24.9 + size
     );
-    let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
+    let scenario = if random.random_bool(0.5) {
+        "paper-1"
+    } else {
+        "paper-2"
+    };
     let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::from_name);
-    let follower_drives = followers[seed as usize % 4 % 3].clone().map(Driver::Controller);
-    BoxSpec { follower_drives, ..box_spec(scenario, &ranges) }
+    let follower_drives = followers[seed as usize % 4 % 3]
+        .clone()
+        .map(Driver::Controller);
+    BoxSpec {
+        follower_drives,
+        ..box_spec(scenario, &ranges)
+    }
 }
 
 /// Compares the proofs about random controllers with their runs.
@@ -223,11 +296,15 @@ fn compare_controllers(
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let (controller, spec) = make(seed, random);
         let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
-        let plan = ReachPlan::new(controller, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
+        let plan =
+            ReachPlan::new(controller, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
         compared.compare_plan(&plan, &options, random, seed);
     }
     println!("{compared:?}");
-    assert!(compared.verified > 10 && compared.falsified > 0 && compared.numbers > 50_000, "{compared:?}");
+    assert!(
+        compared.verified > 10 && compared.falsified > 0 && compared.numbers > 50_000,
+        "{compared:?}"
+    );
     compared
 }
 
@@ -243,18 +320,35 @@ fn runs_of_external_networks_stay_within_proved_bounds() {
 /// The file format of the reference policy does not matter, except that the last tanh is applied a step earlier.
 #[test]
 fn a_policy_exported_to_onnx_has_the_same_proof() {
-    let spec = box_spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
-    let claims = [ControllerKind::from(Policy::reference()), controller_kind("reference.onnx")].map(|kind| {
+    let spec = box_spec(
+        "paper-2",
+        "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }",
+    );
+    let claims = [
+        ControllerKind::from(Policy::reference()),
+        controller_kind("reference.onnx"),
+    ]
+    .map(|kind| {
         let plan = ReachPlan::new(kind, &spec).unwrap();
         let certificate = plan.partition(4, &Quiet).unwrap().certificate;
-        check_with(&certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap();
-        let Statement::Reach(claim) = certificate.statement else { panic!("reach") };
+        check_with(
+            &certificate,
+            Some(plan.policy_bytes()),
+            WorkLimit::default(),
+        )
+        .unwrap();
+        let Statement::Reach(claim) = certificate.statement else {
+            panic!("reach")
+        };
         claim
     });
     let [own, outside] = claims;
     assert_eq!(own.partition, outside.partition);
     assert_eq!(own.verified_share_at_least, outside.verified_share_at_least);
-    assert!((own.min_gap_m_at_least - outside.min_gap_m_at_least).abs() < 1e-5, "{own:?} {outside:?}");
+    assert!(
+        (own.min_gap_m_at_least - outside.min_gap_m_at_least).abs() < 1e-5,
+        "{own:?} {outside:?}"
+    );
     assert!(own.verified_share_at_least > 0.99 && own.source.is_none() && outside.source.is_some());
 }
 
@@ -268,18 +362,35 @@ scenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
     let run = |words: &str| run_crumple(folder.path(), words);
     for name in ["acc.toml", "leaky-40-clip.onnx", "td3.zip"] {
         let source = shown(controller_corpus().join(name));
-        let made = run(&format!("verify reach --controller '{source}' --box box.toml --depth 2 --certificate c.json"));
+        let made = run(&format!(
+            "verify reach --controller '{source}' --box box.toml --depth 2 --certificate c.json"
+        ));
         let nothing = format!("{}{}", stdout(&made), stderr(&made)).contains("nothing verified");
-        assert_eq!(exit_code(&made), i32::from(nothing), "{name}: {}", stderr(&made));
+        assert_eq!(
+            exit_code(&made),
+            i32::from(nothing),
+            "{name}: {}",
+            stderr(&made)
+        );
         for policy in [String::new(), format!("--policy '{source}'")] {
-            let passages = ["accepted: reach", "read from a file in the format", "as crumple read it"];
+            let passages = [
+                "accepted: reach",
+                "read from a file in the format",
+                "as crumple read it",
+            ];
             assert_prints(&run(&format!("check c.json {policy}")), 0, &passages);
         }
         let other = shown(controller_corpus().join("reference.onnx"));
-        assert_prints(&run(&format!("check c.json --policy '{other}'")), 1, &["has SHA-256"]);
+        assert_prints(
+            &run(&format!("check c.json --policy '{other}'")),
+            1,
+            &["has SHA-256"],
+        );
         let text = std::fs::read_to_string(folder.path().join("c.json")).unwrap();
         let certificate = Certificate::from_json(&text).unwrap();
-        let path = folder.path().join(certificate.policy_reference().expect("of a network").0);
+        let path = folder
+            .path()
+            .join(certificate.policy_reference().expect("of a network").0);
         let mut bytes = std::fs::read(&path).unwrap();
         let last = bytes.len() - 2;
         bytes[last] ^= 1;
@@ -292,13 +403,26 @@ scenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
         std::fs::write(folder.path().join(name), acc.replace(from, to)).unwrap();
     };
     with("time-gap.toml", "\"gap_ahead_m\"", "\"time_gap_ahead_s\"");
-    with("memory.toml", "quantity = \"speed_mps\"", "quantity = \"last_answer_mps2\"");
+    with(
+        "memory.toml",
+        "quantity = \"speed_mps\"",
+        "quantity = \"last_answer_mps2\"",
+    );
     with("hard.toml", "low_mps2 = -7.5", "low_mps2 = -9.0");
     let stacked = shown(controller_corpus().join("stacked.toml"));
     for (controller, words) in [
-        ("time-gap.toml", "inputs[3].quantity: `time_gap_ahead_s` is a quotient of what is observed"),
-        ("memory.toml", "inputs[2].quantity: `last_answer_mps2` is memory"),
-        (stacked.as_str(), "history: is 3, and only a network that sees nothing but the present"),
+        (
+            "time-gap.toml",
+            "inputs[3].quantity: `time_gap_ahead_s` is a quotient of what is observed",
+        ),
+        (
+            "memory.toml",
+            "inputs[2].quantity: `last_answer_mps2` is memory",
+        ),
+        (
+            stacked.as_str(),
+            "history: is 3, and only a network that sees nothing but the present",
+        ),
         (
             "hard.toml",
             "hard.toml:30: cannot be followed: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle \
@@ -308,6 +432,11 @@ scenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
         ("shield:policy", "must be a policy of crumple or a network"),
         ("exec:true", "`true` ended by itself with exit code 0"),
     ] {
-        assert_refused(&run(&format!("verify reach --controller '{controller}' --box box.toml")), words);
+        assert_refused(
+            &run(&format!(
+                "verify reach --controller '{controller}' --box box.toml"
+            )),
+            words,
+        );
     }
 }

@@ -29,8 +29,14 @@ const SOURCES: [(&str, Source); 9] = [
     (
         "collisions in 1000",
         Source::Report(&[
-            ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✗ "),
-            ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✓ "),
+            (
+                "| no collision in 1000 random scenarios of `paper` (seed 0) |",
+                "✗ ",
+            ),
+            (
+                "| no collision in 1000 random scenarios of `paper` (seed 0) |",
+                "✓ ",
+            ),
             ("| no collision in the paper's scenarios |", "✓ "),
         ]),
     ),
@@ -46,14 +52,31 @@ const SOURCES: [(&str, Source); 9] = [
     (
         "collisions with an arbitrary leader",
         Source::Slow(|printed| {
-            after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
+            after(
+                printed,
+                &[
+                    "full-throttle: ",
+                    "random-actions: ",
+                    "policy: ",
+                    "interventions), ",
+                ],
+            )
         }),
     ),
-    ("splitting on six problems", Source::Slow(known_probabilities)),
+    (
+        "splitting on six problems",
+        Source::Slow(known_probabilities),
+    ),
     ("one vehicle-step", Source::Machine),
     ("first collision", Source::Printed(&["COLLISION at "])),
-    ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
-    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ "), ("| reach-paper-2 |", "✓ ")])),
+    (
+        "smallest gap",
+        Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "]),
+    ),
+    (
+        "share of the boxes",
+        Source::Report(&[("| reach-paper-1 |", "✓ "), ("| reach-paper-2 |", "✓ ")]),
+    ),
     ("Chasing Cars", Source::Slow(chasing_cars)),
 ];
 
@@ -74,12 +97,25 @@ fn rows_of(page: &str) -> Vec<Row> {
     let (_, table) = text.split_once("\n## Measured results\n").unwrap();
     let table = table.split("\n## ").next().unwrap();
     let row = |line: &str| {
-        let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
+        let [figure, value, command] = line
+            .trim_matches(['|', ' '])
+            .split(" | ")
+            .collect::<Vec<_>>()[..]
+        else {
             panic!("{line}")
         };
-        Row { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
+        Row {
+            figure: figure.to_owned(),
+            value: value.to_owned(),
+            command: command.trim_matches('`').to_owned(),
+        }
     };
-    table.lines().filter(|line| line.starts_with("| ")).skip(1).map(row).collect()
+    table
+        .lines()
+        .filter(|line| line.starts_with("| "))
+        .skip(1)
+        .map(row)
+        .collect()
 }
 
 /// Returns the numbers of a text, in which a space may stand between groups of three digits.
@@ -89,7 +125,11 @@ fn numbers(text: &str) -> Vec<f64> {
     let mut group = String::new();
     for word in text.split_whitespace() {
         let bare = word.trim_matches(['[', ']', '(', ')', ',', ';', '.', '|', ':']);
-        let joined = if bare.len() == 3 && is_digits(bare) { format!("{group}{bare}") } else { bare.to_owned() };
+        let joined = if bare.len() == 3 && is_digits(bare) {
+            format!("{group}{bare}")
+        } else {
+            bare.to_owned()
+        };
         let Ok(number) = joined.parse::<f64>() else {
             group.clear();
             continue;
@@ -98,57 +138,101 @@ fn numbers(text: &str) -> Vec<f64> {
             found.pop();
         }
         found.push(number);
-        group = if is_digits(word) { joined } else { String::new() };
+        group = if is_digits(word) {
+            joined
+        } else {
+            String::new()
+        };
     }
     found
 }
 
 /// Returns the number behind each occurrence of one of these texts, from left to right.
 fn after(text: &str, marks: &[&str]) -> Vec<f64> {
-    let mut places: Vec<usize> =
-        marks.iter().flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len())).collect();
+    let mut places: Vec<usize> = marks
+        .iter()
+        .flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len()))
+        .collect();
     places.sort_unstable();
     places
         .iter()
-        .filter_map(|&place| numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
+        .filter_map(|&place| {
+            numbers(text[place..].lines().next()?.split([',', ')']).next()?)
+                .first()
+                .copied()
+        })
         .collect()
 }
 
 /// Returns intervals that hold the truth, all intervals, their level, and the smallest and largest saving of runs.
 fn known_probabilities(printed: &str) -> Vec<f64> {
     let (mut counts, mut savings) = ([0.0; 2], Vec::new());
-    for words in printed.lines().map(|line| line.split_whitespace().collect::<Vec<_>>()) {
+    for words in printed
+        .lines()
+        .map(|line| line.split_whitespace().collect::<Vec<_>>())
+    {
         let before = |word: &str, distance: usize| -> Option<f64> {
-            words[words.iter().position(|one| *one == word)?.checked_sub(distance)?].parse().ok()
+            words[words
+                .iter()
+                .position(|one| *one == word)?
+                .checked_sub(distance)?]
+            .parse()
+            .ok()
         };
-        if let (Some(held), Some(all), Some(saving)) = (before("held,", 3), before("held,", 1), before("times", 1)) {
+        if let (Some(held), Some(all), Some(saving)) =
+            (before("held,", 3), before("held,", 1), before("times", 1))
+        {
             counts = [counts[0] + held, counts[1] + all];
             savings.push(saving);
         }
     }
     let least = savings.iter().copied().fold(f64::INFINITY, f64::min);
-    vec![counts[0], counts[1], 95.0, least, savings.into_iter().fold(0.0, f64::max)]
+    vec![
+        counts[0],
+        counts[1],
+        95.0,
+        least,
+        savings.into_iter().fold(0.0, f64::max),
+    ]
 }
 
 /// Returns the mean number of evaluations of each problem by `auto`.
 fn chasing_cars(printed: &str) -> Vec<f64> {
     let rows = printed.lines().filter(|line| line.starts_with("| CC"));
-    rows.filter_map(|line| line.split('|').nth(3)?.trim().parse().ok()).collect()
+    rows.filter_map(|line| line.split('|').nth(3)?.trim().parse().ok())
+        .collect()
 }
 
 fn run(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let folder = if command.contains("cargo ") { root() } else { folder.path() };
-    let output = Command::new("bash").args(["-c", command]).current_dir(folder).env("PATH", path).output().unwrap();
-    assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+    let folder = if command.contains("cargo ") {
+        root()
+    } else {
+        folder.path()
+    };
+    let output = Command::new("bash")
+        .args(["-c", command])
+        .current_dir(folder)
+        .env("PATH", path)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{command}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 fn source(row: &Row) -> &'static Source {
-    let mut found = SOURCES.iter().filter(|(figure, _)| row.figure.starts_with(figure));
-    let Some((_, source)) = found.next() else { panic!("no source of: {}", row.figure) };
+    let mut found = SOURCES
+        .iter()
+        .filter(|(figure, _)| row.figure.starts_with(figure));
+    let Some((_, source)) = found.next() else {
+        panic!("no source of: {}", row.figure)
+    };
     assert!(found.next().is_none(), "two sources of: {}", row.figure);
     source
 }
@@ -170,7 +254,13 @@ fn figures_are_those_of_their_commands() {
             }
             Source::Printed(_) | Source::Slow(_) | Source::Machine => continue,
         };
-        assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
+        assert_eq!(
+            numbers(&row.value),
+            printed,
+            "{} (`{}`)",
+            row.figure,
+            row.command
+        );
     }
 }
 
@@ -181,7 +271,13 @@ fn figures_are_those_of_their_commands() {
 fn figures_that_take_long_are_those_of_their_commands() {
     for row in rows() {
         if let Source::Slow(printed) = source(&row) {
-            assert_eq!(numbers(&row.value), printed(&run(&row.command)), "{} (`{}`)", row.figure, row.command);
+            assert_eq!(
+                numbers(&row.value),
+                printed(&run(&row.command)),
+                "{} (`{}`)",
+                row.figure,
+                row.command
+            );
         }
     }
 }
@@ -189,8 +285,8 @@ fn figures_that_take_long_are_those_of_their_commands() {
 /// The page of commands quotes rows of the built-in report.
 #[test]
 fn claims_that_the_documentation_quotes_are_those_of_the_report() {
-    let [page, report] =
-        ["docs/commands.md", "reports/assessment.md"].map(|name| fs::read_to_string(root().join(name)).unwrap());
+    let [page, report] = ["docs/commands.md", "reports/assessment.md"]
+        .map(|name| fs::read_to_string(root().join(name)).unwrap());
     let quoted = page
         .lines()
         .skip_while(|line| !line.starts_with("| claim |"))
@@ -199,14 +295,22 @@ fn claims_that_the_documentation_quotes_are_those_of_the_report() {
     let mut compared = 0;
     for row in quoted {
         let (claim, cells) = row.trim_start_matches("| ").split_once(" | ").unwrap();
-        if let Some(source) = report.lines().find(|line| line.starts_with(&format!("| {claim}"))) {
+        if let Some(source) = report
+            .lines()
+            .find(|line| line.starts_with(&format!("| {claim}")))
+        {
             let there = numbers(source);
-            let missing = numbers(cells).into_iter().find(|number| !there.contains(number));
+            let missing = numbers(cells)
+                .into_iter()
+                .find(|number| !there.contains(number));
             assert_eq!(missing, None, "{row}\n{source}");
             compared += 1;
         }
     }
-    assert!(compared >= 4, "{compared} rows of docs/commands.md are in the report");
+    assert!(
+        compared >= 4,
+        "{compared} rows of docs/commands.md are in the report"
+    );
 }
 
 #[test]

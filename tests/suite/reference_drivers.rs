@@ -6,7 +6,9 @@
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec};
+use crumple_world::scenario::{
+    Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec,
+};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 use crate::generate::scenario_spec;
@@ -81,7 +83,10 @@ fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -
         let is_ahead = position_m > other_m;
         let overlaps = !is_ahead && aside_m <= 0.0;
         let is_far = overlaps && (apart_m / (speed_mps - other_mps)).abs() > 2.0;
-        if aside_m < 0.0 && (position_m - other_m).abs() - LENGTH_M < 0.0 && found.collides_beside.is_none() {
+        if aside_m < 0.0
+            && (position_m - other_m).abs() - LENGTH_M < 0.0
+            && found.collides_beside.is_none()
+        {
             found.collides_beside = Some(is_ahead);
         }
         if is_far {
@@ -117,11 +122,17 @@ fn the_oracle_collides_as_often_as_the_published_code() {
         let [own_mps, other_mps] = [own_kmph, other_kmph].map(|kmph| f64::from(kmph) / 3.6);
         let mut collisions = [0, 0];
         for (gap_m, lateral_mps) in cut_in_grid(own_kmph) {
-            if let Some(is_beside) = simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps).collides_beside {
+            if let Some(is_beside) =
+                simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps).collides_beside
+            {
                 collisions[usize::from(!is_beside)] += 1;
             }
         }
-        assert_eq!(collisions, [beside, rear], "{own_kmph} km/h behind {other_kmph} km/h");
+        assert_eq!(
+            collisions,
+            [beside, rear],
+            "{own_kmph} km/h behind {other_kmph} km/h"
+        );
     }
 }
 
@@ -132,14 +143,24 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
         vehicle.max_brake_mps2 = Some(9.0);
         vehicle
     };
-    let mut other =
-        vehicle(gap_m + VehicleClass::Light.length_m(), other_mps, Driver::Profile(LeadProfile::ConstantSpeed));
+    let mut other = vehicle(
+        gap_m + VehicleClass::Light.length_m(),
+        other_mps,
+        Driver::Profile(LeadProfile::ConstantSpeed),
+    );
     other.enters = Some(LaneChange::At(0.0));
     let vehicles = vec![other, vehicle(0.0, own_mps, Driver::UnderTest)];
     let scenario = Scenario::new(scenario_spec("cut-in", 0.01, 8.0, vehicles)).unwrap();
     let driver = ControllerSpec::from_name("competent-human").unwrap();
-    let run = Run::new(&scenario, RunOptions::new(driver).with_estimator(EstimatorKind::Truth)).unwrap();
-    simulate(&run, RecordingLevel::Summary).outcome.contact().is_some()
+    let run = Run::new(
+        &scenario,
+        RunOptions::new(driver).with_estimator(EstimatorKind::Truth),
+    )
+    .unwrap();
+    simulate(&run, RecordingLevel::Summary)
+        .outcome
+        .contact()
+        .is_some()
 }
 
 /// For a vehicle ahead that the published driver reacts to, crumple's driver agrees with it up to the effect of the
@@ -151,13 +172,19 @@ fn the_competent_human_collides_with_vehicles_that_cut_in_where_the_published_on
     let mut compared = [0, 0];
     for (own_kmph, other_kmph, ..) in CUT_INS {
         let [own_mps, other_mps] = [own_kmph, other_kmph].map(|kmph| f64::from(kmph) / 3.6);
-        for (gap_m, lateral_mps) in
-            cut_in_grid(own_kmph).filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
+        for (gap_m, lateral_mps) in cut_in_grid(own_kmph)
+            .filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
         {
             let published = simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps);
-            let Some(at_m) = published.reacts_at_m.filter(|at_m| *at_m > STEP_M) else { continue };
+            let Some(at_m) = published.reacts_at_m.filter(|at_m| *at_m > STEP_M) else {
+                continue;
+            };
             let it_collides = published.collides_beside.is_some();
-            let at_m = if it_collides { at_m - STEP_M } else { at_m + STEP_M };
+            let at_m = if it_collides {
+                at_m - STEP_M
+            } else {
+                at_m + STEP_M
+            };
             let place = format!("{own_kmph} km/h behind {other_kmph} km/h at {at_m} m");
             assert_eq!(collides(own_mps, other_mps, at_m), it_collides, "{place}");
             compared[usize::from(it_collides)] += 1;

@@ -13,11 +13,19 @@ use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
 static BUILT_IN_ASSESSMENT: LazyLock<AssessmentReport> = LazyLock::new(|| {
-    assess(&AssessmentPlan::built_in().expect("valid"), &EvidenceCache::disabled(), None, &Quiet).expect("runs")
+    assess(
+        &AssessmentPlan::built_in().expect("valid"),
+        &EvidenceCache::disabled(),
+        None,
+        &Quiet,
+    )
+    .expect("runs")
 });
 
 fn read_committed(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("reports")
+        .join(name);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
@@ -28,9 +36,11 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
             (Some(from), Some(to)) if from < to => format!("{}{}", &text[..from], &text[to..]),
             _ => text.to_owned(),
         },
-        Some("md") => {
-            text.lines().filter(|line| !line.starts_with("- made: ")).map(|line| format!("{line}\n")).collect()
-        }
+        Some("md") => text
+            .lines()
+            .filter(|line| !line.starts_with("- made: "))
+            .map(|line| format!("{line}\n"))
+            .collect(),
         Some("json") if name == "assessment.json" => {
             let mut value: Value = serde_json::from_str(text).expect("JSON");
             value["provenance"]["made"] = Value::Null;
@@ -43,8 +53,17 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
 fn assert_current(name: &str, now: &[u8]) {
     let now = without_build_info(name, std::str::from_utf8(now).expect("text"));
     let then = without_build_info(name, &read_committed(name));
-    let same = then.chars().zip(now.chars()).take_while(|(then, now)| then == now).count();
-    let around = |text: &str| text.chars().skip(same.saturating_sub(100)).take(300).collect::<String>();
+    let same = then
+        .chars()
+        .zip(now.chars())
+        .take_while(|(then, now)| then == now)
+        .count();
+    let around = |text: &str| {
+        text.chars()
+            .skip(same.saturating_sub(100))
+            .take(300)
+            .collect::<String>()
+    };
     assert!(
         then == now,
         "reports/{name} is out of date; CONTRIBUTING.md has the command that renews it. The first change is in\n{}\n{}",
@@ -56,13 +75,27 @@ fn assert_current(name: &str, now: &[u8]) {
 /// The box of initial states around a scenario is named like it.
 #[test]
 fn no_claim_is_named_by_a_hash() {
-    let claims: Vec<&str> = BUILT_IN_ASSESSMENT.summary.claims.iter().map(|row| row.claim.as_str()).collect();
+    let claims: Vec<&str> = BUILT_IN_ASSESSMENT
+        .summary
+        .claims
+        .iter()
+        .map(|row| row.claim.as_str())
+        .collect();
     for scenario in ["paper-1", "paper-2"] {
-        let words = format!("no collision from the box of initial states around `{scenario}` for 15 s");
-        assert!(claims.iter().any(|claim| claim.starts_with(&words)), "{claims:#?}");
+        let words =
+            format!("no collision from the box of initial states around `{scenario}` for 15 s");
+        assert!(
+            claims.iter().any(|claim| claim.starts_with(&words)),
+            "{claims:#?}"
+        );
     }
-    let is_hash = |word: &str| word.len() >= 8 && word.chars().all(|letter| letter.is_ascii_hexdigit());
-    let has_hash = |claim: &&str| claim.split(|letter: char| !letter.is_alphanumeric()).any(is_hash);
+    let is_hash =
+        |word: &str| word.len() >= 8 && word.chars().all(|letter| letter.is_ascii_hexdigit());
+    let has_hash = |claim: &&str| {
+        claim
+            .split(|letter: char| !letter.is_alphanumeric())
+            .any(is_hash)
+    };
     assert!(!claims.iter().any(has_hash), "{claims:#?}");
 }
 
@@ -71,9 +104,15 @@ fn no_claim_is_named_by_a_hash() {
 fn schemas_are_those_of_the_types() {
     use crate::schema::{assert_committed, validate};
     let evidence = schemars::schema_for!(AssessmentReport).to_value();
-    assert_committed("crates/report/src/assessment/evidence.schema.json", &evidence);
+    assert_committed(
+        "crates/report/src/assessment/evidence.schema.json",
+        &evidence,
+    );
     let config = schemars::schema_for!(AssessConfig).to_value();
-    assert_committed("crates/report/src/assessment/configuration.schema.json", &config);
+    assert_committed(
+        "crates/report/src/assessment/configuration.schema.json",
+        &config,
+    );
     let found = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
     validate(&evidence, &evidence, &found, "evidence").expect("as the schema says");
     let default = serde_json::to_value(AssessConfig::default()).expect("serializes");
@@ -90,10 +129,20 @@ fn the_committed_report_is_current() {
             // The manifest also covers the date on the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
             let found = crumple_store::run_folder::examine(&reports).expect("it has a manifest");
-            assert!(found.is_intact() && found.files.len() + 1 == files.len(), "{found:?}");
+            assert!(
+                found.is_intact() && found.files.len() + 1 == files.len(),
+                "{found:?}"
+            );
         } else if name.ends_with(".safetensors") {
-            let there = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name));
-            assert!(there.is_ok_and(|there| there == *now), "reports/{name} is out of date");
+            let there = fs::read(
+                Path::new(env!("CARGO_MANIFEST_DIR"))
+                    .join("reports")
+                    .join(name),
+            );
+            assert!(
+                there.is_ok_and(|there| there == *now),
+                "reports/{name} is out of date"
+            );
         } else {
             assert_current(name, now);
         }
@@ -101,8 +150,15 @@ fn the_committed_report_is_current() {
     for folder in ["counterexamples", "certificates", "figures"] {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
         for path in crate::documentation::files_below(root.join(folder)) {
-            let name = path.strip_prefix(&root).expect("below").to_string_lossy().into_owned();
-            assert!(files.iter().any(|(known, _)| *known == name), "reports/{name} belongs to no assessment");
+            let name = path
+                .strip_prefix(&root)
+                .expect("below")
+                .to_string_lossy()
+                .into_owned();
+            assert!(
+                files.iter().any(|(known, _)| *known == name),
+                "reports/{name} belongs to no assessment"
+            );
         }
     }
 }
@@ -112,23 +168,40 @@ fn the_committed_report_is_current() {
 #[test]
 fn the_committed_report_was_made_from_a_clean_commit() {
     let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
-    let commit = evidence["provenance"]["made"]["commit"].as_str().expect("the report states a commit");
+    let commit = evidence["provenance"]["made"]["commit"]
+        .as_str()
+        .expect("the report states a commit");
     let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
-    assert!(is_hash, "reports/assessment.json was made from `{commit}`: commit first, and renew the reports then");
+    assert!(
+        is_hash,
+        "reports/assessment.json was made from `{commit}`: commit first, and renew the reports then"
+    );
     for name in ["assessment.md", "assessment.html"] {
         let text = read_committed(name);
-        assert!(text.contains(&format!(", commit {commit}, program ")), "reports/{name} states another commit");
+        assert!(
+            text.contains(&format!(", commit {commit}, program ")),
+            "reports/{name} states another commit"
+        );
     }
     let git = |arguments: &[&str]| {
         let mut git = std::process::Command::new("git");
-        git.arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output().ok().filter(|out| out.status.success())
+        git.arg("-C")
+            .arg(env!("CARGO_MANIFEST_DIR"))
+            .args(arguments)
+            .output()
+            .ok()
+            .filter(|out| out.status.success())
     };
     // Without a prefix, the repository is that of this folder.
     let is_own = git(&["rev-parse", "--show-prefix"]).is_some_and(|out| out.stdout == b"\n");
-    let is_shallow = git(&["rev-parse", "--is-shallow-repository"]).is_none_or(|out| out.stdout != b"false\n");
+    let is_shallow =
+        git(&["rev-parse", "--is-shallow-repository"]).is_none_or(|out| out.stdout != b"false\n");
     if is_own && !is_shallow {
         let is_ancestor = git(&["merge-base", "--is-ancestor", commit, "HEAD"]).is_some();
-        assert!(is_ancestor, "commit {commit} of reports/assessment.json is not in the history");
+        assert!(
+            is_ancestor,
+            "commit {commit} of reports/assessment.json is not in the history"
+        );
     }
 }
 
@@ -136,12 +209,23 @@ fn the_committed_report_was_made_from_a_clean_commit() {
 #[test]
 fn junit_holds_each_gate_as_a_test() {
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
-    let (_, xml) = files.iter().find(|(name, _)| name.ends_with("junit.xml")).expect("written");
-    let report = quick_junit::Report::deserialize_from_str(std::str::from_utf8(xml).expect("text")).expect("JUnit");
+    let (_, xml) = files
+        .iter()
+        .find(|(name, _)| name.ends_with("junit.xml"))
+        .expect("written");
+    let report = quick_junit::Report::deserialize_from_str(std::str::from_utf8(xml).expect("text"))
+        .expect("JUnit");
     let summary = &BUILT_IN_ASSESSMENT.summary;
     assert_eq!(report.tests, summary.gates.len());
-    assert_eq!(report.failures, summary.gates.iter().filter(|gate| !gate.holds).count());
-    let claims: usize = summary.claims.iter().map(|row| row.claims.iter().flatten().count()).sum();
+    assert_eq!(
+        report.failures,
+        summary.gates.iter().filter(|gate| !gate.holds).count()
+    );
+    let claims: usize = summary
+        .claims
+        .iter()
+        .map(|row| row.claims.iter().flatten().count())
+        .sum();
     assert_eq!(report.test_suites[0].properties.len(), claims);
 }
 
@@ -152,7 +236,10 @@ fn the_goal_structure_has_no_dangling_reference() {
     let text = BUILT_IN_ASSESSMENT.argument.to_yaml();
     let documents = Yaml::load_from_str(&text).expect("YAML");
     let elements = documents[0].as_mapping().expect("a mapping");
-    let ids: Vec<&str> = elements.keys().map(|id| id.as_str().expect("a name")).collect();
+    let ids: Vec<&str> = elements
+        .keys()
+        .map(|id| id.as_str().expect("a name"))
+        .collect();
     let mut reached = vec![ids[0]];
     for (id, element) in elements {
         let id = id.as_str().expect("a name");
@@ -165,10 +252,17 @@ fn the_goal_structure_has_no_dangling_reference() {
                 reached.push(reference);
             }
         }
-        let kind = |id: &str| id.trim_end_matches(|letter: char| letter.is_ascii_digit()).to_owned();
+        let kind = |id: &str| {
+            id.trim_end_matches(|letter: char| letter.is_ascii_digit())
+                .to_owned()
+        };
         let list = |name: &str| -> Vec<String> {
-            let all = field(name).and_then(Yaml::as_sequence).into_iter().flatten();
-            all.map(|reference| kind(reference.as_str().expect("a name"))).collect()
+            let all = field(name)
+                .and_then(Yaml::as_sequence)
+                .into_iter()
+                .flatten();
+            all.map(|reference| kind(reference.as_str().expect("a name")))
+                .collect()
         };
         // Allowed support relations of the GSN Community Standard, version 3, part 1.
         let may: &[&str] = match kind(id).as_str() {
@@ -176,15 +270,33 @@ fn the_goal_structure_has_no_dangling_reference() {
             "S" => &["G"],
             _ => &[],
         };
-        assert!(list("supportedBy").iter().all(|below| may.contains(&below.as_str())), "{id}");
-        assert!(list("inContextOf").iter().all(|around| around == "C" || around == "A"), "{id}");
+        assert!(
+            list("supportedBy")
+                .iter()
+                .all(|below| may.contains(&below.as_str())),
+            "{id}"
+        );
+        assert!(
+            list("inContextOf")
+                .iter()
+                .all(|around| around == "C" || around == "A"),
+            "{id}"
+        );
         let undeveloped = field("undeveloped").is_some();
         let bare = list("supportedBy").is_empty() && field("defeated").is_none();
         assert_eq!(kind(id) == "G" && bare, undeveloped, "{id}");
         if let Some(challenged) = field("challenges").and_then(Yaml::as_str) {
             assert!(ids.contains(&challenged), "{id} challenges {challenged}");
-            let target = elements.iter().find(|(other, _)| other.as_str() == Some(challenged)).expect("there").1;
-            assert_eq!(target.as_mapping_get("defeated").and_then(Yaml::as_bool), Some(true), "{challenged}");
+            let target = elements
+                .iter()
+                .find(|(other, _)| other.as_str() == Some(challenged))
+                .expect("there")
+                .1;
+            assert_eq!(
+                target.as_mapping_get("defeated").and_then(Yaml::as_bool),
+                Some(true),
+                "{challenged}"
+            );
             reached.push(id);
         }
         let evidence = field("url").and_then(Yaml::as_str);
@@ -211,17 +323,33 @@ fn every_counterexample_of_the_report_collides() {
     use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
-    for search in BUILT_IN_ASSESSMENT.searches.spaces.iter().flat_map(|space| &space.controllers) {
-        let controller = NamedController::find(&search.controller, Path::new("")).expect("known").kind;
+    for search in BUILT_IN_ASSESSMENT
+        .searches
+        .spaces
+        .iter()
+        .flat_map(|space| &space.controllers)
+    {
+        let controller = NamedController::find(&search.controller, Path::new(""))
+            .expect("known")
+            .kind;
         for failure in &search.failures {
-            let (_, text) = files.iter().find(|(name, _)| *name == failure.file).expect("written");
+            let (_, text) = files
+                .iter()
+                .find(|(name, _)| *name == failure.file)
+                .expect("written");
             let text = std::str::from_utf8(text).expect("text");
             let scenario = file::from_toml(text, Path::new(&failure.file)).expect("valid");
             let run = Run::new(&scenario, RunOptions::new(controller.clone())).expect("runs");
             let outcome = simulate(&run, RecordingLevel::Summary).outcome;
-            let contact = outcome.contact().unwrap_or_else(|| panic!("{} is safe", failure.file));
+            let contact = outcome
+                .contact()
+                .unwrap_or_else(|| panic!("{} is safe", failure.file));
             let shown = failure.impact_speed_mps.expect("a speed").value();
-            assert!((contact.impact_speed_mps - shown).abs() <= 0.051, "{}: {shown}", failure.file);
+            assert!(
+                (contact.impact_speed_mps - shown).abs() <= 0.051,
+                "{}: {shown}",
+                failure.file
+            );
             replayed += 1;
         }
     }
@@ -237,16 +365,40 @@ fn a_comparison_finds_changes() {
     let again = |text: &str| {
         fs::write(&path, text).expect("writes");
         let earlier = EarlierAssessment::load(&path).expect("evidence");
-        crumple_report::assessment::AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable")
+        crumple_report::assessment::AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT)
+            .expect("comparable")
     };
     let json = BUILT_IN_ASSESSMENT.to_json().expect("serializes");
     let same = again(&json);
-    assert_eq!((same.better.len(), same.worse.len(), same.new.len(), same.gone.len()), (0, 0, 0, 0));
+    assert_eq!(
+        (
+            same.better.len(),
+            same.worse.len(),
+            same.new.len(),
+            same.gone.len()
+        ),
+        (0, 0, 0, 0)
+    );
     let mut evidence: Value = serde_json::from_str(&json).expect("JSON");
-    evidence["summary"]["claims"][0]["standings"][0] = serde_json::json!({ "strength": "tested", "runs": 3 });
+    evidence["summary"]["claims"][0]["standings"][0] =
+        serde_json::json!({ "strength": "tested", "runs": 3 });
     let changed = again(&evidence.to_string());
-    assert_eq!((changed.better.len(), changed.worse.len(), changed.new.len(), changed.gone.len()), (0, 1, 0, 0));
-    assert!(changed.worse[0].description.starts_with("baseline: no collision"), "{:?}", changed.worse);
+    assert_eq!(
+        (
+            changed.better.len(),
+            changed.worse.len(),
+            changed.new.len(),
+            changed.gone.len()
+        ),
+        (0, 1, 0, 0)
+    );
+    assert!(
+        changed.worse[0]
+            .description
+            .starts_with("baseline: no collision"),
+        "{:?}",
+        changed.worse
+    );
 }
 
 /// In the whole comparison, no search that found more failures is better in any row, and a claim whose evidence was
@@ -254,20 +406,38 @@ fn a_comparison_finds_changes() {
 #[test]
 fn a_search_with_more_failures_is_worse_in_every_row() {
     use crumple_report::assessment::{AssessmentComparison, EarlierAssessment};
-    let mut evidence: Value = serde_json::from_str(&BUILT_IN_ASSESSMENT.to_json().expect("serializes")).expect("JSON");
+    let mut evidence: Value =
+        serde_json::from_str(&BUILT_IN_ASSESSMENT.to_json().expect("serializes")).expect("JSON");
     // The earlier search of `road` in `high-risk` found one failure less, and all of them were avoidable.
-    let spaces = evidence["searches"]["spaces"].as_array_mut().expect("spaces");
-    let space = spaces.iter_mut().find(|space| space["name"] == "high-risk").expect("searched");
+    let spaces = evidence["searches"]["spaces"]
+        .as_array_mut()
+        .expect("spaces");
+    let space = spaces
+        .iter_mut()
+        .find(|space| space["name"] == "high-risk")
+        .expect("searched");
     let searches = space["controllers"].as_array_mut().expect("controllers");
-    let search = searches.iter_mut().find(|search| search["controller"] == "road").expect("searched");
+    let search = searches
+        .iter_mut()
+        .find(|search| search["controller"] == "road")
+        .expect("searched");
     let failures = search["failures"].as_array_mut().expect("failures");
     failures.pop().expect("it fails");
-    failures.iter_mut().for_each(|failure| failure["class"] = "avoidable".into());
+    failures
+        .iter_mut()
+        .for_each(|failure| failure["class"] = "avoidable".into());
     let count = failures.len();
-    let place = evidence["summary"]["controllers"].as_array().expect("names").iter().position(|name| name == "road");
+    let place = evidence["summary"]["controllers"]
+        .as_array()
+        .expect("names")
+        .iter()
+        .position(|name| name == "road");
     let place = place.expect("assessed");
     let mut anywhere = None;
-    for row in evidence["summary"]["claims"].as_array_mut().expect("claims") {
+    for row in evidence["summary"]["claims"]
+        .as_array_mut()
+        .expect("claims")
+    {
         let words = row["claim"].as_str().expect("words").to_owned();
         let status = &mut row["standings"][place];
         if words.starts_with("no collision in a search of `high-risk`") {
@@ -276,7 +446,9 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
             // Failures of a search refuted it, and now random scenarios do, or the reverse.
             *status = match status["strength"] == "found" {
                 true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
-                false => serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 }),
+                false => {
+                    serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 })
+                }
             };
             anywhere = Some(words);
         }
@@ -288,26 +460,54 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
     let earlier = EarlierAssessment::load(&path).expect("evidence");
     let found = AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable");
     assert!(found.better.is_empty(), "{:?}", found.better);
-    let [worse] = &found.worse[..] else { panic!("{:?}", found.worse) };
-    assert!(worse.description.starts_with("road: no collision in a search of `high-risk`"), "{worse:?}");
-    assert!(worse.before.as_deref().is_some_and(|before| before.starts_with(&format!("{count} distinct"))));
-    let [changed] = &found.changed[..] else { panic!("{:?}", found.changed) };
-    assert_eq!(changed.description, "road: no collision anywhere in `high-risk`");
+    let [worse] = &found.worse[..] else {
+        panic!("{:?}", found.worse)
+    };
+    assert!(
+        worse
+            .description
+            .starts_with("road: no collision in a search of `high-risk`"),
+        "{worse:?}"
+    );
+    assert!(
+        worse
+            .before
+            .as_deref()
+            .is_some_and(|before| before.starts_with(&format!("{count} distinct")))
+    );
+    let [changed] = &found.changed[..] else {
+        panic!("{:?}", found.changed)
+    };
+    assert_eq!(
+        changed.description,
+        "road: no collision anywhere in `high-risk`"
+    );
 }
 
 /// The verdict table follows from the evidence alone.
 #[test]
 fn the_verdict_is_that_of_the_evidence() {
     let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
-    let names: Vec<_> = evidence["summary"]["controllers"].as_array().expect("names").clone();
+    let names: Vec<_> = evidence["summary"]["controllers"]
+        .as_array()
+        .expect("names")
+        .clone();
     let claims = evidence["summary"]["claims"].as_array().expect("claims");
     for (index, name) in names.iter().enumerate() {
-        let scenarios = evidence["paper_scenarios"]["scenarios"].as_array().expect("scenarios");
+        let scenarios = evidence["paper_scenarios"]["scenarios"]
+            .as_array()
+            .expect("scenarios");
         let case = |scenario: &Value| {
             let cases = scenario["cases"].as_array().expect("cases").clone();
-            cases.into_iter().find(|case| case["controller"] == *name).expect("every controller has a case")
+            cases
+                .into_iter()
+                .find(|case| case["controller"] == *name)
+                .expect("every controller has a case")
         };
-        let failures = scenarios.iter().filter(|s| case(s)["verdict"]["kind"] != "safe").count();
+        let failures = scenarios
+            .iter()
+            .filter(|s| case(s)["verdict"]["kind"] != "safe")
+            .count();
         let strength = &claims[0]["standings"][index];
         match failures {
             0 => assert_eq!(strength["strength"], "tested", "{name}"),
@@ -321,40 +521,80 @@ fn the_verdict_is_that_of_the_evidence() {
             0 => assert_eq!(strength["strength"], "tested", "{name}"),
             _ => assert_eq!(strength["failures"], collisions, "{name}"),
         }
-        let by_kind = sampled["hit"].as_u64().expect("a count") + sampled["was_hit"].as_u64().expect("a count");
-        assert_eq!(by_kind, collisions, "{name}: with one ego every collision involves it");
+        let by_kind = sampled["hit"].as_u64().expect("a count")
+            + sampled["was_hit"].as_u64().expect("a count");
+        assert_eq!(
+            by_kind, collisions,
+            "{name}: with one ego every collision involves it"
+        );
     }
 }
 
 /// No controller exceeds the bound over all of them, and regret matches the shown numbers.
 #[test]
 fn no_controller_exceeds_the_bound_and_regrets_add_up() {
-    let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;
-    assert_eq!(scenarios.len(), crumple_world::scenario::built_in_scenario_names().len());
+    let scenarios = &BUILT_IN_ASSESSMENT
+        .paper_scenarios
+        .as_ref()
+        .expect("asked for")
+        .scenarios;
+    assert_eq!(
+        scenarios.len(),
+        crumple_world::scenario::built_in_scenario_names().len()
+    );
     for scenario in scenarios {
-        let Some(RoundedAvoidance::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.avoidance else {
+        let Some(RoundedAvoidance::Avoidable {
+            min_gap_m,
+            min_gap_bound_m,
+            ..
+        }) = &scenario.avoidance
+        else {
             panic!("avoidable")
         };
         let bound_m = min_gap_bound_m.expect("a bound").value();
         assert!(min_gap_m.value() <= bound_m);
-        assert_eq!(scenario.cases.len(), BUILT_IN_ASSESSMENT.summary.controllers.len());
+        assert_eq!(
+            scenario.cases.len(),
+            BUILT_IN_ASSESSMENT.summary.controllers.len()
+        );
         for case in &scenario.cases {
-            let (own_m, regret_m) = (case.min_gap_m.expect("a gap").value(), case.regret_m.expect("a regret").value());
+            let (own_m, regret_m) = (
+                case.min_gap_m.expect("a gap").value(),
+                case.regret_m.expect("a regret").value(),
+            );
             assert!(own_m <= bound_m, "{}: {own_m} m", case.controller);
             assert!((own_m + regret_m - min_gap_m.value()).abs() < 1e-9 || regret_m == 0.0);
-            let pairs = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
-            assert_eq!(pairs.map(|gap| gap.value()).reduce(f64::min), Some(own_m), "{}", case.controller);
+            let pairs = [case.ahead.min_gap_m, case.behind.min_gap_m]
+                .into_iter()
+                .flatten();
+            assert_eq!(
+                pairs.map(|gap| gap.value()).reduce(f64::min),
+                Some(own_m),
+                "{}",
+                case.controller
+            );
         }
     }
 }
 
 #[test]
 fn every_certificate_is_accepted() {
-    let accepted = BUILT_IN_ASSESSMENT.proofs.certificates.iter().filter(|proof| proof.is_accepted());
-    assert_eq!(accepted.count(), BUILT_IN_ASSESSMENT.proofs.certificates.len());
+    let accepted = BUILT_IN_ASSESSMENT
+        .proofs
+        .certificates
+        .iter()
+        .filter(|proof| proof.is_accepted());
+    assert_eq!(
+        accepted.count(),
+        BUILT_IN_ASSESSMENT.proofs.certificates.len()
+    );
     for statement in ["kernel", "rate", "comparison", "reach"] {
         assert!(
-            BUILT_IN_ASSESSMENT.proofs.certificates.iter().any(|proof| proof.statement == statement),
+            BUILT_IN_ASSESSMENT
+                .proofs
+                .certificates
+                .iter()
+                .any(|proof| proof.statement == statement),
             "{statement}"
         );
     }
@@ -363,11 +603,22 @@ fn every_certificate_is_accepted() {
 #[test]
 fn the_page_is_self_contained_and_its_links_lead_somewhere() {
     let page = BUILT_IN_ASSESSMENT.to_html();
-    for outside in
-        ["http://", "https://", "src=", "@import", "url(", "<script src", "<link", "fetch(", "XMLHttp", "import("]
-    {
+    for outside in [
+        "http://",
+        "https://",
+        "src=",
+        "@import",
+        "url(",
+        "<script src",
+        "<link",
+        "fetch(",
+        "XMLHttp",
+        "import(",
+    ] {
         let inside = ["http://www.w3.org/2000/svg", "url(#"];
-        let found = page.match_indices(outside).filter(|(at, _)| inside.iter().all(|i| !page[*at..].starts_with(i)));
+        let found = page
+            .match_indices(outside)
+            .filter(|(at, _)| inside.iter().all(|i| !page[*at..].starts_with(i)));
         assert_eq!(found.count(), 0, "{outside}");
     }
     assert_links_lead_somewhere(&page);
@@ -375,9 +626,21 @@ fn the_page_is_self_contained_and_its_links_lead_somewhere() {
 
 /// Checks that no identifier stands twice, and that every link within the page leads to one.
 pub(crate) fn assert_links_lead_somewhere(page: &str) {
-    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
-    assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len(), "an identifier stands twice");
-    for link in page.split("href=\"#").skip(1).filter_map(|rest| rest.split('"').next()) {
+    let ids: Vec<&str> = page
+        .split(" id=\"")
+        .skip(1)
+        .filter_map(|rest| rest.split('"').next())
+        .collect();
+    assert_eq!(
+        ids.iter().collect::<BTreeSet<_>>().len(),
+        ids.len(),
+        "an identifier stands twice"
+    );
+    for link in page
+        .split("href=\"#")
+        .skip(1)
+        .filter_map(|rest| rest.split('"').next())
+    {
         assert!(ids.contains(&link), "#{link} leads nowhere");
     }
 }

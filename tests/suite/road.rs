@@ -16,10 +16,20 @@ fn the_preset_is_that_of_the_policy() {
     let policy = Policy::road();
     let preset = TrainingConfig::preset("road").unwrap();
     let mut training = policy.header().training.clone();
-    let spaces = training.as_object_mut().unwrap().remove("scenarios").unwrap();
+    let spaces = training
+        .as_object_mut()
+        .unwrap()
+        .remove("scenarios")
+        .unwrap();
     assert_eq!(training, serde_json::to_value(&preset).unwrap());
-    assert_eq!(Some(spaces.as_str().unwrap().to_owned()), preset.scenario_source().unwrap().identity().unwrap());
-    assert_eq!(policy.header().observation, preset.environment.observation.scaling());
+    assert_eq!(
+        Some(spaces.as_str().unwrap().to_owned()),
+        preset.scenario_source().unwrap().identity().unwrap()
+    );
+    assert_eq!(
+        policy.header().observation,
+        preset.environment.observation.scaling()
+    );
 }
 
 /// All links exist, and no configuration of an experiment is unused.
@@ -27,14 +37,23 @@ fn the_preset_is_that_of_the_policy() {
 fn the_report_links_to_the_configurations_of_its_tables() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let report = std::fs::read_to_string(root.join("reports/training.md")).unwrap();
-    let links = report.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    let links = report
+        .split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split(')').next());
     let links: Vec<_> = links.filter(|link| !link.starts_with("http")).collect();
     for link in &links {
         let path = link.split('#').next().unwrap();
-        assert!(path.is_empty() || root.join("reports").join(path).exists(), "{link}");
+        assert!(
+            path.is_empty() || root.join("reports").join(path).exists(),
+            "{link}"
+        );
     }
     for entry in std::fs::read_dir(root.join("corpora/training/ablation")).unwrap() {
-        let file = format!("../corpora/training/ablation/{}", entry.unwrap().file_name().to_str().unwrap());
+        let file = format!(
+            "../corpora/training/ablation/{}",
+            entry.unwrap().file_name().to_str().unwrap()
+        );
         assert!(links.contains(&file.as_str()), "{file}");
     }
 }
@@ -46,7 +65,8 @@ fn an_ablation_changes_one_thing() {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
-        let config = TrainingConfig::parse(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
+        let config =
+            TrainingConfig::parse(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
         let mut literal = TrainingConfig::preset("paper").unwrap();
         (literal.name, literal.episodes) = (config.name.clone(), 200);
         match config.name.as_str() {
@@ -55,10 +75,13 @@ fn an_ablation_changes_one_thing() {
             "first-weights" => literal.network.final_layer_bound = config.network.final_layer_bound,
             "rates" => {
                 let fast = TrainingConfig::preset("fast").unwrap().learning;
-                (literal.learning.actor_rate, literal.learning.critic_rate) = (fast.actor_rate, fast.critic_rate);
+                (literal.learning.actor_rate, literal.learning.critic_rate) =
+                    (fast.actor_rate, fast.critic_rate);
             }
             // The discount per second stays the same.
-            "interval" => (literal.environment.action_repeat, literal.learning.discount) = (10, 0.9999),
+            "interval" => {
+                (literal.environment.action_repeat, literal.learning.discount) = (10, 0.9999)
+            }
             other => panic!("{other}"),
         }
         assert_eq!(config, literal);
@@ -78,9 +101,15 @@ struct Driven {
 fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> Driven {
     let spec = ControllerSpec::from_name(controller).unwrap();
     let options = RunOptions::new(ControllerKind::from(spec)).with_estimator(estimator);
-    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+    let runs: Vec<_> = scenarios
+        .iter()
+        .map(|scenario| Run::new(scenario, options.clone()).unwrap())
+        .collect();
     let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-        let useful = result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
+        let useful = result
+            .trace
+            .as_ref()
+            .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
         (result.outcome.contact().is_some(), useful.unwrap())
     });
     let mean = |of: &dyn Fn(&UsefulnessMeasures) -> f64| {
@@ -90,7 +119,9 @@ fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> 
         collisions: each.iter().filter(|(collided, _)| *collided).count(),
         faults: each
             .iter()
-            .filter(|(_, useful)| !useful.hard.is_empty() || useful.following.is_some_and(|one| one.fell_behind))
+            .filter(|(_, useful)| {
+                !useful.hard.is_empty() || useful.following.is_some_and(|one| one.fell_behind)
+            })
             .count(),
         mean_squares: [
             mean(&|useful| useful.rms_acceleration_mps2.unwrap_or_default().powi(2)),
@@ -102,17 +133,22 @@ fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> 
 /// Scenarios of a space that no training or selection used.
 fn draw(space: &str, count: u64) -> Vec<Scenario> {
     let space = built_in_space(space).unwrap();
-    (0..count).map(|index| space.draw(0x726f_6164, index).unwrap()).collect()
+    (0..count)
+        .map(|index| space.draw(0x726f_6164, index).unwrap())
+        .collect()
 }
 
 #[test]
 fn predictive_and_road_are_safe_in_the_papers_task() {
     let paper = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap());
-    for (controller, estimator) in ["predictive", "road"]
-        .into_iter()
-        .flat_map(|controller| [EstimatorKind::Kalman, EstimatorKind::Truth].map(|estimator| (controller, estimator)))
-    {
-        assert_eq!(drive(controller, &paper, estimator).collisions, 0, "{controller} {estimator:?}");
+    for (controller, estimator) in ["predictive", "road"].into_iter().flat_map(|controller| {
+        [EstimatorKind::Kalman, EstimatorKind::Truth].map(|estimator| (controller, estimator))
+    }) {
+        assert_eq!(
+            drive(controller, &paper, estimator).collisions,
+            0,
+            "{controller} {estimator:?}"
+        );
     }
 }
 
@@ -122,10 +158,17 @@ fn predictive_and_road_are_safe_and_useful() {
     let (traffic, danger) = (draw("traffic", 200), draw("high-risk", 300));
     let idm = drive("idm", &traffic, EstimatorKind::Kalman).mean_squares;
     for controller in ["predictive", "road"] {
-        let Driven { collisions, faults, mean_squares } = drive(controller, &traffic, EstimatorKind::Kalman);
+        let Driven {
+            collisions,
+            faults,
+            mean_squares,
+        } = drive(controller, &traffic, EstimatorKind::Kalman);
         assert_eq!((collisions, faults), (0, 0), "{controller}");
         let [acceleration, jerk] = [0, 1].map(|of| (mean_squares[of] / idm[of]).sqrt());
-        assert!(acceleration < 1.2 && jerk < 1.2, "{controller}: {acceleration} and {jerk} times those of idm");
+        assert!(
+            acceleration < 1.2 && jerk < 1.2,
+            "{controller}: {acceleration} and {jerk} times those of idm"
+        );
         let collisions = drive(controller, &danger, EstimatorKind::Kalman).collisions;
         assert!(collisions <= 20, "{controller}: {collisions} of 300");
     }

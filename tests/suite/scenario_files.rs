@@ -16,7 +16,9 @@ fn any_format() -> impl Strategy<Value = ScenarioFormat> {
 /// A scenario with arbitrary texts; a name has no control characters.
 fn any_file() -> impl Strategy<Value = Scenario> {
     (any_scenario(), "\\PC{1,40}", any::<String>()).prop_map(|(scenario, name, about)| {
-        scenario.edited(|spec| (spec.name, spec.about) = (name, about)).expect("texts are free")
+        scenario
+            .edited(|spec| (spec.name, spec.about) = (name, about))
+            .expect("texts are free")
     })
 }
 
@@ -26,7 +28,10 @@ fn check_error_line(format: ScenarioFormat, text: &str) -> Result<(), TestCaseEr
         let message = error.to_string();
         let lines = text.bytes().filter(|&byte| byte == b'\n').count() + 1;
         let line = error_line(&message);
-        prop_assert!(line.is_some_and(|line| (1..=lines).contains(&line)), "{message}\n{text}");
+        prop_assert!(
+            line.is_some_and(|line| (1..=lines).contains(&line)),
+            "{message}\n{text}"
+        );
     }
     Ok(())
 }
@@ -42,7 +47,9 @@ fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
     let mut before = ' ';
     for (index, c) in text.char_indices() {
         match start {
-            None if (c.is_ascii_digit() || c == '-') && " [".contains(before) => start = Some(index),
+            None if (c.is_ascii_digit() || c == '-') && " [".contains(before) => {
+                start = Some(index)
+            }
             Some(from) if !(c.is_ascii_alphanumeric() || "+-._".contains(c)) => {
                 found.push(from..index);
                 start = None;
@@ -135,17 +142,33 @@ fn the_committed_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
         ("/vehicles/0/speed_mps", serde_json::json!(-1.0)),
         ("/vehicles/0/class", serde_json::json!("tank")),
         ("/vehicles/0/driver", serde_json::json!("nobody")),
-        ("/vehicles/0/driver", serde_json::json!({ "brake": { "onset_s": 1.0 } })),
-        ("/vehicles/0/driver", serde_json::json!({ "brake": { "onset_s": 1.0, "rate_mps2": 31.0 } })),
-        ("/vehicles/0/driver", serde_json::json!({ "idm": { "politeness": 1.0 } })),
+        (
+            "/vehicles/0/driver",
+            serde_json::json!({ "brake": { "onset_s": 1.0 } }),
+        ),
+        (
+            "/vehicles/0/driver",
+            serde_json::json!({ "brake": { "onset_s": 1.0, "rate_mps2": 31.0 } }),
+        ),
+        (
+            "/vehicles/0/driver",
+            serde_json::json!({ "idm": { "politeness": 1.0 } }),
+        ),
         ("/vehicles/0", serde_json::json!({ "class": "light" })),
     ];
     for (place, value) in nonsense {
         let mut changed = paper_1.clone();
         *changed.pointer_mut(place).expect("there") = value;
-        assert!(check(&changed).is_err(), "{place}: the schema accepts {}", changed.pointer(place).unwrap());
+        assert!(
+            check(&changed).is_err(),
+            "{place}: the schema accepts {}",
+            changed.pointer(place).unwrap()
+        );
         let text = serde_json::to_string(&changed).unwrap();
-        assert!(ScenarioFormat::Json.read(&text).is_err(), "{place}: the program accepts it");
+        assert!(
+            ScenarioFormat::Json.read(&text).is_err(),
+            "{place}: the program accepts it"
+        );
     }
     let mut unknown = paper_1.clone();
     unknown["colour"] = serde_json::json!(3);

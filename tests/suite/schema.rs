@@ -7,7 +7,12 @@ use serde_json::Value;
 ///
 /// # Errors
 /// The position of the value, and the violated keyword.
-pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str) -> Result<(), String> {
+pub(crate) fn validate(
+    root: &Value,
+    schema: &Value,
+    value: &Value,
+    place: &str,
+) -> Result<(), String> {
     let rules = match schema {
         Value::Object(rules) => rules,
         Value::Bool(true) => return Ok(()),
@@ -19,8 +24,10 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
         let holds = match keyword.as_str() {
             "$schema" | "$defs" | "title" | "description" | "default" | "format" => true,
             "$ref" => {
-                let target =
-                    rule.as_str().and_then(|path| root.pointer(path.strip_prefix('#')?)).expect("a definition");
+                let target = rule
+                    .as_str()
+                    .and_then(|path| root.pointer(path.strip_prefix('#')?))
+                    .expect("a definition");
                 validate(root, target, value, place)?;
                 true
             }
@@ -35,16 +42,31 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
             // Evaluated with "if".
             "then" => true,
             "if" => {
-                if let (true, Some(then)) = (validate(root, rule, value, place).is_ok(), rules.get("then")) {
+                if let (true, Some(then)) = (
+                    validate(root, rule, value, place).is_ok(),
+                    rules.get("then"),
+                ) {
                     validate(root, then, value, place)?;
                 }
                 true
             }
-            "minLength" => value.as_str().is_none_or(|text| text.chars().count() as f64 >= number(rule)),
-            "minItems" => value.as_array().is_none_or(|items| items.len() as f64 >= number(rule)),
-            "maxItems" => value.as_array().is_none_or(|items| items.len() as f64 <= number(rule)),
+            "minLength" => value
+                .as_str()
+                .is_none_or(|text| text.chars().count() as f64 >= number(rule)),
+            "minItems" => value
+                .as_array()
+                .is_none_or(|items| items.len() as f64 >= number(rule)),
+            "maxItems" => value
+                .as_array()
+                .is_none_or(|items| items.len() as f64 <= number(rule)),
             "prefixItems" => {
-                for (index, (item, rule)) in value.as_array().into_iter().flatten().zip(all(rule)).enumerate() {
+                for (index, (item, rule)) in value
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .zip(all(rule))
+                    .enumerate()
+                {
                     validate(root, &rule, item, &format!("{place}[{index}]"))?;
                 }
                 true
@@ -55,9 +77,19 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
                 }
                 true
             }
-            "anyOf" => all(rule).iter().any(|one| validate(root, one, value, place).is_ok()),
-            "oneOf" => all(rule).iter().filter(|one| validate(root, one, value, place).is_ok()).count() == 1,
-            "required" => all(rule).iter().all(|name| value.get(name.as_str().expect("a name")).is_some()),
+            "anyOf" => all(rule)
+                .iter()
+                .any(|one| validate(root, one, value, place).is_ok()),
+            "oneOf" => {
+                all(rule)
+                    .iter()
+                    .filter(|one| validate(root, one, value, place).is_ok())
+                    .count()
+                    == 1
+            }
+            "required" => all(rule)
+                .iter()
+                .all(|name| value.get(name.as_str().expect("a name")).is_some()),
             "properties" => {
                 for (name, rule) in rule.as_object().expect("an object") {
                     if let Some(member) = value.get(name) {
@@ -69,7 +101,12 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
             "additionalProperties" => {
                 let known = rules.get("properties").and_then(Value::as_object);
                 let is_known = |name: &str| known.is_some_and(|known| known.contains_key(name));
-                for (name, member) in value.as_object().into_iter().flatten().filter(|(name, _)| !is_known(name)) {
+                for (name, member) in value
+                    .as_object()
+                    .into_iter()
+                    .flatten()
+                    .filter(|(name, _)| !is_known(name))
+                {
                     if *rule == Value::Bool(false) {
                         return Err(format!("{place}: `{name}` is not known"));
                     }
@@ -107,5 +144,8 @@ pub(crate) fn assert_committed(path: &str, schema: &serde_json::Value) {
         std::fs::write(&path, &generated).unwrap();
     }
     let committed = std::fs::read_to_string(&path).unwrap();
-    assert!(committed == generated, "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema");
+    assert!(
+        committed == generated,
+        "outdated: run UPDATE_SCHEMA=1 cargo test --test suite schema"
+    );
 }

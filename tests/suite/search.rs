@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignSummary, SearchObjective};
+use crumple_search::falsify::campaign::{
+    Campaign, CampaignOptions, CampaignSummary, SearchObjective,
+};
 use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -33,20 +35,38 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
             ScenarioSpace::new(spec, Path::new(".")).expect("a part of a space is one")
         })
     });
-    let controller = select(vec!["baseline", "match-leader", "constant-brake", "idm", "acc-aeb"]);
+    let controller = select(vec![
+        "baseline",
+        "match-leader",
+        "constant-brake",
+        "idm",
+        "acc-aeb",
+    ]);
     let estimator = prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)];
     let aim = select(SearchObjective::ALL.to_vec());
     let method = select(Method::ALL.to_vec());
-    (space, controller, estimator, aim, method, 1..SUFFICIENT_BUDGET, 0..u64::MAX >> 1).prop_map(
-        |(space, controller, estimator, aim, method, budget, seed)| Campaign {
-            estimator,
-            method,
-            objective: aim,
-            budget,
-            seed,
-            ..Campaign::new(NamedController::find(controller, Path::new(".")).expect("built in"), space)
-        },
+    (
+        space,
+        controller,
+        estimator,
+        aim,
+        method,
+        1..SUFFICIENT_BUDGET,
+        0..u64::MAX >> 1,
     )
+        .prop_map(
+            |(space, controller, estimator, aim, method, budget, seed)| Campaign {
+                estimator,
+                method,
+                objective: aim,
+                budget,
+                seed,
+                ..Campaign::new(
+                    NamedController::find(controller, Path::new(".")).expect("built in"),
+                    space,
+                )
+            },
+        )
 }
 
 fn options(campaign: &Campaign) -> RunOptions {
@@ -54,9 +74,14 @@ fn options(campaign: &Campaign) -> RunOptions {
 }
 
 fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("threads");
     pool.install(|| {
-        campaign.run(folder, CampaignOptions::default(), &Quiet).expect("a valid campaign in an empty folder")
+        campaign
+            .run(folder, CampaignOptions::default(), &Quiet)
+            .expect("a valid campaign in an empty folder")
     })
 }
 

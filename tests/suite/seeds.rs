@@ -24,28 +24,57 @@ const INPUTS_PER_TARGET: usize = 200;
 
 /// A folder, complete or unfinished, and up to three changes of its files, of four bytes each.
 fn folder_changes() -> Vec<Vec<u8>> {
-    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..14)).collect()
+    first_values(
+        INPUTS_PER_TARGET,
+        &prop::collection::vec(any::<u8>(), 0..14),
+    )
+    .collect()
 }
 
 fn networks() -> Vec<Vec<u8>> {
-    let files = fs::read_dir(root().join("corpora/controllers")).unwrap().map(|entry| entry.unwrap().path());
-    let files =
-        files.filter(|path| path.extension().is_some_and(|extension| extension == "onnx" || extension == "zip"));
-    let small = files.map(|path| fs::read(path).unwrap()).filter(|bytes| bytes.len() < 4096);
-    small.flat_map(|bytes| [bytes.clone(), bytes[..bytes.len() / 2].to_vec()]).collect()
+    let files = fs::read_dir(root().join("corpora/controllers"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let files = files.filter(|path| {
+        path.extension()
+            .is_some_and(|extension| extension == "onnx" || extension == "zip")
+    });
+    let small = files
+        .map(|path| fs::read(path).unwrap())
+        .filter(|bytes| bytes.len() < 4096);
+    small
+        .flat_map(|bytes| [bytes.clone(), bytes[..bytes.len() / 2].to_vec()])
+        .collect()
 }
 
 fn descriptions() -> Vec<Vec<u8>> {
-    let texts = [include_str!("../../examples/controllers/fmu/modelDescription.xml"), include_str!("fmus/odd.xml")];
-    let cuts = |text: &'static str| text.match_indices('<').map(move |(place, _)| text.as_bytes()[..place].to_vec());
-    texts.into_iter().flat_map(|text| cuts(text).chain([text.as_bytes().to_vec()])).collect()
+    let texts = [
+        include_str!("../../examples/controllers/fmu/modelDescription.xml"),
+        include_str!("fmus/odd.xml"),
+    ];
+    let cuts = |text: &'static str| {
+        text.match_indices('<')
+            .map(move |(place, _)| text.as_bytes()[..place].to_vec())
+    };
+    texts
+        .into_iter()
+        .flat_map(|text| cuts(text).chain([text.as_bytes().to_vec()]))
+        .collect()
 }
 
 /// The seeds, cut before each element.
 fn openscenario_files() -> Vec<Vec<u8>> {
-    let seeds = fs::read_dir(root().join("corpora/fuzz/openscenario")).unwrap().map(|entry| entry.unwrap().path());
-    let cuts = |text: String| text.match_indices('<').map(|(place, _)| text.as_bytes()[..place].to_vec()).collect();
-    seeds.flat_map(|path| -> Vec<_> { cuts(fs::read_to_string(path).unwrap()) }).collect()
+    let seeds = fs::read_dir(root().join("corpora/fuzz/openscenario"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let cuts = |text: String| {
+        text.match_indices('<')
+            .map(|(place, _)| text.as_bytes()[..place].to_vec())
+            .collect()
+    };
+    seeds
+        .flat_map(|path| -> Vec<_> { cuts(fs::read_to_string(path).unwrap()) })
+        .collect()
 }
 
 /// Writes `fuzz/fresh/TARGET/NUMBER`.
@@ -97,14 +126,22 @@ fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
 
 /// Up to the length of a test case; missing bytes are nominal.
 fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
-    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes)).collect()
+    first_values(
+        INPUTS_PER_TARGET,
+        &prop::collection::vec(any::<u8>(), 0..=bytes),
+    )
+    .collect()
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {
-    let kept = corpus_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
+    let kept = corpus_scenarios()
+        .into_iter()
+        .map(|(path, _)| fs::read(path).unwrap());
     let strategy = any_scenario();
-    let generated = first_values(INPUTS_PER_TARGET, &strategy).zip(ScenarioFormat::ALL.into_iter().cycle());
-    kept.chain(generated.map(|(scenario, format)| format.to_text(&scenario).into_bytes())).collect()
+    let generated =
+        first_values(INPUTS_PER_TARGET, &strategy).zip(ScenarioFormat::ALL.into_iter().cycle());
+    kept.chain(generated.map(|(scenario, format)| format.to_text(&scenario).into_bytes()))
+        .collect()
 }
 
 /// Small networks; a trained one is too large for a seed.
@@ -113,19 +150,33 @@ fn policy_files() -> Vec<Vec<u8>> {
     let hidden = prop::collection::vec(1_usize..4, 0..3);
     let header = (hidden, 0.5..100.0, -8.0..0.0, 0.0..3.0, 1_u32..50).prop_map(
         move |(hidden, limit, low_mps2, high_mps2, steps)| {
-            let mut header = PolicyHeader { version: POLICY_VERSION, hidden, ..reference.header().clone() };
+            let mut header = PolicyHeader {
+                version: POLICY_VERSION,
+                hidden,
+                ..reference.header().clone()
+            };
             header.observation.limit = limit;
             (header.action.low_mps2, header.action.high_mps2) = (low_mps2, high_mps2);
-            (header.decision_interval_s, header.training) = (0.01 * f64::from(steps), serde_json::Value::Null);
+            (header.decision_interval_s, header.training) =
+                (0.01 * f64::from(steps), serde_json::Value::Null);
             header
         },
     );
-    let policy = (header, prop::collection::vec(-2.0_f32..2.0, 64)).prop_map(|(header, weights)| {
-        let sizes: Vec<usize> = [STATE_LEN].into_iter().chain(header.hidden.iter().copied()).chain([1]).collect();
-        let mut network = Network::zeros(&sizes);
-        network.parameters_mut().iter_mut().zip(weights.iter().cycle()).for_each(|(to, from)| *to = *from);
-        Policy::new(header, network).and_then(|policy| policy.to_bytes())
-    });
+    let policy =
+        (header, prop::collection::vec(-2.0_f32..2.0, 64)).prop_map(|(header, weights)| {
+            let sizes: Vec<usize> = [STATE_LEN]
+                .into_iter()
+                .chain(header.hidden.iter().copied())
+                .chain([1])
+                .collect();
+            let mut network = Network::zeros(&sizes);
+            network
+                .parameters_mut()
+                .iter_mut()
+                .zip(weights.iter().cycle())
+                .for_each(|(to, from)| *to = *from);
+            Policy::new(header, network).and_then(|policy| policy.to_bytes())
+        });
     first_values(INPUTS_PER_TARGET, &policy).flatten().collect()
 }
 
@@ -134,30 +185,57 @@ fn certificates() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(_, scenario)| scenario);
     let strategy = any_scenario();
     let generated = first_values(INPUTS_PER_TARGET, &strategy);
-    let proved = kept.chain(generated).filter_map(|scenario| prove(&scenario));
-    let kernels = shipped_kernels().into_iter().map(|(_, certificate)| certificate);
+    let proved = kept
+        .chain(generated)
+        .filter_map(|scenario| prove(&scenario));
+    let kernels = shipped_kernels()
+        .into_iter()
+        .map(|(_, certificate)| certificate);
     let reach = reach_certificates();
-    proved.chain(kernels).chain(reach).map(|certificate| serde_json::to_vec(&certificate).unwrap()).collect()
+    proved
+        .chain(kernels)
+        .chain(reach)
+        .map(|certificate| serde_json::to_vec(&certificate).unwrap())
+        .collect()
 }
 
 /// The first seconds of a box under the reference policy, short enough for the target to check.
 fn reach_certificates() -> Vec<Certificate> {
     let paper_2 = fs::read_to_string(root().join("corpora/boxes/paper-2.toml")).unwrap();
-    let plan =
-        ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2, Path::new("paper-2.toml")).unwrap()).unwrap();
+    let plan = ReachPlan::new(
+        Policy::reference(),
+        &BoxSpec::from_toml(&paper_2, Path::new("paper-2.toml")).unwrap(),
+    )
+    .unwrap();
     let whole = plan.partition(0, &Quiet).unwrap().certificate;
-    let Statement::Reach(claim) = &whole.statement else { panic!("a statement about reach") };
+    let Statement::Reach(claim) = &whole.statement else {
+        panic!("a statement about reach")
+    };
     let middle = [16.0, 16.0, 25.0, 25.0, 25.0, 3.0, 7.5, 120.0];
     let parts = [
         vec![PartitionCell::Verified],
-        vec![PartitionCell::Cut(BoxDimension::LeaderBrakeMps2), PartitionCell::Verified, PartitionCell::Undecided],
+        vec![
+            PartitionCell::Cut(BoxDimension::LeaderBrakeMps2),
+            PartitionCell::Verified,
+            PartitionCell::Undecided,
+        ],
         vec![PartitionCell::Falsified(middle)],
     ];
     let stating = |(partition, steps)| {
-        let statement = Statement::Reach(ReachClaim { partition, steps, ..claim.clone() });
-        Certificate { statement, ..whole.clone() }
+        let statement = Statement::Reach(ReachClaim {
+            partition,
+            steps,
+            ..claim.clone()
+        });
+        Certificate {
+            statement,
+            ..whole.clone()
+        }
     };
-    parts.into_iter().flat_map(|part| [100, 200].map(|steps| stating((part.clone(), steps)))).collect()
+    parts
+        .into_iter()
+        .flat_map(|part| [100, 200].map(|steps| stating((part.clone(), steps))))
+        .collect()
 }
 
 fn prove(scenario: &Scenario) -> Option<Certificate> {
@@ -175,7 +253,11 @@ fn recordings() -> Vec<Vec<u8>> {
     let strategy = any_test_case();
     let simulated = first_values(INPUTS_PER_TARGET, &strategy)
         .flat_map(|test_case| [open_acc_csv(&test_case), car_following_csv(&test_case)]);
-    [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
+    [beginning]
+        .into_iter()
+        .chain(simulated)
+        .map(String::into_bytes)
+        .collect()
 }
 
 /// Samples a test case at up to 10 Hz: time, speeds and gaps.
@@ -185,45 +267,67 @@ fn sample_run(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
     let every = (0.1 / run.dt_s()).round().max(1.0) as usize;
     let sample = |k: usize| {
-        let speeds = trace.vehicles.iter().map(|track| track.speed_mps[k]).collect();
-        let gaps =
-            (1..trace.vehicles.len()).filter_map(|rear| Some(trace.pairs(rear).first()?.gaps_m().nth(k)?.1)).collect();
+        let speeds = trace
+            .vehicles
+            .iter()
+            .map(|track| track.speed_mps[k])
+            .collect();
+        let gaps = (1..trace.vehicles.len())
+            .filter_map(|rear| Some(trace.pairs(rear).first()?.gaps_m().nth(k)?.1))
+            .collect();
         (trace.time_s[k], speeds, gaps)
     };
-    (0..trace.len()).step_by(every).take(60).map(sample).collect()
+    (0..trace.len())
+        .step_by(every)
+        .take(60)
+        .map(sample)
+        .collect()
 }
 
 fn join_numbers(numbers: &[f64]) -> String {
-    numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(",")
+    numbers
+        .iter()
+        .map(|number| format!("{number:.3}"))
+        .collect::<Vec<_>>()
+        .join(",")
 }
 
 fn open_acc_csv(test_case: &TestCase) -> String {
     let vehicles = test_case.scenario.vehicles().len();
     let names: Vec<String> = (1..=vehicles).map(|n| format!("V{n}")).collect();
-    let columns = (1..=vehicles).map(|n| format!("Speed{n}")).chain((1..vehicles).map(|n| format!("IVS{n}")));
+    let columns = (1..=vehicles)
+        .map(|n| format!("Speed{n}"))
+        .chain((1..vehicles).map(|n| format!("IVS{n}")));
     let head = format!(
         "Date,1,1,2026\nVehicle_order,{},\nNumber_of_vehicles,{vehicles}\nACC,1\nDistance_setting,S\nTime,{}\n",
         names.join(","),
         columns.collect::<Vec<_>>().join(",")
     );
-    let rows = sample_run(test_case)
-        .into_iter()
-        .map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", join_numbers(&speeds), join_numbers(&gaps)));
+    let rows = sample_run(test_case).into_iter().map(|(t, speeds, gaps)| {
+        format!("{t:.2},{},{}\n", join_numbers(&speeds), join_numbers(&gaps))
+    });
     head + &rows.collect::<String>()
 }
 
 fn car_following_csv(test_case: &TestCase) -> String {
-    let head = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let head =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     let rows = sample_run(test_case).into_iter().map(|(t, speeds, gaps)| {
         let [leader, follower] = [speeds[0], speeds[1]];
-        format!("1,{t:.2},{}\n", join_numbers(&[gaps[0], follower, leader - follower, leader]))
+        format!(
+            "1,{t:.2},{}\n",
+            join_numbers(&[gaps[0], follower, leader - follower, leader])
+        )
     });
     head + &rows.collect::<String>()
 }
 
 /// Formulas over names that the target knows.
 fn formulas() -> Vec<Vec<u8>> {
-    let formula = prop::collection::vec(any::<u8>(), 0..80)
-        .prop_map(|bytes| crumple_fuzzing::formula_from_bytes(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
-    first_values(INPUTS_PER_TARGET, &formula).map(|formula| formula.to_string().into_bytes()).collect()
+    let formula = prop::collection::vec(any::<u8>(), 0..80).prop_map(|bytes| {
+        crumple_fuzzing::formula_from_bytes(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap()
+    });
+    first_values(INPUTS_PER_TARGET, &formula)
+        .map(|formula| formula.to_string().into_bytes())
+        .collect()
 }

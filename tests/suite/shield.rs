@@ -7,8 +7,8 @@ use crumple_world::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource,
-    SimulationResult, simulate, simulate_batch,
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal,
+    ShieldedSource, SimulationResult, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -71,9 +71,14 @@ impl Chase {
     /// Returns the gap from which a collision can just be avoided: the vehicle coasts for the delay, and the lag costs
     /// speed.
     fn demanded_gap_m(&self) -> f64 {
-        let [ahead, own] = self.classes.map(|class| class.max_brake_mps2() * self.friction);
+        let [ahead, own] = self
+            .classes
+            .map(|class| class.max_brake_mps2() * self.friction);
         let [w, v] = self.speeds_mps;
-        let kernel = ViabilityKernel { own_brake_mps2: own, ahead_brake_mps2: ahead };
+        let kernel = ViabilityKernel {
+            own_brake_mps2: own,
+            ahead_brake_mps2: ahead,
+        };
         let until_s = self.delay_s.min(w / ahead);
         let covered_m = w * until_s - 0.5 * ahead * until_s * until_s;
         let later_mps = w - ahead * until_s;
@@ -86,13 +91,20 @@ impl Chase {
         let profile = Driver::Profile(LeadProfile::Pieces(self.leader.clone()));
         let mut vehicles = vec![
             VehicleSpec::new(ahead, 1000.0, self.speeds_mps[0], profile),
-            VehicleSpec::new(own, 1000.0 - ahead.length_m() - gap_m, self.speeds_mps[1], Driver::UnderTest),
+            VehicleSpec::new(
+                own,
+                1000.0 - ahead.length_m() - gap_m,
+                self.speeds_mps[1],
+                Driver::UnderTest,
+            ),
         ];
         vehicles[1].reaction_delay_s = self.delay_s;
         vehicles[1].actuator_lag_s = self.lag_s;
         let spec = ScenarioSpec {
             seed: self.seed,
-            environment: crumple_world::scenario::Environment { friction: self.friction },
+            environment: crumple_world::scenario::Environment {
+                friction: self.friction,
+            },
             ..scenario_spec("chase", 0.01, 15.0, vehicles)
         };
         Scenario::new(spec).unwrap()
@@ -100,7 +112,11 @@ impl Chase {
 }
 
 fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
-    ShieldedSource { controller, settings }.into()
+    ShieldedSource {
+        controller,
+        settings,
+    }
+    .into()
 }
 
 fn full_throttle() -> ControllerKind {
@@ -121,7 +137,10 @@ fn drivers() -> [ControllerKind; 3] {
 
 fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> SimulationResult {
     let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
-    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Summary)
+    simulate(
+        &Run::new(scenario, options).unwrap(),
+        RecordingLevel::Summary,
+    )
 }
 
 proptest! {
@@ -200,10 +219,15 @@ fn draw_chases(count: usize) -> impl Iterator<Item = Chase> {
 fn without_a_shield_drivers_hit_the_vehicle_ahead() {
     let scenarios: Vec<_> = draw_chases(200).map(|chase| chase.scenario()).collect();
     let contacts = drivers().map(|driver| {
-        let hits = scenarios.iter().filter(|s| simulate_with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
+        let hits = scenarios
+            .iter()
+            .filter(|s| simulate_with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
         hits.count()
     });
-    assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5, "{contacts:?} of 200");
+    assert!(
+        contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5,
+        "{contacts:?} of 200"
+    );
 }
 
 /// A million scenarios per controller: `SHIELD_RUNS=1000000 cargo test --release --test suite -- --ignored a_campaign
@@ -211,24 +235,40 @@ fn without_a_shield_drivers_hit_the_vehicle_ahead() {
 #[test]
 #[ignore = "a campaign, not a test: minutes"]
 fn a_campaign() {
-    let runs: usize = std::env::var("SHIELD_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(10_000);
+    let runs: usize = std::env::var("SHIELD_RUNS")
+        .ok()
+        .and_then(|runs| runs.parse().ok())
+        .unwrap_or(10_000);
     let names = ["full-throttle", "random-actions", "policy"];
     let mut draws = draw_chases(runs);
     let (mut hits, mut bare_hits, mut overridden) = ([0; 3], [0; 3], [0; 3]);
     loop {
-        let scenarios: Vec<_> = draws.by_ref().take(10_000).map(|chase| chase.scenario()).collect();
+        let scenarios: Vec<_> = draws
+            .by_ref()
+            .take(10_000)
+            .map(|chase| chase.scenario())
+            .collect();
         if scenarios.is_empty() {
             break;
         }
         for (index, driver) in drivers().into_iter().enumerate() {
             for (controller, hits) in [
-                (with_shield(driver.clone(), ShieldSettings::default()), &mut hits[index]),
+                (
+                    with_shield(driver.clone(), ShieldSettings::default()),
+                    &mut hits[index],
+                ),
                 (driver, &mut bare_hits[index]),
             ] {
                 let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
-                let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
+                let runs: Vec<_> = scenarios
+                    .iter()
+                    .map(|s| Run::new(s, options.clone()).unwrap())
+                    .collect();
                 let done = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
-                    (result.outcome != Outcome::NoCollision, !result.interventions.is_empty())
+                    (
+                        result.outcome != Outcome::NoCollision,
+                        !result.interventions.is_empty(),
+                    )
                 });
                 *hits += done.iter().filter(|(hit, _)| *hit).count();
                 overridden[index] += done.iter().filter(|(_, overridden)| *overridden).count();
@@ -237,7 +277,9 @@ fn a_campaign() {
     }
     for (index, name) in names.into_iter().enumerate() {
         let (hits, bare, overridden) = (hits[index], bare_hits[index], overridden[index]);
-        println!("{name}: {hits} contacts of {runs} with the shield ({overridden} with interventions), {bare} without");
+        println!(
+            "{name}: {hits} contacts of {runs} with the shield ({overridden} with interventions), {bare} without"
+        );
     }
     assert_eq!(hits, [0; 3]);
 }
@@ -249,12 +291,21 @@ fn unsupported_shields_are_refused() {
         let changed = scenario.edited(|spec| change(spec)).unwrap();
         let options = RunOptions::new(shielded_full_throttle());
         match Run::new(&changed, options) {
-            Err(RunError::Shield { vehicle: 1, refusal: why }) => why,
+            Err(RunError::Shield {
+                vehicle: 1,
+                refusal: why,
+            }) => why,
             _ => panic!("not refused"),
         }
     };
-    assert_eq!(refusal(&|spec| spec.vehicles[1].jerk_limit_mps3 = Some(10.0)), ShieldRefusal::JerkLimit);
-    assert_eq!(refusal(&|spec| spec.sensors.dropout = 0.1), ShieldRefusal::Dropout);
+    assert_eq!(
+        refusal(&|spec| spec.vehicles[1].jerk_limit_mps3 = Some(10.0)),
+        ShieldRefusal::JerkLimit
+    );
+    assert_eq!(
+        refusal(&|spec| spec.sensors.dropout = 0.1),
+        ShieldRefusal::Dropout
+    );
     let noisy = refusal(&|spec| spec.vehicles[1].acceleration_noise_mps2 = 2.0);
     assert!(matches!(noisy, ShieldRefusal::Noise { .. }));
 }
@@ -263,11 +314,16 @@ fn unsupported_shields_are_refused() {
 #[test]
 fn a_vehicle_far_behind_is_no_conflict() {
     let conflict = |behind_m: f64, speed_mps: f64| {
-        let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap().edited(|spec| {
-            spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
-            spec.vehicles[2].speed_mps = speed_mps;
-            (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
-        });
+        let scenario = crumple_world::scenario::built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| {
+                spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
+                spec.vehicles[2].speed_mps = speed_mps;
+                (
+                    spec.vehicles[2].reaction_delay_s,
+                    spec.vehicles[2].actuator_delay_s,
+                ) = (0.3, 0.1);
+            });
         let result = simulate_with_truth(&scenario.unwrap(), shielded_full_throttle());
         assert!(!result.interventions.is_empty());
         result.interventions.iter().any(|one| one.rear_conflict)
@@ -279,18 +335,33 @@ fn a_vehicle_far_behind_is_no_conflict() {
 #[test]
 fn a_livelier_vehicle_ahead_is_kept_farther_away() {
     let first_s = |accel_mps2: f64, noise_mps2: f64| {
-        let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap().edited(|spec| {
-            spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);
-            spec.vehicles[0].acceleration_noise_mps2 = noise_mps2;
-            spec.vehicles[1].position_m -= 30.0;
-            spec.vehicles.truncate(2);
-        });
-        let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
+        let scenario = crumple_world::scenario::built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| {
+                spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);
+                spec.vehicles[0].acceleration_noise_mps2 = noise_mps2;
+                spec.vehicles[1].position_m -= 30.0;
+                spec.vehicles.truncate(2);
+            });
+        let settings = ShieldSettings {
+            ahead_brake_mps2: Some(6.0),
+            errors: None,
+        };
         let options = RunOptions::new(with_shield(full_throttle(), settings));
         let scenario = scenario.unwrap();
-        let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
-        result.interventions.first().expect("it has to brake").from_s
+        let result = simulate(
+            &Run::new(&scenario, options).unwrap(),
+            RecordingLevel::Summary,
+        );
+        result
+            .interventions
+            .first()
+            .expect("it has to brake")
+            .from_s
     };
     let (calm_s, lively_s, noisy_s) = (first_s(1.0, 0.0), first_s(8.0, 0.0), first_s(1.0, 0.2));
-    assert!(lively_s < calm_s && noisy_s < calm_s, "{lively_s} {noisy_s} {calm_s}");
+    assert!(
+        lively_s < calm_s && noisy_s < calm_s,
+        "{lively_s} {noisy_s} {calm_s}"
+    );
 }

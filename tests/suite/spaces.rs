@@ -17,12 +17,21 @@ fn the_committed_space_schema_accepts_the_built_in_spaces_and_refuses_nonsense()
             ("/base", serde_json::json!(3)),
             ("/base/vehicles/0/speed_mps", serde_json::json!(-1)),
             ("/parameters", serde_json::json!([])),
-            ("/parameters/0/distribution", serde_json::json!({ "even": { "low": 0, "high": 1 } })),
-            ("/parameters/0/distribution", serde_json::json!({ "uniform": { "low": 0 } })),
+            (
+                "/parameters/0/distribution",
+                serde_json::json!({ "even": { "low": 0, "high": 1 } }),
+            ),
+            (
+                "/parameters/0/distribution",
+                serde_json::json!({ "uniform": { "low": 0 } }),
+            ),
         ] {
             let mut changed = space.clone();
             *changed.pointer_mut(place).expect("there") = value;
-            assert!(validate(&schema, &schema, &changed, "space").is_err(), "{name}{place}");
+            assert!(
+                validate(&schema, &schema, &changed, "space").is_err(),
+                "{name}{place}"
+            );
         }
     }
 }

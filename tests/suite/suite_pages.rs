@@ -17,10 +17,17 @@ use crate::tiny::replace_passages;
 
 /// A suite with a test of two speeds and a tolerance, and without margins.
 pub(crate) fn standing_suite() -> String {
-    let margins = OWN_SUITE.lines().find(|line| line.starts_with("margins")).expect("there");
+    let margins = OWN_SUITE
+        .lines()
+        .find(|line| line.starts_with("margins"))
+        .expect("there");
     let speeds = "values = [36.0, 50.0], unit = \"km/h\", origin = \"chosen\"";
     let tolerance = "values = [60.0, 75.0], unit = \"km/h\", origin = \"chosen\", tolerance = 2.0";
-    let changes = [("\"own\"", "\"stands\""), (&format!("{margins}\n"), ""), (speeds, tolerance)];
+    let changes = [
+        ("\"own\"", "\"stands\""),
+        (&format!("{margins}\n"), ""),
+        (speeds, tolerance),
+    ];
     replace_passages(OWN_SUITE, &changes)
 }
 
@@ -29,22 +36,40 @@ pub(crate) fn standing_suite() -> String {
 fn a_tolerance_belongs_to_the_criterion() {
     let tested = |text: &str| first_result(&load_suite(text).unwrap(), "baseline");
     let with = tested(&standing_suite());
-    let within = with.worst_in_tolerance.as_ref().expect("a tolerance is searched within");
+    let within = with
+        .worst_in_tolerance
+        .as_ref()
+        .expect("a tolerance is searched within");
     assert!(with.verdict.is_passed() && within.verdict.is_failure() && !with.is_passed());
     let speed_kmph: f64 = within.point.split(' ').nth(2).unwrap().parse().unwrap();
     assert!((75.06..=77.0).contains(&speed_kmph), "{}", within.point);
-    assert!(within.failures > 0 && within.failures < within.points_run, "points about 60 km/h pass");
-    let without = tested(&replace_passages(&standing_suite(), &[(", tolerance = 2.0", "")]));
+    assert!(
+        within.failures > 0 && within.failures < within.points_run,
+        "points about 60 km/h pass"
+    );
+    let without = tested(&replace_passages(
+        &standing_suite(),
+        &[(", tolerance = 2.0", "")],
+    ));
     assert!(without.worst_in_tolerance.is_none() && without.is_passed());
     let near = tested(&replace_passages(&standing_suite(), &[("75.0", "70.0")]));
     assert!(near.is_passed() && near.worst_in_tolerance.is_some());
     for (tolerance, message) in [
-        ("-1.0", "own.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1"),
+        (
+            "-1.0",
+            "own.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1",
+        ),
         ("nan", "must be 0 or more, found NaN"),
         ("inf", "must be 0 or more, found inf"),
-        ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
+        (
+            "59.0",
+            "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1",
+        ),
     ] {
-        let text = replace_passages(&standing_suite(), &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
+        let text = replace_passages(
+            &standing_suite(),
+            &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))],
+        );
         let error = load_suite(&text).unwrap_err();
         assert!(error.contains(message), "{tolerance}: {error}");
     }
@@ -53,11 +78,19 @@ fn a_tolerance_belongs_to_the_criterion() {
 #[test]
 fn a_margin_reports_a_test_that_cannot_be_run() {
     let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result = run(&suite, &[find_controller("shield:policy")], EstimatorKind::Truth).unwrap();
+    let result = run(
+        &suite,
+        &[find_controller("shield:policy")],
+        EstimatorKind::Truth,
+    )
+    .unwrap();
     let margins = &result.clauses[0].tests[0].controllers[0].margins;
     assert!(!margins.is_empty());
     assert!(
-        margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Refused }),
+        margins.iter().all(|margin| margin.end
+            == MarginEnd::None {
+                failure: SweepFailure::Refused
+            }),
         "{margins:?}"
     );
 }
@@ -66,58 +99,134 @@ fn a_margin_reports_a_test_that_cannot_be_run() {
 #[test]
 fn suites_are_evidence_of_an_assessment() {
     let folder = temp_folder();
-    fs::write(folder.path().join("own.toml"), replace_passages(&standing_suite(), &[(", tolerance = 2.0", "")]))
-        .unwrap();
+    fs::write(
+        folder.path().join("own.toml"),
+        replace_passages(&standing_suite(), &[(", tolerance = 2.0", "")]),
+    )
+    .unwrap();
     let suite = |suite: &str, controllers: &[&str]| -> SuiteConfig {
-        serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers })).unwrap()
+        serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers }))
+            .unwrap()
     };
     let mut asked = config(&["idm", "full-throttle", "policy"]);
     (asked.draws, asked.everyday_draws) = (0, 0);
-    asked.suites = vec![suite("un-r152", &["full-throttle", "idm"]), suite("own.toml", &["policy", "idm"])];
+    asked.suites = vec![
+        suite("un-r152", &["full-throttle", "idm"]),
+        suite("own.toml", &["policy", "idm"]),
+    ];
     let gate = |controller: &str, suite: &str| AssessmentGate::SuitePassed {
         controller: controller.to_owned(),
         suite: suite.to_owned(),
     };
-    asked.gates = vec![gate("idm", "un-r152"), gate("full-throttle", "un-r152"), gate("policy", "own.toml")];
+    asked.gates = vec![
+        gate("idm", "un-r152"),
+        gate("full-throttle", "un-r152"),
+        gate("policy", "own.toml"),
+    ];
     let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
     let gather = || {
         let store = EvidenceCache::open(&folder.path().join("kept"), "program", false).unwrap();
-        (assess(&plan, &store, None, &Quiet).unwrap(), store.reuse_counts())
+        (
+            assess(&plan, &store, None, &Quiet).unwrap(),
+            store.reuse_counts(),
+        )
     };
     let (found, _) = gather();
-    assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);
-    let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
-    assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
-    assert!(matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 21 + 5 * 496), "{row:?}");
+    assert_eq!(
+        found
+            .summary
+            .gates
+            .iter()
+            .map(|gate| gate.holds)
+            .collect::<Vec<_>>(),
+        [true, false, true]
+    );
+    let row = found
+        .summary
+        .claims
+        .iter()
+        .find(|row| row.part == "suites")
+        .expect("claimed");
+    assert!(
+        row.claims
+            .iter()
+            .flatten()
+            .all(|claim| claim.property == Property::PassesTests)
+    );
+    assert!(
+        matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 21 + 5 * 496),
+        "{row:?}"
+    );
     // For failed tests, points of the search do not count.
-    assert_eq!(row.statuses[1].strength, Strength::Refuted { failures: 21, runs: 21 });
+    assert_eq!(
+        row.statuses[1].strength,
+        Strength::Refuted {
+            failures: 21,
+            runs: 21
+        }
+    );
     assert!(row.claims[2].is_none(), "the policy is not tested by it");
     let files = found.files().unwrap();
-    let text = |name: &str| String::from_utf8(files.iter().find(|(file, _)| file == name).unwrap().1.clone()).unwrap();
+    let text = |name: &str| {
+        String::from_utf8(
+            files
+                .iter()
+                .find(|(file, _)| file == name)
+                .unwrap()
+                .1
+                .clone(),
+        )
+        .unwrap()
+    };
     for name in ["assessment.md", "assessment.html"] {
         assert!(text(name).contains("no certification"), "{name}");
     }
     assert!(text("replay.sh").contains("counterexamples/suites/un-r152-stationary-20-"));
-    let is_failed = |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
+    let is_failed =
+        |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
     let (_, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();
-    run_ok(folder.path(), "simulate failed.toml --controller full-throttle --expect collision");
+    run_ok(
+        folder.path(),
+        "simulate failed.toml --controller full-throttle --expect collision",
+    );
     // The escape of an avoidable failure is next to it.
-    let outcomes =
-        found.suites.iter().flat_map(|part| &part.suites).flat_map(|one| &one.tests).flat_map(|test| &test.outcomes);
-    let worst: Vec<_> = outcomes.filter_map(|outcome| outcome.worst.as_ref()).collect();
+    let outcomes = found
+        .suites
+        .iter()
+        .flat_map(|part| &part.suites)
+        .flat_map(|one| &one.tests)
+        .flat_map(|test| &test.outcomes);
+    let worst: Vec<_> = outcomes
+        .filter_map(|outcome| outcome.worst.as_ref())
+        .collect();
     for one in &worst {
-        assert_eq!(one.escape.is_some(), one.preventable.contains("an escape keeps"), "{one:?}");
+        assert_eq!(
+            one.escape.is_some(),
+            one.preventable.contains("an escape keeps"),
+            "{one:?}"
+        );
     }
-    let escape = worst.iter().find_map(|one| one.escape.as_ref()).expect("something is avoidable");
+    let escape = worst
+        .iter()
+        .find_map(|one| one.escape.as_ref())
+        .expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
     run_ok(folder.path(), "simulate escape.toml --expect safe");
-    assert!(text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)), "{escape:?}");
+    assert!(
+        text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)),
+        "{escape:?}"
+    );
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");
     assert_eq!(again.files().unwrap(), files);
     for (from, suites, gates, message) in [
-        ("nowhere", "fmvss-12", vec![], "suites[0].suite: `fmvss-12` is neither a built-in suite"),
+        (
+            "nowhere",
+            "fmvss-12",
+            vec![],
+            "suites[0].suite: `fmvss-12` is neither a built-in suite",
+        ),
         ("a file that is not there", "gone.toml", vec![], "gone.toml"),
         (
             "another's gate",
@@ -134,12 +243,20 @@ fn suites_are_evidence_of_an_assessment() {
     ] {
         let mut asked = asked.clone();
         (asked.suites, asked.gates) = (vec![suite(suites, &["idm"])], gates);
-        let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
+        let error = AssessmentPlan::new(asked, [], folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(message), "{from}: {error}");
     }
     for (suites, message) in [
-        (vec![suite("fmvss-127", &["rss"])], "suites[0].controllers[0]: `rss` is not among `controllers`"),
-        (vec![suite("fmvss-127", &[])], "suites[0].controllers: must name at least one"),
+        (
+            vec![suite("fmvss-127", &["rss"])],
+            "suites[0].controllers[0]: `rss` is not among `controllers`",
+        ),
+        (
+            vec![suite("fmvss-127", &[])],
+            "suites[0].controllers: must name at least one",
+        ),
         (
             vec![suite("own.toml", &["idm"]), suite("own.toml", &["idm"])],
             "suites[1].suite: another suite has the name `stands`; rename one of them",
@@ -147,7 +264,9 @@ fn suites_are_evidence_of_an_assessment() {
     ] {
         let mut asked = asked.clone();
         (asked.suites, asked.gates) = (suites, Vec::new());
-        let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
+        let error = AssessmentPlan::new(asked, [], folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(message), "{error}");
     }
 }

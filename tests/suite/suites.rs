@@ -3,19 +3,28 @@
 use std::path::Path;
 
 use crumple_suites::{
-    ControllerResult, LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention, ReferenceRun,
-    SHIPPED_SUITES, SweepFailure, TestParameter, TestSuite, TestVerdict, UNSHIPPED_DOCUMENTS, json_schema, run,
+    ControllerResult, LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention,
+    ReferenceRun, SHIPPED_SUITES, SweepFailure, TestParameter, TestSuite, TestVerdict,
+    UNSHIPPED_DOCUMENTS, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-use crate::command_line::{assert_refused, exit_code, run_crumple, run_ok, run_on_threads, stdout, temp_folder};
+use crate::command_line::{
+    assert_refused, exit_code, run_crumple, run_ok, run_on_threads, stdout, temp_folder,
+};
 use crate::schema::{assert_committed, validate};
 use crate::tiny::{assert_contains, replace_passages};
 
 /// A parameter in a document: suite, test, kind, all values or the smallest and the largest, unit.
-type StatedParameter = (&'static str, &'static str, ParameterKind, &'static [f64], ParameterUnit);
+type StatedParameter = (
+    &'static str,
+    &'static str,
+    ParameterKind,
+    &'static [f64],
+    ParameterUnit,
+);
 
 /// Parameters of the documents, transcribed independently of the suites' files.
 const STATED_PARAMETERS: [StatedParameter; 83] = {
@@ -25,9 +34,21 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
         // 49 CFR 571.127, S7.1.
         ("fmvss-127", "stopped-lead", ClosingTime, &[5.0], Second),
         ("fmvss-127", "slower-lead", ClosingTime, &[5.0], Second),
-        ("fmvss-127", "decelerating-lead", OwnSpeed, &[50.0, 80.0], Kmph),
+        (
+            "fmvss-127",
+            "decelerating-lead",
+            OwnSpeed,
+            &[50.0, 80.0],
+            Kmph,
+        ),
         ("fmvss-127", "decelerating-lead", Gap, &[12.0, 40.0], Metre),
-        ("fmvss-127", "decelerating-lead", Deceleration, &[0.3, 0.5], Gravity),
+        (
+            "fmvss-127",
+            "decelerating-lead",
+            Deceleration,
+            &[0.3, 0.5],
+            Gravity,
+        ),
         ("fmvss-127", "decelerating-lead", Ramp, &[0.0, 1.5], Second),
         // Euro NCAP AEB car-to-car, 4.3.1.
         ("euro-ncap-2023", "ccrs", OwnSpeed, &[10.0, 50.0], Kmph),
@@ -38,8 +59,20 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
         ("euro-ncap-2023", "ccrb", Deceleration, &[2.0, 6.0], Mps2),
         // Euro NCAP's Rating Calculator 2026, 5.4.9: sheet `FC - Car & PTW pred.`, rows 3 to 38, and
         // robustness_layer.py.
-        ("euro-ncap-2026", "ccrs", OwnSpeed, &[10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0], Kmph),
-        ("euro-ncap-2026", "ccrm", OwnSpeed, &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0], Kmph),
+        (
+            "euro-ncap-2026",
+            "ccrs",
+            OwnSpeed,
+            &[10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0],
+            Kmph,
+        ),
+        (
+            "euro-ncap-2026",
+            "ccrm",
+            OwnSpeed,
+            &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0],
+            Kmph,
+        ),
         ("euro-ncap-2026", "ccrm", LeadSpeed, &[20.0], Kmph),
         ("euro-ncap-2026", "ccrm-90", OwnSpeed, &[90.0], Kmph),
         ("euro-ncap-2026", "ccrm-90", LeadSpeed, &[30.0], Kmph),
@@ -55,30 +88,98 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
             "euro-ncap-2026",
             "ccrb",
             OwnSpeed,
-            &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0],
+            &[
+                30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0,
+            ],
             Kmph,
         ),
         ("euro-ncap-2026", "ccrb", TimeGap, &[1.0], Second),
         ("euro-ncap-2026", "ccrb", Deceleration, &[4.0], Mps2),
-        ("euro-ncap-2026", "ccrb-headway", OwnSpeed, &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0], Kmph),
-        ("euro-ncap-2026", "ccrb-headway", TimeGap, &[0.5, 1.5], Second),
+        (
+            "euro-ncap-2026",
+            "ccrb-headway",
+            OwnSpeed,
+            &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0],
+            Kmph,
+        ),
+        (
+            "euro-ncap-2026",
+            "ccrb-headway",
+            TimeGap,
+            &[0.5, 1.5],
+            Second,
+        ),
         ("euro-ncap-2026", "ccrb-headway", Deceleration, &[4.0], Mps2),
-        ("euro-ncap-2026", "ccrb-deceleration", OwnSpeed, &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0], Kmph),
-        ("euro-ncap-2026", "ccrb-deceleration", TimeGap, &[1.0], Second),
-        ("euro-ncap-2026", "ccrb-deceleration", Deceleration, &[2.0, 6.0], Mps2),
+        (
+            "euro-ncap-2026",
+            "ccrb-deceleration",
+            OwnSpeed,
+            &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0],
+            Kmph,
+        ),
+        (
+            "euro-ncap-2026",
+            "ccrb-deceleration",
+            TimeGap,
+            &[1.0],
+            Second,
+        ),
+        (
+            "euro-ncap-2026",
+            "ccrb-deceleration",
+            Deceleration,
+            &[2.0, 6.0],
+            Mps2,
+        ),
         // Euro NCAP's Rating Calculator 2026, sheet `VA - ACC pred.`, rows 3 to 10, 25 to 39, 48, 52 and 53.
-        ("euro-ncap-2026", "acc-ccrs", OwnSpeed, &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0], Kmph),
-        ("euro-ncap-2026", "acc-ccrm-20", OwnSpeed, &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0], Kmph),
+        (
+            "euro-ncap-2026",
+            "acc-ccrs",
+            OwnSpeed,
+            &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0],
+            Kmph,
+        ),
+        (
+            "euro-ncap-2026",
+            "acc-ccrm-20",
+            OwnSpeed,
+            &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0],
+            Kmph,
+        ),
         ("euro-ncap-2026", "acc-ccrm-20", LeadSpeed, &[20.0], Kmph),
-        ("euro-ncap-2026", "acc-ccrm-60", OwnSpeed, &[70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0], Kmph),
+        (
+            "euro-ncap-2026",
+            "acc-ccrm-60",
+            OwnSpeed,
+            &[70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0],
+            Kmph,
+        ),
         ("euro-ncap-2026", "acc-ccrm-60", LeadSpeed, &[60.0], Kmph),
         ("euro-ncap-2026", "acc-cut-in-120", OwnSpeed, &[120.0], Kmph),
         ("euro-ncap-2026", "acc-cut-in-120", LeadSpeed, &[70.0], Kmph),
-        ("euro-ncap-2026", "acc-cut-in-120", ClosingTime, &[1.5], Second),
-        ("euro-ncap-2026", "acc-cut-out", OwnSpeed, &[50.0, 70.0], Kmph),
+        (
+            "euro-ncap-2026",
+            "acc-cut-in-120",
+            ClosingTime,
+            &[1.5],
+            Second,
+        ),
+        (
+            "euro-ncap-2026",
+            "acc-cut-out",
+            OwnSpeed,
+            &[50.0, 70.0],
+            Kmph,
+        ),
         ("euro-ncap-2026", "acc-cut-out", ClosingTime, &[3.0], Second),
         // UN R152, 02 series: 5.2.1.4, then the test speeds of 6.4 and 6.5 with their tolerances.
-        ("un-r152", "table", OwnSpeed, &[10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 42.0], Kmph),
+        (
+            "un-r152",
+            "table",
+            OwnSpeed,
+            &[10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 42.0],
+            Kmph,
+        ),
         ("un-r152", "table-45", OwnSpeed, &[45.0], Kmph),
         ("un-r152", "table-50", OwnSpeed, &[50.0], Kmph),
         ("un-r152", "table-55", OwnSpeed, &[55.0], Kmph),
@@ -141,26 +242,41 @@ fn shipped_suite(name: &str) -> TestSuite {
 fn figures_that_a_document_states_are_those_of_a_second_transcription() {
     let (mut stated, mut allowed) = (0, 0);
     for (name, _) in SHIPPED_SUITES {
-        for test in shipped_suite(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
-            for (parameter, figure) in test.parameters.iter().filter(|(_, figure)| figure.origin != Origin::Chosen) {
+        for test in shipped_suite(name)
+            .spec()
+            .clauses
+            .iter()
+            .flat_map(|clause| &clause.tests)
+        {
+            for (parameter, figure) in test
+                .parameters
+                .iter()
+                .filter(|(_, figure)| figure.origin != Origin::Chosen)
+            {
                 let rows = STATED_PARAMETERS
                     .iter()
                     .filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
                 let rows: Vec<_> = rows.collect();
                 let place = format!("{name}, {}, {parameter:?}", test.name);
-                let [row] = rows[..] else { panic!("{place}: {rows:?}") };
+                let [row] = rows[..] else {
+                    panic!("{place}: {rows:?}")
+                };
                 assert_eq!(row.4, figure.unit, "{place}");
                 match figure.origin {
                     Origin::Document => assert_eq!(row.3, figure.values, "{place}"),
                     _ => {
-                        let [first, between @ .., last] = &figure.values[..] else { panic!("{place}") };
+                        let [first, between @ .., last] = &figure.values[..] else {
+                            panic!("{place}")
+                        };
                         assert!(!between.is_empty() && row.3 == [*first, *last], "{place}");
                     }
                 }
                 stated += 1;
             }
             if let Some(limit) = &test.impact_at_most {
-                let row = ALLOWED_IMPACTS.iter().find(|row| (row.0, row.1) == (name, test.name.as_str()));
+                let row = ALLOWED_IMPACTS
+                    .iter()
+                    .find(|row| (row.0, row.1) == (name, test.name.as_str()));
                 assert_eq!(
                     row.map(|row| (row.2, ParameterUnit::Kmph)),
                     Some((limit.value, limit.unit)),
@@ -185,13 +301,24 @@ fn times_of_cut_ins_are_those_of_their_formula() {
     for (suite, reaction_s, digit_s) in [("un-r157", 0.35, 1e-3), ("afgbv-cut-in", 0.25, 1e-2)] {
         let suite = shipped_suite(suite);
         let tests = suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
-        let cut_ins: Vec<_> = tests.filter(|test| test.lead == Some(LeadManeuver::CutIn)).collect();
+        let cut_ins: Vec<_> = tests
+            .filter(|test| test.lead == Some(LeadManeuver::CutIn))
+            .collect();
         assert_eq!(cut_ins.len(), 6);
-        for (test, slower_kmph) in cut_ins.into_iter().zip([10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) {
+        for (test, slower_kmph) in cut_ins
+            .into_iter()
+            .zip([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+        {
             let first = |figure: &Option<TestParameter>| figure.as_ref().unwrap().values[0];
             let figures = &test.parameters;
-            assert_eq!(first(&figures.own_speed) - first(&figures.lead_speed), slower_kmph, "{}", test.name);
-            let over_s = first(&figures.closing_time) - (slower_kmph / 3.6 / (2.0 * 6.0) + reaction_s);
+            assert_eq!(
+                first(&figures.own_speed) - first(&figures.lead_speed),
+                slower_kmph,
+                "{}",
+                test.name
+            );
+            let over_s =
+                first(&figures.closing_time) - (slower_kmph / 3.6 / (2.0 * 6.0) + reaction_s);
             match digit_s < 5e-3 {
                 true => assert!((0.0..digit_s).contains(&over_s), "{}: {over_s}", test.name),
                 false => assert!(over_s.abs() <= digit_s / 2.0, "{}: {over_s}", test.name),
@@ -208,7 +335,11 @@ fn the_committed_suite_schema_matches_the_types_and_accepts_shipped_suites() {
         let value: serde_json::Value = toml::from_str(text).unwrap();
         validate(&schema, &schema, &value, name).unwrap();
     }
-    for nonsense in [serde_json::json!({}), serde_json::json!({ "version": 1, "speed": 3 }), serde_json::json!([])] {
+    for nonsense in [
+        serde_json::json!({}),
+        serde_json::json!({ "version": 1, "speed": 3 }),
+        serde_json::json!([]),
+    ] {
         assert!(validate(&schema, &schema, &nonsense, "nonsense").is_err());
     }
 }
@@ -249,11 +380,31 @@ pub(crate) fn find_controller(name: &str) -> NamedController {
 #[test]
 fn bad_suites_are_refused_by_file_line_and_field() {
     for (from, to, message) in [
-        ("version = 1", "version = 2", "own.toml:1: version: version 2 is not supported"),
-        ("\"own\"", "\"../own\"", "own.toml:2: name: must be 1 to 60 lower-case letters"),
-        ("None", "a\\u001bb", "own.toml:4: document: must have 1 to 2000 characters"),
-        ("\"stopped\"", "\"flying\"", "own.toml:14: clauses[0].tests[0].lead: unknown variant `flying`"),
-        ("lead = \"stopped\"\n", "", "own.toml:12: clauses[0].tests[0]: a test must have either `lead` or `refused`"),
+        (
+            "version = 1",
+            "version = 2",
+            "own.toml:1: version: version 2 is not supported",
+        ),
+        (
+            "\"own\"",
+            "\"../own\"",
+            "own.toml:2: name: must be 1 to 60 lower-case letters",
+        ),
+        (
+            "None",
+            "a\\u001bb",
+            "own.toml:4: document: must have 1 to 2000 characters",
+        ),
+        (
+            "\"stopped\"",
+            "\"flying\"",
+            "own.toml:14: clauses[0].tests[0].lead: unknown variant `flying`",
+        ),
+        (
+            "lead = \"stopped\"\n",
+            "",
+            "own.toml:12: clauses[0].tests[0]: a test must have either `lead` or `refused`",
+        ),
         (
             "\"stopped\"",
             "\"slower\"",
@@ -264,9 +415,21 @@ fn bad_suites_are_refused_by_file_line_and_field() {
             "lead = \"stopped\"\nfigures.gap = { values = [9.0], unit = \"m\", origin = \"chosen\" }",
             "own.toml:15: clauses[0].tests[0].figures.gap: is not allowed in a test with lead = stopped",
         ),
-        ("[36.0, 50.0]", "[50.0, 36.0]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values[1]: must increase"),
-        ("[36.0, 50.0]", "[]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values: must have 1 to 100 entries"),
-        ("[36.0, 50.0]", "[nan]", "own_speed.values[0]: must be from 1.8 to 360 km/h, found NaN"),
+        (
+            "[36.0, 50.0]",
+            "[50.0, 36.0]",
+            "own.toml:16: clauses[0].tests[0].figures.own_speed.values[1]: must increase",
+        ),
+        (
+            "[36.0, 50.0]",
+            "[]",
+            "own.toml:16: clauses[0].tests[0].figures.own_speed.values: must have 1 to 100 entries",
+        ),
+        (
+            "[36.0, 50.0]",
+            "[nan]",
+            "own_speed.values[0]: must be from 1.8 to 360 km/h, found NaN",
+        ),
         (
             "unit = \"s\"",
             "unit = \"m\"",
@@ -292,31 +455,61 @@ fn bad_suites_are_refused_by_file_line_and_field() {
             "lead = \"stopped\"\nimpact_at_most = { value = 9.0, unit = \"s\", origin = \"chosen\" }",
             "own.toml:15: clauses[0].tests[0].impact_at_most.unit: an impact speed cannot be stated in s",
         ),
-        ("\"stopped\"", "\"decelerating\"", "figures.closing_time: is not allowed in a test with lead = decelerating"),
-        ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: is not allowed"),
-        ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
+        (
+            "\"stopped\"",
+            "\"decelerating\"",
+            "figures.closing_time: is not allowed in a test with lead = decelerating",
+        ),
+        (
+            "push = \"own_speed\"",
+            "push = \"gap\"",
+            "own.toml:15: clauses[0].tests[0].margins[0].push: is not allowed",
+        ),
+        (
+            "edition",
+            "editon",
+            "own.toml:5: editon: unknown field `editon`",
+        ),
         ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
         let error = load_suite(&replace_passages(OWN_SUITE, &[(from, to)])).unwrap_err();
         assert!(error.contains(message), "{to}: {error}");
     }
     let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
-    let many = replace_passages(OWN_SUITE, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
+    let many = replace_passages(
+        OWN_SUITE,
+        &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))],
+    );
     let times: Vec<_> = (0..100).map(|index| format!("5.{index:03}")).collect();
     let many = replace_passages(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
     let error = load_suite(&many).unwrap_err();
-    assert!(error.contains("makes 10000 points, and a suite may have at most 2000"), "{error}");
+    assert!(
+        error.contains("makes 10000 points, and a suite may have at most 2000"),
+        "{error}"
+    );
 }
 
 /// The baseline brakes at 7.5 m/s² below a TTC of 1.4 s: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
 #[test]
 fn a_margin_ends_where_its_closed_form_does() {
     let tested = first_result(&load_suite(OWN_SUITE).unwrap(), "baseline");
-    assert_eq!((&tested.verdict, tested.passed_points, tested.points), (&TestVerdict::Passed, 2, 2));
-    let MarginEnd::Boundary { passes_at, fails_at, is_monotone, .. } = tested.margins[0].end else {
+    assert_eq!(
+        (&tested.verdict, tested.passed_points, tested.points),
+        (&TestVerdict::Passed, 2, 2)
+    );
+    let MarginEnd::Boundary {
+        passes_at,
+        fails_at,
+        is_monotone,
+        ..
+    } = tested.margins[0].end
+    else {
         panic!("{:?}", tested.margins);
     };
-    assert!((75.0..fails_at).contains(&passes_at) && fails_at < 75.7 && is_monotone, "{passes_at} {fails_at}");
+    assert!(
+        (75.0..fails_at).contains(&passes_at) && fails_at < 75.7 && is_monotone,
+        "{passes_at} {fails_at}"
+    );
     assert!(fails_at - passes_at < 0.03);
 }
 
@@ -327,17 +520,36 @@ fn an_allowed_contact_passes_and_moves_the_margin_by_its_closed_form() {
     let allowed = "lead = \"stopped\"\nimpact_at_most = { value = 36.0, unit = \"km/h\", origin = \"document\" }";
     let text = replace_passages(
         OWN_SUITE,
-        &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")],
+        &[
+            ("lead = \"stopped\"", allowed),
+            ("50.0]", "80.0]"),
+            ("to = 100.0", "to = 110.0"),
+        ],
     );
     let tested = first_result(&load_suite(&text).unwrap(), "baseline");
-    assert_eq!((&tested.verdict, tested.passed_points, tested.failed_points.len()), (&TestVerdict::Passed, 2, 0));
-    assert!(tested.min_gap_m.unwrap() <= 0.0, "at 80 km/h there is a contact");
-    let MarginEnd::Boundary { passes_at, .. } = tested.margins[0].end else { panic!("{:?}", tested.margins) };
+    assert_eq!(
+        (
+            &tested.verdict,
+            tested.passed_points,
+            tested.failed_points.len()
+        ),
+        (&TestVerdict::Passed, 2, 0)
+    );
+    assert!(
+        tested.min_gap_m.unwrap() <= 0.0,
+        "at 80 km/h there is a contact"
+    );
+    let MarginEnd::Boundary { passes_at, .. } = tested.margins[0].end else {
+        panic!("{:?}", tested.margins)
+    };
     let closed_form_kmph = |delay_s: f64| {
         let way_s = 1.4 - delay_s;
         3.6 * (7.5 * way_s + ((7.5 * way_s).powi(2) + 100.0).sqrt())
     };
-    assert!((closed_form_kmph(0.01) - 0.1..=closed_form_kmph(0.0)).contains(&passes_at), "{passes_at}");
+    assert!(
+        (closed_form_kmph(0.01) - 0.1..=closed_form_kmph(0.0)).contains(&passes_at),
+        "{passes_at}"
+    );
     let strict = replace_passages(&text, &[("value = 36.0", "value = 1.0")]);
     let tested = first_result(&load_suite(&strict).unwrap(), "baseline");
     assert!(tested.verdict.is_failure(), "it is faster than 1 km/h");
@@ -346,11 +558,14 @@ fn an_allowed_contact_passes_and_moves_the_margin_by_its_closed_form() {
 /// A gap is a length or a time headway; exactly one is stated.
 #[test]
 fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
-    let text = OWN_SUITE.replace("\"stopped\"", "\"decelerating\"").replace("margins = ", "margins = [] # ").replace(
-        "figures.closing_time = { values = [5.0], unit = \"s\", origin = \"chosen\" }",
-        "figures.deceleration = { values = [4.0], unit = \"m/s2\", origin = \"chosen\" }\n\
+    let text = OWN_SUITE
+        .replace("\"stopped\"", "\"decelerating\"")
+        .replace("margins = ", "margins = [] # ")
+        .replace(
+            "figures.closing_time = { values = [5.0], unit = \"s\", origin = \"chosen\" }",
+            "figures.deceleration = { values = [4.0], unit = \"m/s2\", origin = \"chosen\" }\n\
          figures.ramp = { values = [0.0], unit = \"s\", origin = \"chosen\" }\nGAP",
-    );
+        );
     let text = text.replace("[36.0, 50.0]", "[36.0]");
     let gap = "figures.gap = { values = [12.0], unit = \"m\", origin = \"chosen\" }\n";
     let time = "figures.time_gap = { values = [1.2], unit = \"s\", origin = \"chosen\" }\n";
@@ -360,8 +575,14 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     assert_eq!(by_length.verdict, by_time.verdict);
     assert!((by_length.min_gap_m.unwrap() - by_time.min_gap_m.unwrap()).abs() < 1e-9);
     for (gap, message) in [
-        ("", "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`"),
-        (&format!("{gap}{time}"), "figures.time_gap: repeats `gap`: state only one of them"),
+        (
+            "",
+            "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`",
+        ),
+        (
+            &format!("{gap}{time}"),
+            "figures.time_gap: repeats `gap`: state only one of them",
+        ),
     ] {
         let error = load(gap).unwrap_err();
         assert!(error.contains(message), "{error}");
@@ -378,7 +599,14 @@ fn both_sides_of_a_margin_are_confirmed() {
         let result = run(&suite, &named, EstimatorKind::Kalman).unwrap();
         for (clause, test) in result.tests() {
             for margin in &test.controllers[0].margins {
-                let MarginEnd::Boundary { passes_at, fails_at, .. } = margin.end else { continue };
+                let MarginEnd::Boundary {
+                    passes_at,
+                    fails_at,
+                    ..
+                } = margin.end
+                else {
+                    continue;
+                };
                 boundaries += 1;
                 for (value, passes) in [(passes_at, true), (fails_at, false)] {
                     let mut spec = suite.spec().clone();
@@ -388,17 +616,34 @@ fn both_sides_of_a_margin_are_confirmed() {
                     let mut figures = serde_json::to_value(&test.parameters).unwrap();
                     figures[margin.parameter.name()]["values"] = serde_json::json!([value]);
                     for (parameter, figure) in test.parameters.iter() {
-                        let held =
-                            |value: f64| margin.fixed_parameters.contains(&format!("{} {value} ", parameter.label()));
+                        let held = |value: f64| {
+                            margin
+                                .fixed_parameters
+                                .contains(&format!("{} {value} ", parameter.label()))
+                        };
                         if parameter != margin.parameter {
-                            let one: Vec<_> = figure.values.iter().copied().filter(|&value| held(value)).collect();
+                            let one: Vec<_> = figure
+                                .values
+                                .iter()
+                                .copied()
+                                .filter(|&value| held(value))
+                                .collect();
                             assert_eq!(one.len(), 1, "{}", margin.fixed_parameters);
                             figures[parameter.name()]["values"] = serde_json::json!(one);
                         }
                     }
                     test.parameters = serde_json::from_value(figures).unwrap();
-                    let again = run(&TestSuite::new(spec).unwrap(), &named, EstimatorKind::Kalman).unwrap();
-                    assert_eq!(again.clauses[0].tests[0].controllers[0].verdict.is_passed(), passes, "{margin:?}");
+                    let again = run(
+                        &TestSuite::new(spec).unwrap(),
+                        &named,
+                        EstimatorKind::Kalman,
+                    )
+                    .unwrap();
+                    assert_eq!(
+                        again.clauses[0].tests[0].controllers[0].verdict.is_passed(),
+                        passes,
+                        "{margin:?}"
+                    );
                 }
             }
         }
@@ -409,39 +654,88 @@ fn both_sides_of_a_margin_are_confirmed() {
 #[test]
 fn failures_name_preventing_drivers_and_refusals_their_reason() {
     let suite = shipped_suite("fmvss-127");
-    let result =
-        run(&suite, &[find_controller("full-throttle"), find_controller("idm")], EstimatorKind::Truth).unwrap();
-    let test = |name: &str| &result.tests().find(|(_, test)| test.name == name).unwrap().1.controllers;
+    let result = run(
+        &suite,
+        &[find_controller("full-throttle"), find_controller("idm")],
+        EstimatorKind::Truth,
+    )
+    .unwrap();
+    let test = |name: &str| {
+        &result
+            .tests()
+            .find(|(_, test)| test.name == name)
+            .unwrap()
+            .1
+            .controllers
+    };
     let stopped = &test("stopped-lead")[0];
-    assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
+    assert!(
+        matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0)
+    );
     assert_eq!((stopped.passed_points, stopped.failed_points.len()), (0, 2));
-    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Fails }));
+    assert!(stopped.margins.iter().all(|margin| margin.end
+        == MarginEnd::None {
+            failure: SweepFailure::Fails
+        }));
     let does = |place: usize, driver: &str| {
-        stopped.failed_points[place].references.iter().find(|run| run.driver == driver).unwrap().prevention
+        stopped.failed_points[place]
+            .references
+            .iter()
+            .find(|run| run.driver == driver)
+            .unwrap()
+            .prevention
     };
     // From 2 s on the competent human stops from 50 km/h, and not from 80 km/h.
-    assert_eq!([0, 1].map(|place| does(place, "competent-human")), [Prevention::Prevents, Prevention::Collides]);
-    assert_eq!((does(0, "r157-simple"), does(0, "rss")), (Prevention::Prevents, Prevention::Prevents));
-    assert_eq!(stopped.failed_points[0].avoidability.is_avoidable(), Some(true));
+    assert_eq!(
+        [0, 1].map(|place| does(place, "competent-human")),
+        [Prevention::Prevents, Prevention::Collides]
+    );
+    assert_eq!(
+        (does(0, "r157-simple"), does(0, "rss")),
+        (Prevention::Prevents, Prevention::Prevents)
+    );
+    assert_eq!(
+        stopped.failed_points[0].avoidability.is_avoidable(),
+        Some(true)
+    );
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
     for tested in test("false-activation") {
-        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("ignores the sensors")));
+        assert!(
+            matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("ignores the sensors"))
+        );
     }
     let alone = run(&suite, &[find_controller("idm")], EstimatorKind::Truth).unwrap();
-    assert_eq!(alone.clauses[0].tests[0].controllers[0], test("stopped-lead")[1], "whoever else is tested");
+    assert_eq!(
+        alone.clauses[0].tests[0].controllers[0],
+        test("stopped-lead")[1],
+        "whoever else is tested"
+    );
 }
 
 #[test]
 fn every_situation_is_the_one_that_its_figures_say() {
     for (name, _) in SHIPPED_SUITES {
-        for test in shipped_suite(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
+        for test in shipped_suite(name)
+            .spec()
+            .clauses
+            .iter()
+            .flat_map(|clause| &clause.tests)
+        {
             let Some(lead) = test.lead else { continue };
             for point in test.grid() {
                 let scenario = test.scenario("point", "", &point).unwrap();
-                let [.., ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
+                let [.., ahead, own] = scenario.vehicles() else {
+                    panic!("two vehicles")
+                };
                 let value = |parameter| {
-                    let stated = test.parameters.iter().zip(&point).find(|((found, _), _)| *found == parameter);
-                    stated.map(|((_, figure), value)| value * figure.unit.si_factor()).unwrap()
+                    let stated = test
+                        .parameters
+                        .iter()
+                        .zip(&point)
+                        .find(|((found, _), _)| *found == parameter);
+                    stated
+                        .map(|((_, figure), value)| value * figure.unit.si_factor())
+                        .unwrap()
                 };
                 let gap_m = ahead.position_m - ahead.length_m() - own.position_m;
                 assert!((own.speed_mps - value(ParameterKind::OwnSpeed)).abs() < 1e-12);
@@ -454,11 +748,20 @@ fn every_situation_is_the_one_that_its_figures_say() {
                     LeadManeuver::Ghost => {
                         let ghost = scenario.spec().sensors.faults.ghost.unwrap();
                         let reached_s = ghost.gap_m / own.speed_mps;
-                        assert!((reached_s - value(ParameterKind::ClosingTime)).abs() < 1e-12 && closing_mps == 0.0);
-                        assert_eq!((ghost.speed_mps, ghost.duration_s), (0.0, value(ParameterKind::GhostTime)));
+                        assert!(
+                            (reached_s - value(ParameterKind::ClosingTime)).abs() < 1e-12
+                                && closing_mps == 0.0
+                        );
+                        assert_eq!(
+                            (ghost.speed_mps, ghost.duration_s),
+                            (0.0, value(ParameterKind::GhostTime))
+                        );
                     }
                     LeadManeuver::Decelerating => {
-                        assert!(closing_mps == 0.0 && (gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
+                        assert!(
+                            closing_mps == 0.0 && (gap_m - gap_stated_m()).abs() < 1e-9,
+                            "{gap_m}"
+                        );
                     }
                     LeadManeuver::CutOut => {
                         let revealed = &scenario.vehicles()[0];
@@ -470,7 +773,8 @@ fn every_situation_is_the_one_that_its_figures_say() {
                         assert!((gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                         let leaves_m = to_it_m - 0.01 * ahead.speed_mps;
                         assert!(
-                            (leaves_m / ahead.speed_mps - value(ParameterKind::ClosingTime)).abs() < 1e-9,
+                            (leaves_m / ahead.speed_mps - value(ParameterKind::ClosingTime)).abs()
+                                < 1e-9,
                             "{to_it_m}"
                         );
                     }
@@ -479,9 +783,13 @@ fn every_situation_is_the_one_that_its_figures_say() {
                             (ahead.speed_mps, ahead.enters),
                             (value(ParameterKind::LeadSpeed), Some(LaneChange::At(0.0)))
                         );
-                        assert!((gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12);
+                        assert!(
+                            (gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12
+                        );
                     }
-                    _ => assert!((gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12),
+                    _ => assert!(
+                        (gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12
+                    ),
                 }
             }
         }
@@ -494,32 +802,61 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
     let suite = shipped_suite("fmvss-127");
     let drivers = ["match-leader", "idm", "acc-aeb", "constant-brake"].map(find_controller);
     let result = run(&suite, &drivers, EstimatorKind::Truth).unwrap();
-    let (_, test) = result.tests().find(|(_, test)| test.name == "decelerating-lead").unwrap();
+    let (_, test) = result
+        .tests()
+        .find(|(_, test)| test.name == "decelerating-lead")
+        .unwrap();
     for (tested, driver) in test.controllers.iter().zip(&drivers) {
-        let within = tested.worst_in_tolerance.as_ref().expect("the clause has ranges");
+        let within = tested
+            .worst_in_tolerance
+            .as_ref()
+            .expect("the clause has ranges");
         assert_eq!(within.points_run, 256 + 5 * 48);
         let impact_mps = |verdict: &TestVerdict| match verdict {
-            TestVerdict::Failed { impact_speed_mps, .. } => *impact_speed_mps,
+            TestVerdict::Failed {
+                impact_speed_mps, ..
+            } => *impact_speed_mps,
             _ => 0.0,
         };
-        assert!(impact_mps(&within.verdict) > impact_mps(&tested.verdict) - 0.3, "{}: {within:?}", tested.controller);
-        if let (true, Some(gap_m), Some(grid_m)) = (tested.is_passed(), within.min_gap_m, tested.min_gap_m) {
-            assert!(gap_m < grid_m + 0.3, "{}: {gap_m} {grid_m}", tested.controller);
+        assert!(
+            impact_mps(&within.verdict) > impact_mps(&tested.verdict) - 0.3,
+            "{}: {within:?}",
+            tested.controller
+        );
+        if let (true, Some(gap_m), Some(grid_m)) =
+            (tested.is_passed(), within.min_gap_m, tested.min_gap_m)
+        {
+            assert!(
+                gap_m < grid_m + 0.3,
+                "{}: {gap_m} {grid_m}",
+                tested.controller
+            );
         }
         if let Some(failed) = &within.failed_point {
             let options = RunOptions::new(driver.kind.clone()).with_estimator(EstimatorKind::Truth);
-            let again = simulate(&Run::new(&failed.scenario, options).unwrap(), RecordingLevel::Summary);
+            let again = simulate(
+                &Run::new(&failed.scenario, options).unwrap(),
+                RecordingLevel::Summary,
+            );
             let contact = again.outcome.contact().expect("replays");
             assert_eq!(contact.impact_speed_mps, impact_mps(&within.verdict));
             let gap_m = failed.scenario.initial_gap_m(1).unwrap();
             assert!((12.0..=40.0).contains(&gap_m));
         }
     }
-    assert_eq!(run(&suite, &drivers[1..2], EstimatorKind::Truth).unwrap().clauses[0].tests, {
-        let mut alone = result.clauses[0].tests.clone();
-        alone.iter_mut().for_each(|test| test.controllers = vec![test.controllers[1].clone()]);
-        alone
-    });
+    assert_eq!(
+        run(&suite, &drivers[1..2], EstimatorKind::Truth)
+            .unwrap()
+            .clauses[0]
+            .tests,
+        {
+            let mut alone = result.clauses[0].tests.clone();
+            alone
+                .iter_mut()
+                .for_each(|test| test.controllers = vec![test.controllers[1].clone()]);
+            alone
+        }
+    );
 }
 
 /// S7.1 lets the lead reach its deceleration in any time up to 1.5 s. This controller, which holds 80 km/h before it
@@ -529,19 +866,40 @@ fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
     let verdicts = |ramp_s: &[f64]| {
         let mut spec = shipped_suite("fmvss-127").spec().clone();
         spec.clauses.truncate(1);
-        spec.clauses[0].tests.retain(|test| test.name == "decelerating-lead");
+        spec.clauses[0]
+            .tests
+            .retain(|test| test.name == "decelerating-lead");
         let test = &mut spec.clauses[0].tests[0];
         test.margins.clear();
         test.parameters.own_speed.as_mut().unwrap().values = vec![80.0];
         test.parameters.ramp.as_mut().unwrap().values = ramp_s.to_vec();
-        test.ranges.retain(|range| *range != ParameterKind::Ramp || ramp_s.len() > 1);
+        test.ranges
+            .retain(|range| *range != ParameterKind::Ramp || ramp_s.len() > 1);
         let controller = find_controller("acc-aeb,ttc_s=1.157,set_speed_mps=22.2222");
-        let result = run(&TestSuite::new(spec).unwrap(), &[controller], EstimatorKind::Kalman).unwrap();
+        let result = run(
+            &TestSuite::new(spec).unwrap(),
+            &[controller],
+            EstimatorKind::Kalman,
+        )
+        .unwrap();
         let tested = &result.clauses[0].tests[0].controllers[0];
-        [tested.verdict.is_passed(), tested.worst_in_tolerance.as_ref().unwrap().verdict.is_passed()]
+        [
+            tested.verdict.is_passed(),
+            tested
+                .worst_in_tolerance
+                .as_ref()
+                .unwrap()
+                .verdict
+                .is_passed(),
+        ]
     };
     assert_eq!(verdicts(&[1.5]), [true, true]);
-    let stated = shipped_suite("fmvss-127").spec().clauses[0].tests[2].parameters.ramp.clone().unwrap().values;
+    let stated = shipped_suite("fmvss-127").spec().clauses[0].tests[2]
+        .parameters
+        .ramp
+        .clone()
+        .unwrap()
+        .values;
     assert_eq!(verdicts(&stated), [true, false]);
 }
 
@@ -549,22 +907,33 @@ fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
 #[test]
 fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
     let mut spec = shipped_suite("un-r157").spec().clone();
-    spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).for_each(|test| test.margins.clear());
+    spec.clauses
+        .iter_mut()
+        .flat_map(|clause| &mut clause.tests)
+        .for_each(|test| test.margins.clear());
     let suite = TestSuite::new(spec).unwrap();
     for estimator in EstimatorKind::ALL {
         let result = run(&suite, &[find_controller("competent-human")], estimator).unwrap();
         for (_, test) in result.tests() {
             let tested = &test.controllers[0];
             if test.name.starts_with("cut-in") {
-                let brakes =
-                    |run: &ReferenceRun| run.driver == "competent-human" && run.prevention == Prevention::Collides;
+                let brakes = |run: &ReferenceRun| {
+                    run.driver == "competent-human" && run.prevention == Prevention::Collides
+                };
                 assert!(
-                    tested.failed_points.iter().all(|failed| failed.references.iter().any(brakes)),
+                    tested
+                        .failed_points
+                        .iter()
+                        .all(|failed| failed.references.iter().any(brakes)),
                     "{}",
                     test.name
                 );
             } else if test.name == "cut-out" {
-                assert!(tested.verdict.is_passed(), "{estimator:?}: {:?}", tested.verdict);
+                assert!(
+                    tested.verdict.is_passed(),
+                    "{estimator:?}: {:?}",
+                    tested.verdict
+                );
             }
         }
     }
@@ -575,16 +944,31 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
 #[test]
 fn a_cut_in_fails_as_the_closed_form_predicts() {
     let mut spec = shipped_suite("afgbv-cut-in").spec().clone();
-    for (test, slower_mps) in
-        spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).zip([10.0, 20.0, 30.0].map(|v| v / 3.6))
+    for (test, slower_mps) in spec
+        .clauses
+        .iter_mut()
+        .flat_map(|clause| &mut clause.tests)
+        .zip([10.0, 20.0, 30.0].map(|v| v / 3.6))
     {
         test.parameters.closing_time.as_mut().unwrap().values = vec![slower_mps / 12.0 + 0.5];
     }
-    let result = run(&TestSuite::new(spec).unwrap(), &[find_controller("r157-simple")], EstimatorKind::Truth).unwrap();
+    let result = run(
+        &TestSuite::new(spec).unwrap(),
+        &[find_controller("r157-simple")],
+        EstimatorKind::Truth,
+    )
+    .unwrap();
     for ((_, test), slower_mps) in result.tests().zip([10.0, 20.0, 30.0].map(|v| v / 3.6)) {
         let tested = &test.controllers[0];
         assert!(tested.verdict.is_passed(), "{}", test.name);
-        let MarginEnd::Boundary { passes_at, fails_at, .. } = tested.margins[0].end else { panic!("{}", test.name) };
+        let MarginEnd::Boundary {
+            passes_at,
+            fails_at,
+            ..
+        } = tested.margins[0].end
+        else {
+            panic!("{}", test.name)
+        };
         let needed_s = slower_mps / 12.0 + 0.35;
         assert!(
             passes_at - fails_at < 0.001 && (needed_s..needed_s + 0.011).contains(&passes_at),
@@ -597,16 +981,33 @@ fn a_cut_in_fails_as_the_closed_form_predicts() {
 #[test]
 fn own_suites_cut_in_and_out() {
     let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result =
-        run(&suite, &[find_controller("acc-aeb"), find_controller("full-throttle")], EstimatorKind::Kalman).unwrap();
+    let result = run(
+        &suite,
+        &[find_controller("acc-aeb"), find_controller("full-throttle")],
+        EstimatorKind::Kalman,
+    )
+    .unwrap();
     for (_, test) in result.tests() {
         assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
-        assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed_points == 0, "{}", test.name);
+        assert!(
+            test.controllers[1].verdict.is_failure() && test.controllers[1].passed_points == 0,
+            "{}",
+            test.name
+        );
     }
     // The ego vehicle has the stated speed at the event, even if its controller prefers less.
-    let held_back = run(&suite, &[find_controller("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
+    let held_back = run(
+        &suite,
+        &[find_controller("idm,desired_speed_mps=5")],
+        EstimatorKind::Truth,
+    )
+    .unwrap();
     let clauses = held_back.clauses.iter().flat_map(|clause| &clause.tests);
-    assert!(clauses.flat_map(|test| &test.controllers).all(|tested| tested.points > 0 && !tested.verdict.is_refusal()));
+    assert!(
+        clauses
+            .flat_map(|test| &test.controllers)
+            .all(|tested| tested.points > 0 && !tested.verdict.is_refusal())
+    );
 }
 
 #[test]
@@ -620,14 +1021,25 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
     assert_eq!(exit_code(&json), 0);
     assert_eq!(json.stdout, run("2", "--format json").stdout);
     let message: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
-    assert!(message["statement"].as_str().unwrap().contains("no certification"));
+    assert!(
+        message["statement"]
+            .as_str()
+            .unwrap()
+            .contains("no certification")
+    );
 
     let text = run("2", "--out failures --expect passed");
     assert_eq!(exit_code(&text), 1);
-    let replay = stdout(&text).lines().find_map(|line| line.trim().strip_prefix("crumple ")).expect("a replay");
+    let replay = stdout(&text)
+        .lines()
+        .find_map(|line| line.trim().strip_prefix("crumple "))
+        .expect("a replay");
     run_ok(folder.path(), &format!("{replay} --expect collision"));
     let junit = run("2", "--format junit");
-    assert_contains(stdout(&junit), &["no certification", "<failure message=\"FAILED, collision"]);
+    assert_contains(
+        stdout(&junit),
+        &["no certification", "<failure message=\"FAILED, collision"],
+    );
 }
 
 #[test]
@@ -635,10 +1047,16 @@ fn listed_suites_are_shown_as_valid_suites() {
     let folder = temp_folder();
     let list = run_crumple(folder.path(), "suite list");
     for (name, _) in SHIPPED_SUITES {
-        assert_contains(stdout(&list), &[name, "no certification", UNSHIPPED_DOCUMENTS[0].0]);
+        assert_contains(
+            stdout(&list),
+            &[name, "no certification", UNSHIPPED_DOCUMENTS[0].0],
+        );
         let shown = run_crumple(folder.path(), &format!("show {name} --kind suite")).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
-        assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));
+        assert_eq!(
+            TestSuite::load(&folder.path().join("copy.toml")).unwrap(),
+            shipped_suite(name)
+        );
     }
     for (arguments, message) in [
         ("suite run no-such --controller idm", "neither a suite"),
@@ -653,11 +1071,29 @@ fn listed_suites_are_shown_as_valid_suites() {
 #[test]
 fn false_activation_is_tested_with_ghosts() {
     let suite = shipped_suite("fmvss-127");
-    let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Kalman).unwrap();
+    let result = run(
+        &suite,
+        &[find_controller("baseline")],
+        EstimatorKind::Kalman,
+    )
+    .unwrap();
     let tested = &result.clauses[1].tests[0].controllers[0];
-    assert!(matches!(tested.verdict, TestVerdict::Braked { max_brake_mps2 } if max_brake_mps2 > 7.0), "{tested:?}");
+    assert!(
+        matches!(tested.verdict, TestVerdict::Braked { max_brake_mps2 } if max_brake_mps2 > 7.0),
+        "{tested:?}"
+    );
     assert_eq!((tested.points, tested.passed_points), (9, 5));
-    let failing: Vec<_> = tested.failed_points.iter().map(|failed| failed.point.as_str()).collect();
-    assert!(failing.contains(&"own speed 80 km/h, closing time 1 s, ghost time 1 s"), "{failing:?}");
-    assert!(!failing.contains(&"own speed 80 km/h, closing time 4 s, ghost time 1 s"), "{failing:?}");
+    let failing: Vec<_> = tested
+        .failed_points
+        .iter()
+        .map(|failed| failed.point.as_str())
+        .collect();
+    assert!(
+        failing.contains(&"own speed 80 km/h, closing time 1 s, ghost time 1 s"),
+        "{failing:?}"
+    );
+    assert!(
+        !failing.contains(&"own speed 80 km/h, closing time 4 s, ghost time 1 s"),
+        "{failing:?}"
+    );
 }

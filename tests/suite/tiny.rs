@@ -49,6 +49,9 @@ pub(crate) fn retraining() -> String {
 
 /// Reduces the replay memory, so that checkpoints are small.
 pub(crate) fn with_small_memory(preset: &str) -> String {
-    let capacity = preset.lines().find(|line| line.starts_with("capacity = ")).expect("every preset has one");
+    let capacity = preset
+        .lines()
+        .find(|line| line.starts_with("capacity = "))
+        .expect("every preset has one");
     replace_passages(preset, &[(capacity, "capacity = 200")])
 }

@@ -13,7 +13,9 @@ fn the_page_about_trainings_names_every_field() {
         match value {
             serde_json::Value::Object(all) => {
                 let fields = all.get("properties").and_then(|fields| fields.as_object());
-                fields.into_iter().for_each(|fields| found.extend(fields.keys().map(String::as_str)));
+                fields
+                    .into_iter()
+                    .for_each(|fields| found.extend(fields.keys().map(String::as_str)));
                 all.values().for_each(|value| names_in(value, found));
             }
             serde_json::Value::Array(all) => all.iter().for_each(|value| names_in(value, found)),
@@ -38,14 +40,22 @@ fn the_page_about_trainings_names_every_field() {
 fn the_committed_training_schema_accepts_the_presets_and_refuses_nonsense() {
     let schema = json_schema();
     assert_committed("crates/learn/src/rl/training.schema.json", &schema);
-    let presets =
-        PRESETS.iter().map(|(name, _)| TrainingConfig::preset(name).unwrap()).chain([training_preset().unwrap()]);
+    let presets = PRESETS
+        .iter()
+        .map(|(name, _)| TrainingConfig::preset(name).unwrap())
+        .chain([training_preset().unwrap()]);
     for preset in presets {
         let value = serde_json::to_value(&preset).unwrap();
         validate(&schema, &schema, &value, "training").unwrap();
-        let parsed = |text: &toml::Table| TrainingConfig::parse(&toml::to_string(text).unwrap(), Path::new("preset"));
+        let parsed = |text: &toml::Table| {
+            TrainingConfig::parse(&toml::to_string(text).unwrap(), Path::new("preset"))
+        };
         let table: toml::Table = toml::to_string(&preset).unwrap().parse().unwrap();
-        assert_eq!(parsed(&table).unwrap(), preset, "a preset survives being written");
+        assert_eq!(
+            parsed(&table).unwrap(),
+            preset,
+            "a preset survives being written"
+        );
         let mut without_history = serde_json::to_value(&preset.environment.observation).unwrap();
         without_history["history"] = serde_json::json!(1);
         without_history["history_every"] = serde_json::json!(5);
@@ -56,16 +66,35 @@ fn the_committed_training_schema_accepts_the_presets_and_refuses_nonsense() {
             ("/learning/saturation_penalty", serde_json::json!(1e-50)),
             ("/environment/observation", without_history),
             ("/environment/estimator", serde_json::json!("eyes")),
-            ("/environment/costs", serde_json::json!({ "smoothness": 1.0 })),
-            ("/environment/observation", serde_json::json!({ "limit": 4.0 })),
+            (
+                "/environment/costs",
+                serde_json::json!({ "smoothness": 1.0 }),
+            ),
+            (
+                "/environment/observation",
+                serde_json::json!({ "limit": 4.0 }),
+            ),
             ("/spaces", serde_json::json!([{ "space": "traffic" }])),
         ] {
             let mut changed = value.clone();
             let (parent, name) = place.rsplit_once('/').unwrap();
-            changed.pointer_mut(parent).unwrap().as_object_mut().unwrap().insert(name.to_owned(), nonsense);
-            assert!(validate(&schema, &schema, &changed, "training").is_err(), "{}{place}", preset.name);
+            changed
+                .pointer_mut(parent)
+                .unwrap()
+                .as_object_mut()
+                .unwrap()
+                .insert(name.to_owned(), nonsense);
+            assert!(
+                validate(&schema, &schema, &changed, "training").is_err(),
+                "{}{place}",
+                preset.name
+            );
             let text = toml::to_string(&changed).unwrap();
-            assert!(TrainingConfig::parse(&text, Path::new("preset")).is_err(), "{}{place}", preset.name);
+            assert!(
+                TrainingConfig::parse(&text, Path::new("preset")).is_err(),
+                "{}{place}",
+                preset.name
+            );
         }
     }
 }

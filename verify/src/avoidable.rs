@@ -41,7 +41,9 @@ const OPS_PER_STEP: u64 = 20 * OPS_PER_INTERVAL_OP;
 
 pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     claim.scene.check()?;
-    work.charge_or_reject(claim.scene.instant_count() * claim.scene.vehicle_count() * OPS_PER_STEP)?;
+    work.charge_or_reject(
+        claim.scene.instant_count() * claim.scene.vehicle_count() * OPS_PER_STEP,
+    )?;
     check_profiles(claim)?;
     let (smallest_gap_m, afterwards) = replay(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
@@ -52,13 +54,19 @@ pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedCla
             after_horizon: afterwards,
         })
     } else {
-        Err(Rejection::GapTooSmall { stated_m, min_gap_m: smallest_gap_m })
+        Err(Rejection::GapTooSmall {
+            stated_m,
+            min_gap_m: smallest_gap_m,
+        })
     }
 }
 
 fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(), Rejection> {
     if witness.len() != scene.egos.len() {
-        return Err(Rejection::invalid("witness", "must have one profile for each ego vehicle"));
+        return Err(Rejection::invalid(
+            "witness",
+            "must have one profile for each ego vehicle",
+        ));
     }
     for (index, (profile, ego)) in witness.iter().zip(&scene.egos).enumerate() {
         scene.check_profile_length(profile, || format!("witness[{index}]"))?;
@@ -74,13 +82,21 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
 }
 
 /// Returns a lower bound of all gaps at all times, in metres, and the safety after the last instant.
-fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64, SafetyAfterHorizon), Rejection> {
-    let profiles: Vec<Vec<Interval>> = std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
-        .chain(witness.iter().map(|profile| expand_pieces(profile).map(Interval::point).collect()))
-        .collect();
-    let mut line: Vec<(Interval, Interval)> = std::iter::once((scene.leader.position_m, scene.leader.speed_mps))
-        .chain(scene.egos.iter().map(|ego| (ego.position_m, ego.speed_mps)))
-        .collect();
+fn replay(
+    AvoidableClaim { scene, witness, .. }: &AvoidableClaim,
+) -> Result<(f64, SafetyAfterHorizon), Rejection> {
+    let profiles: Vec<Vec<Interval>> =
+        std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
+            .chain(
+                witness
+                    .iter()
+                    .map(|profile| expand_pieces(profile).map(Interval::point).collect()),
+            )
+            .collect();
+    let mut line: Vec<(Interval, Interval)> =
+        std::iter::once((scene.leader.position_m, scene.leader.speed_mps))
+            .chain(scene.egos.iter().map(|ego| (ego.position_m, ego.speed_mps)))
+            .collect();
     let step_s = Interval::point(scene.step_s);
     let eighth = step_s.sqr() * Interval::point(0.125);
     let mut fires = scene.steps;
@@ -90,7 +106,8 @@ fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64
         if fires == scene.steps && must_fire(scene, &line, k) {
             fires = k;
         }
-        let mut accelerations: Vec<Interval> = profiles.iter().map(|profile| profile[k as usize]).collect();
+        let mut accelerations: Vec<Interval> =
+            profiles.iter().map(|profile| profile[k as usize]).collect();
         for ((x, v), &a) in line.iter_mut().zip(&accelerations) {
             let (covered_m, speed_mps) = distance_and_speed_after(*v, a, step_s);
             (*x, *v) = (*x + covered_m, speed_mps);
@@ -98,18 +115,27 @@ fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64
         accelerations.extend(scene.follower.as_ref().map(|follower| -follower.brake_mps2));
         let now = gaps_m(scene, &line, fires, k + 1);
         for (front, (begin, end)) in before.iter().zip(&now).enumerate() {
-            let (ahead, behind) =
-                (accelerations[front].max(Interval::ZERO), accelerations[front + 1].min(Interval::ZERO));
+            let (ahead, behind) = (
+                accelerations[front].max(Interval::ZERO),
+                accelerations[front + 1].min(Interval::ZERO),
+            );
             let gap_m = (begin.min(*end) - (ahead - behind) * eighth).low();
             if gap_m > 0.0 {
                 smallest_m = smallest_m.min(gap_m);
             } else {
-                return Err(Rejection::MayCollide { front_vehicle: front, step: k, gap_m });
+                return Err(Rejection::MayCollide {
+                    front_vehicle: front,
+                    step: k,
+                    gap_m,
+                });
             }
         }
         before = now;
     }
-    Ok((smallest_m, safety_after_horizon(scene, &line, fires, &before)))
+    Ok((
+        smallest_m,
+        safety_after_horizon(scene, &line, fires, &before),
+    ))
 }
 
 fn safety_after_horizon(
@@ -119,14 +145,28 @@ fn safety_after_horizon(
     gaps_m: &[Interval],
 ) -> SafetyAfterHorizon {
     // A lower bound of all speeds while no vehicle brakes below it.
-    let slowest = Interval::point(line.iter().map(|(_, v)| v.low()).fold(f64::INFINITY, f64::min));
+    let slowest = Interval::point(
+        line.iter()
+            .map(|(_, v)| v.low())
+            .fold(f64::INFINITY, f64::min),
+    );
     let followed = scene.follower.as_ref().map(|follower| {
-        let brakes = fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
-        let brake_mps2 = if brakes { follower.brake_mps2 } else { Interval::ZERO };
-        (scene.follower_speed_mps(follower, fires, scene.steps), brake_mps2)
+        let brakes =
+            fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
+        let brake_mps2 = if brakes {
+            follower.brake_mps2
+        } else {
+            Interval::ZERO
+        };
+        (
+            scene.follower_speed_mps(follower, fires, scene.steps),
+            brake_mps2,
+        )
     });
     let egos = scene.egos.iter().zip(line.iter().skip(1));
-    let behind = egos.map(|(ego, (_, v))| (*v, Interval::point(ego.max_brake_mps2))).chain(followed);
+    let behind = egos
+        .map(|(ego, (_, v))| (*v, Interval::point(ego.max_brake_mps2)))
+        .chain(followed);
     let behind: Vec<_> = behind.zip(gaps_m).collect();
     let keep_off = |to_mps: Interval| {
         behind.iter().all(|&((v, brake_mps2), &gap_m)| {
@@ -145,18 +185,31 @@ fn safety_after_horizon(
 }
 
 fn gaps_m(scene: &Scene, line: &[(Interval, Interval)], fires: u32, k: u32) -> Vec<Interval> {
-    let lengths_m = std::iter::once(scene.leader.length_m).chain(scene.egos.iter().map(|ego| ego.length_m));
-    let rears = line.iter().zip(lengths_m).map(|((x, _), length_m)| *x - Interval::point(length_m));
-    let follower = scene.follower.as_ref().map(|follower| scene.follower_position_m(follower, fires, k));
+    let lengths_m =
+        std::iter::once(scene.leader.length_m).chain(scene.egos.iter().map(|ego| ego.length_m));
+    let rears = line
+        .iter()
+        .zip(lengths_m)
+        .map(|((x, _), length_m)| *x - Interval::point(length_m));
+    let follower = scene
+        .follower
+        .as_ref()
+        .map(|follower| scene.follower_position_m(follower, fires, k));
     let fronts = line.iter().skip(1).map(|(x, _)| *x).chain(follower);
-    rears.zip(fronts).map(|(rear, front)| rear - front).collect()
+    rears
+        .zip(fronts)
+        .map(|(rear, front)| rear - front)
+        .collect()
 }
 
 /// True if at instant `k` the guard is negative in every member that has not fired.
 fn must_fire(scene: &Scene, line: &[(Interval, Interval)], k: u32) -> bool {
-    let (Some(follower), Some(ego), Some((x, v))) = (&scene.follower, scene.egos.last(), line.last()) else {
+    let (Some(follower), Some(ego), Some((x, v))) =
+        (&scene.follower, scene.egos.last(), line.last())
+    else {
         return false;
     };
-    let gap = *x - Interval::point(ego.length_m) - scene.follower_position_m(follower, scene.steps, k);
+    let gap =
+        *x - Interval::point(ego.length_m) - scene.follower_position_m(follower, scene.steps, k);
     (gap - Interval::point(follower.ttc_s) * (follower.speed_mps - *v)).high() < 0.0
 }

@@ -79,21 +79,45 @@ mod tests {
             let read = deserialize_map::<2, _>(&mut serde_json::Deserializer::from_str(text));
             read.map(|map| map.len()).map_err(|error| error.to_string())
         }
-        assert_eq!((numbers("[]"), numbers("[3, 4]")), (Ok(vec![]), Ok(vec![3, 4])));
-        assert_eq!((names("{}"), names(r#"{"a": "", "b": ""}"#)), (Ok(0), Ok(2)));
+        assert_eq!(
+            (numbers("[]"), numbers("[3, 4]")),
+            (Ok(vec![]), Ok(vec![3, 4]))
+        );
+        assert_eq!(
+            (names("{}"), names(r#"{"a": "", "b": ""}"#)),
+            (Ok(0), Ok(2))
+        );
         let starts = |error: Result<_, String>, with: &str| {
             let error = error.map(|_: usize| ()).unwrap_err();
             assert!(error.starts_with(with), "{error}");
         };
         for more in ["[3, 4, 5]", "[3, 4, 5, 6]"] {
             let refused = numbers(more).map(|list| list.len());
-            starts(refused, "invalid length 3, expected a list of at most 2 entries at line 1");
+            starts(
+                refused,
+                "invalid length 3, expected a list of at most 2 entries at line 1",
+            );
         }
-        for more in [r#"{"a": "", "b": "", "c": ""}"#, r#"{"a": "", "b": "", "c": "", "d": ""}"#] {
-            starts(names(more), "invalid length 3, expected at most 2 names with a text each at line 1");
+        for more in [
+            r#"{"a": "", "b": "", "c": ""}"#,
+            r#"{"a": "", "b": "", "c": "", "d": ""}"#,
+        ] {
+            starts(
+                names(more),
+                "invalid length 3, expected at most 2 names with a text each at line 1",
+            );
         }
-        starts(names(r#"{"a": "", "b": "", "a": ""}"#), "duplicate key \"a\"");
-        starts(numbers("{}").map(|list| list.len()), "invalid type: map, expected a list of at most 2 entries");
-        starts(names("[]"), "invalid type: sequence, expected at most 2 names with a text each");
+        starts(
+            names(r#"{"a": "", "b": "", "a": ""}"#),
+            "duplicate key \"a\"",
+        );
+        starts(
+            numbers("{}").map(|list| list.len()),
+            "invalid type: map, expected a list of at most 2 entries",
+        );
+        starts(
+            names("[]"),
+            "invalid type: sequence, expected at most 2 names with a text each",
+        );
     }
 }

@@ -22,7 +22,11 @@ pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, us
         if expected.next() != Some(byte) {
             return Some(line_and_column(text, place));
         }
-        in_string = if byte == b'"' && !escaped { !in_string } else { in_string };
+        in_string = if byte == b'"' && !escaped {
+            !in_string
+        } else {
+            in_string
+        };
         escaped = in_string && byte == b'\\' && !escaped;
     }
     expected.next().map(|_| line_and_column(text, text.len()))
@@ -30,16 +34,28 @@ pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, us
 
 fn line_and_column(text: &str, place: usize) -> (usize, usize) {
     let before = &text.as_bytes()[..place.min(text.len())];
-    let line_begins = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |newline| newline + 1);
-    (before.iter().filter(|&&byte| byte == b'\n').count() + 1, place - line_begins + 1)
+    let line_begins = before
+        .iter()
+        .rposition(|&byte| byte == b'\n')
+        .map_or(0, |newline| newline + 1);
+    (
+        before.iter().filter(|&&byte| byte == b'\n').count() + 1,
+        place - line_begins + 1,
+    )
 }
 
 pub(crate) fn sha256(bytes: impl AsRef<[u8]>) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }
 
 pub(crate) fn is_sha256(text: &str) -> bool {
-    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+    text.len() == 64
+        && text
+            .bytes()
+            .all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
 /// JSON whose objects have no duplicate names; all else is ignored.
@@ -107,7 +123,10 @@ mod tests {
     #[test]
     fn whitespace_between_tokens_is_all_that_may_differ() {
         let canonical = r#"{"a":[1.5,"x \" y"],"b":{}}"#;
-        for same in [canonical, "{\n  \"a\": [1.5, \"x \\\" y\"],\n\t\"b\": {}\r\n}\n"] {
+        for same in [
+            canonical,
+            "{\n  \"a\": [1.5, \"x \\\" y\"],\n\t\"b\": {}\r\n}\n",
+        ] {
             assert_eq!(first_difference(same, canonical), None, "{same}");
         }
         for (other, at) in [
@@ -123,8 +142,15 @@ mod tests {
 
     #[test]
     fn a_name_that_occurs_twice_is_found_at_any_depth() {
-        let read = |text: &str| serde_json::from_str::<UniqueKeys>(text).map(|_| ()).map_err(|error| error.to_string());
-        assert_eq!(read(r#"{"a": [{"b": 1}, {"b": null}], "b": {"a": true}}"#), Ok(()));
+        let read = |text: &str| {
+            serde_json::from_str::<UniqueKeys>(text)
+                .map(|_| ())
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(
+            read(r#"{"a": [{"b": 1}, {"b": null}], "b": {"a": true}}"#),
+            Ok(())
+        );
         let error = read(r#"{"a": [{"b": 1, "c": -1, "b": 1.5}]}"#).unwrap_err();
         assert!(error.starts_with("duplicate key \"b\""), "{error}");
     }
@@ -132,7 +158,10 @@ mod tests {
     #[test]
     fn invalid_json_is_refused() {
         let bytes = serde::de::value::BytesDeserializer::<serde::de::value::Error>::new(b"no text");
-        let error = UniqueKeys::deserialize(bytes).map(|_| ()).unwrap_err().to_string();
+        let error = UniqueKeys::deserialize(bytes)
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert_eq!(error, "invalid type: byte array, expected JSON");
     }
 }

@@ -179,7 +179,11 @@ impl Statement {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
             Self::GapBound(claim) => Some(&claim.scene),
-            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) | Self::Invariant(_) => None,
+            Self::Kernel(_)
+            | Self::Rate(_)
+            | Self::Comparison(_)
+            | Self::Reach(_)
+            | Self::Invariant(_) => None,
         }
     }
 
@@ -191,14 +195,24 @@ impl Statement {
             Self::Unavoidable(claim) => (&claim.scene, Assumption::EgoWithinLimits),
             Self::GapBound(claim) => (&claim.scene, Assumption::EgoWithinLimits),
             Self::Kernel(_) => {
-                return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
+                return vec![
+                    Assumption::ExactMotion,
+                    Assumption::LeaderWithinLimit,
+                    Assumption::EgoCanBrake,
+                ];
             }
             Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
             Self::Invariant(claim) => {
-                let always = [Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::PolicyDrives];
+                let always = [
+                    Assumption::ExactMotion,
+                    Assumption::LeaderWithinLimit,
+                    Assumption::PolicyDrives,
+                ];
                 let network = claim.network();
                 let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
-                let of_source = of_source.into_iter().filter(|_| network.is_some_and(|of| of.source.is_some()));
+                let of_source = of_source
+                    .into_iter()
+                    .filter(|_| network.is_some_and(|of| of.source.is_some()));
                 return (always.into_iter().chain([Assumption::ObservedWithin]))
                     .chain(network.map(|_| Assumption::TanhWithin))
                     .chain(of_source)
@@ -210,19 +224,37 @@ impl Statement {
                     Some(_) => Assumption::LeaderWithinLimit,
                     None => Assumption::ScriptedLeader,
                 };
-                let needed = [Assumption::ExactMotion, about_leader, Assumption::PolicyDrives];
-                let needed = needed.into_iter().chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
+                let needed = [
+                    Assumption::ExactMotion,
+                    about_leader,
+                    Assumption::PolicyDrives,
+                ];
+                let needed = needed
+                    .into_iter()
+                    .chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
                 let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
                 let needed = needed.chain(of_source.into_iter().filter(|_| claim.source.is_some()));
                 let latched = claim.follower_ttc_s.map(|_| Assumption::LatchedFollower);
                 return needed
                     .chain(latched)
-                    .chain(claim.follower_law.as_ref().map(|_| Assumption::FollowerByLaw))
+                    .chain(
+                        claim
+                            .follower_law
+                            .as_ref()
+                            .map(|_| Assumption::FollowerByLaw),
+                    )
                     .collect();
             }
         };
         let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);
-        [Assumption::ExactMotion, Assumption::ScriptedLeader, about_egos].into_iter().chain(follower).collect()
+        [
+            Assumption::ExactMotion,
+            Assumption::ScriptedLeader,
+            about_egos,
+        ]
+        .into_iter()
+        .chain(follower)
+        .collect()
     }
 }
 
@@ -298,7 +330,12 @@ pub struct Branch {
 /// # Errors
 /// Those of the system; [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
 pub fn open_regular_file(path: &Path) -> std::io::Result<File> {
-    let refuse = || Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "is not a regular file"));
+    let refuse = || {
+        Err(std::io::Error::new(
+            std::io::ErrorKind::InvalidInput,
+            "is not a regular file",
+        ))
+    };
     match path.metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => refuse(),
         _ => File::open(path),
@@ -319,10 +356,14 @@ pub enum CertificateParseError {
     #[error("is not a certificate: {0}")]
     Json(#[from] serde_json::Error),
     /// The version is unknown.
-    #[error("has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known")]
+    #[error(
+        "has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known"
+    )]
     UnknownVersion(u32),
     /// The text is not canonical: fields in another order, numbers with superfluous digits, explicit defaults.
-    #[error("is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ")]
+    #[error(
+        "is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ"
+    )]
     NotCanonical {
         /// First line that differs from the canonical text, from 1.
         line: usize,
@@ -337,9 +378,9 @@ impl Certificate {
     pub fn policy_reference(&self) -> Option<(&str, &str)> {
         match &self.statement {
             Statement::Reach(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
-            Statement::Invariant(claim) => {
-                claim.network().map(|network| (network.policy_file.as_str(), network.policy_sha256.as_str()))
-            }
+            Statement::Invariant(claim) => claim
+                .network()
+                .map(|network| (network.policy_file.as_str(), network.policy_sha256.as_str())),
             _ => None,
         }
     }
@@ -350,7 +391,11 @@ impl Certificate {
     pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
         let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
         let mut bytes = Vec::new();
-        open_regular_file(policy.unwrap_or(&beside)).ok()?.take(MAX_BYTES as u64).read_to_end(&mut bytes).ok()?;
+        open_regular_file(policy.unwrap_or(&beside))
+            .ok()?
+            .take(MAX_BYTES as u64)
+            .read_to_end(&mut bytes)
+            .ok()?;
         Some(bytes)
     }
 
@@ -358,7 +403,9 @@ impl Certificate {
     pub(crate) fn has_required_assumptions(&self) -> bool {
         let needed = self.statement.assumptions();
         let noise = usize::from(self.assumptions.contains(&Assumption::NoiseOfSeed));
-        needed.iter().all(|assumption| self.assumptions.contains(assumption))
+        needed
+            .iter()
+            .all(|assumption| self.assumptions.contains(assumption))
             && self.assumptions.len() == needed.len() + noise
     }
 
@@ -417,7 +464,10 @@ impl Certificate {
     /// [`CertificateParseError`] if it cannot be read or is not a certificate.
     pub fn from_reader(source: impl std::io::Read) -> Result<Self, CertificateParseError> {
         let mut text = String::new();
-        std::io::Read::read_to_string(&mut std::io::Read::take(source, MAX_BYTES as u64 + 1), &mut text)?;
+        std::io::Read::read_to_string(
+            &mut std::io::Read::take(source, MAX_BYTES as u64 + 1),
+            &mut text,
+        )?;
         Self::from_json(&text)
     }
 }

@@ -100,19 +100,43 @@ impl Scene {
         if !(1..=MAX_EGOS).contains(&self.egos.len()) {
             return Err(Rejection::invalid("egos", "must be from 1 to 16"));
         }
-        let SceneLeader { length_m, speed_mps, acceleration_mps2, .. } = &self.leader;
-        check_nonnegative("leader", &[("length_m", *length_m), ("speed_mps", speed_mps.low())])?;
+        let SceneLeader {
+            length_m,
+            speed_mps,
+            acceleration_mps2,
+            ..
+        } = &self.leader;
+        check_nonnegative(
+            "leader",
+            &[("length_m", *length_m), ("speed_mps", speed_mps.low())],
+        )?;
         self.check_profile_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
         for (index, ego) in self.egos.iter().enumerate() {
-            let limits = [("max_brake_mps2", ego.max_brake_mps2), ("max_accel_mps2", ego.max_accel_mps2)];
+            let limits = [
+                ("max_brake_mps2", ego.max_brake_mps2),
+                ("max_accel_mps2", ego.max_accel_mps2),
+            ];
             check_nonnegative(&format!("egos[{index}]"), &limits)?;
             check_nonnegative(
                 &format!("egos[{index}]"),
-                &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())],
+                &[
+                    ("length_m", ego.length_m),
+                    ("speed_mps", ego.speed_mps.low()),
+                ],
             )?;
         }
-        if let Some(SceneFollower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
-            let fields = [("speed_mps", speed_mps.low()), ("brake_mps2", brake_mps2.low()), ("ttc_s", *ttc_s)];
+        if let Some(SceneFollower {
+            speed_mps,
+            brake_mps2,
+            ttc_s,
+            ..
+        }) = &self.follower
+        {
+            let fields = [
+                ("speed_mps", speed_mps.low()),
+                ("brake_mps2", brake_mps2.low()),
+                ("ttc_s", *ttc_s),
+            ];
             check_nonnegative("follower", &fields)?;
         }
         Ok(())
@@ -139,7 +163,9 @@ impl Scene {
         field: impl Fn() -> String,
     ) -> Result<(), Rejection> {
         // Saturating: 2^32 pieces of 2^32 steps would overflow, and their total is not N either.
-        let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
+        let steps = held
+            .iter()
+            .fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {
             Ok(())
         } else {
@@ -153,8 +179,14 @@ pub(crate) fn steps_to_seconds(step_s: f64, steps: u32) -> f64 {
 }
 
 fn check_nonnegative(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
-    match fields.iter().find(|(_, value)| !(*value >= 0.0 && value.is_finite())) {
-        Some((name, _)) => Err(Rejection::invalid(format!("{of}.{name}"), "is negative or infinite")),
+    match fields
+        .iter()
+        .find(|(_, value)| !(*value >= 0.0 && value.is_finite()))
+    {
+        Some((name, _)) => Err(Rejection::invalid(
+            format!("{of}.{name}"),
+            "is negative or infinite",
+        )),
         None => Ok(()),
     }
 }

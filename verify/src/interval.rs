@@ -21,9 +21,18 @@ pub struct Interval {
 
 impl Interval {
     /// Exactly zero.
-    pub const ZERO: Self = Self { low: 0.0, high: 0.0 };
-    pub(crate) const ONE: Self = Self { low: 1.0, high: 1.0 };
-    pub(crate) const ENTIRE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
+    pub const ZERO: Self = Self {
+        low: 0.0,
+        high: 0.0,
+    };
+    pub(crate) const ONE: Self = Self {
+        low: 1.0,
+        high: 1.0,
+    };
+    pub(crate) const ENTIRE: Self = Self {
+        low: f64::NEG_INFINITY,
+        high: f64::INFINITY,
+    };
 
     /// Returns the numbers from `low` to `high`, or `None` unless both are finite and in order.
     #[must_use]
@@ -53,7 +62,10 @@ impl Interval {
         if !middle.is_finite() {
             return (0.0, f64::INFINITY);
         }
-        (middle, (self.high - middle).max(middle - self.low).next_up())
+        (
+            middle,
+            (self.high - middle).max(middle - self.low).next_up(),
+        )
     }
 
     /// Returns the lower end.
@@ -76,13 +88,24 @@ impl Interval {
 
     /// Moves ends that were rounded to nearest outwards. NaN compares false and gives the whole line.
     fn round_outward(low: f64, high: f64) -> Self {
-        if low <= high { Self { low: low.next_down(), high: high.next_up() } } else { Self::ENTIRE }
+        if low <= high {
+            Self {
+                low: low.next_down(),
+                high: high.next_up(),
+            }
+        } else {
+            Self::ENTIRE
+        }
     }
 
     /// Returns the quotient; the whole line if the divisor may be zero.
     #[must_use]
     pub fn over(self, divisor: Self) -> Self {
-        if divisor.contains(0.0) { Self::ENTIRE } else { self.apply_at_corners(divisor, |a, b| a / b) }
+        if divisor.contains(0.0) {
+            Self::ENTIRE
+        } else {
+            self.apply_at_corners(divisor, |a, b| a / b)
+        }
     }
 
     /// Returns the square: never negative, unlike the product of two independent members.
@@ -91,38 +114,63 @@ impl Interval {
         let (a, b) = (self.low.abs(), self.high.abs());
         let nearest = if self.contains(0.0) { 0.0 } else { a.min(b) };
         let square = Self::round_outward(nearest * nearest, a.max(b) * a.max(b));
-        Self { low: square.low.max(0.0), ..square }
+        Self {
+            low: square.low.max(0.0),
+            ..square
+        }
     }
 
     /// Returns the square root of the members that are not negative; the whole line if there is none.
     #[must_use]
     pub fn sqrt(self) -> Self {
         let root = Self::round_outward(self.low.max(0.0).sqrt(), self.high.sqrt());
-        if self.high < 0.0 { Self::ENTIRE } else { Self { low: root.low.max(0.0), ..root } }
+        if self.high < 0.0 {
+            Self::ENTIRE
+        } else {
+            Self {
+                low: root.low.max(0.0),
+                ..root
+            }
+        }
     }
 
     /// Returns the range of min(x, y) for x and y in the two intervals.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
-        Self { low: self.low.min(other.low), high: self.high.min(other.high) }
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.min(other.high),
+        }
     }
 
     /// Returns the range of max(x, y) for x and y in the two intervals.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
-        Self { low: self.low.max(other.low), high: self.high.max(other.high) }
+        Self {
+            low: self.low.max(other.low),
+            high: self.high.max(other.high),
+        }
     }
 
     /// Returns the smallest interval that holds both.
     #[must_use]
     pub fn hull(self, other: Self) -> Self {
-        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
     }
 
     /// Applies an operation whose extremes are at the ends of both operands.
     fn apply_at_corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
-        let [a, b] = [operation(self.low, other.low), operation(self.low, other.high)];
-        let [c, d] = [operation(self.high, other.low), operation(self.high, other.high)];
+        let [a, b] = [
+            operation(self.low, other.low),
+            operation(self.low, other.high),
+        ];
+        let [c, d] = [
+            operation(self.high, other.low),
+            operation(self.high, other.high),
+        ];
         // The sum is NaN if one of them is; NaN from opposite infinities loses nothing.
         if (a + b + c + d).is_nan() {
             Self::ENTIRE
@@ -150,7 +198,10 @@ impl Neg for Interval {
     type Output = Self;
 
     fn neg(self) -> Self {
-        Self { low: -self.high, high: -self.low }
+        Self {
+            low: -self.high,
+            high: -self.low,
+        }
     }
 }
 
@@ -186,7 +237,11 @@ struct IntervalEnds {
 
 impl From<Interval> for IntervalRepr {
     fn from(Interval { low, high }: Interval) -> Self {
-        if low == high { Self::Number(low) } else { Self::Ends(IntervalEnds { low, high }) }
+        if low == high {
+            Self::Number(low)
+        } else {
+            Self::Ends(IntervalEnds { low, high })
+        }
     }
 }
 
@@ -219,11 +274,13 @@ impl<'de> Visitor<'de> for IntervalVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, fields: A) -> Result<Interval, A::Error> {
-        let IntervalEnds { low, high } = IntervalEnds::deserialize(MapAccessDeserializer::new(fields))?;
+        let IntervalEnds { low, high } =
+            IntervalEnds::deserialize(MapAccessDeserializer::new(fields))?;
         from_ends(low, high)
     }
 }
 
 fn from_ends<E: Error>(low: f64, high: f64) -> Result<Interval, E> {
-    Interval::new(low, high).ok_or_else(|| E::custom(format!("an interval from {low} to {high} has no members")))
+    Interval::new(low, high)
+        .ok_or_else(|| E::custom(format!("an interval from {low} to {high} has no members")))
 }

@@ -94,14 +94,34 @@ pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim
     positive("margin_m", &kernel.margin_m)?;
     let p = parse_rational("stopping_own_squared", &kernel.stopping_own_squared)?;
     let q = parse_rational("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
-    let r = kernel.catching_up_squared.as_ref().map(|text| parse_rational("catching_up_squared", text)).transpose()?;
-    let limits = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
+    let r = kernel
+        .catching_up_squared
+        .as_ref()
+        .map(|text| parse_rational("catching_up_squared", text))
+        .transpose()?;
+    let limits = BrakeLimits {
+        b: &b,
+        c: &c,
+        stopping_coefficients: [&p, &q],
+    };
     let cases = match (r, b > c) {
-        (Some(r), true) => {
-            [&limits.last_stop_cases()[..], &[limits.harder_braking_case()], &limits.catching_up_cases(&r)].concat()
+        (Some(r), true) => [
+            &limits.last_stop_cases()[..],
+            &[limits.harder_braking_case()],
+            &limits.catching_up_cases(&r),
+        ]
+        .concat(),
+        (None, false) => [
+            &limits.last_stop_cases()[..],
+            &limits.softer_braking_cases(),
+        ]
+        .concat(),
+        _ => {
+            return Err(Rejection::invalid(
+                "catching_up_squared",
+                "must be present exactly if b > c",
+            ));
         }
-        (None, false) => [&limits.last_stop_cases()[..], &limits.softer_braking_cases()].concat(),
-        _ => return Err(Rejection::invalid("catching_up_squared", "must be present exactly if b > c")),
     };
     match cases.into_iter().find(|case| !case.holds()) {
         Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
@@ -110,7 +130,11 @@ pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim
 }
 
 fn parse_rational(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
-    let read = if text.len() > MAX_NUMBER_CHARS { None } else { text.parse().ok() };
+    let read = if text.len() > MAX_NUMBER_CHARS {
+        None
+    } else {
+        text.parse().ok()
+    };
     read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
 }
 
@@ -126,15 +150,27 @@ struct ProofCase {
 
 impl ProofCase {
     fn zero(failure_message: &'static str, polynomial: Polynomial) -> Self {
-        Self { failure_message, polynomial, must_be_zero: true }
+        Self {
+            failure_message,
+            polynomial,
+            must_be_zero: true,
+        }
     }
 
     fn nonnegative(failure_message: &'static str, polynomial: Polynomial) -> Self {
-        Self { failure_message, polynomial, must_be_zero: false }
+        Self {
+            failure_message,
+            polynomial,
+            must_be_zero: false,
+        }
     }
 
     fn holds(&self) -> bool {
-        if self.must_be_zero { self.polynomial.is_zero() } else { self.polynomial.has_no_negative_coefficient() }
+        if self.must_be_zero {
+            self.polynomial.is_zero()
+        } else {
+            self.polynomial.has_no_negative_coefficient()
+        }
     }
 }
 
@@ -163,7 +199,8 @@ impl BrakeLimits<'_> {
     /// Returns S = p v² + q w² with v = b A and w = c B.
     fn difference_of_stops(&self, a: &Polynomial, b: &Polynomial) -> Polynomial {
         let (v, w) = (self.b * a, self.c * b);
-        &(self.stopping_coefficients[0] * &v.squared()) + &(self.stopping_coefficients[1] * &w.squared())
+        &(self.stopping_coefficients[0] * &v.squared())
+            + &(self.stopping_coefficients[1] * &w.squared())
     }
 
     /// S is the final value of closing, and bounds it from the leader's stop on; A and B in any order.
@@ -188,7 +225,10 @@ impl BrakeLimits<'_> {
         let (b, a) = (&x + &y, &(&x + &y) + &z);
         let at_end = self.closing_distance([&a, &a], [&b, &b]);
         let to_come = &at_end - &self.closing_distance([&a, &x], [&b, &x]);
-        ProofCase::nonnegative("fails where both move, the own vehicle brakes harder and stops last", to_come)
+        ProofCase::nonnegative(
+            "fails where both move, the own vehicle brakes harder and stops last",
+            to_come,
+        )
     }
 
     /// b > c, and the own vehicle stops first: D = r (v - w)² for v > w, else 0.
@@ -211,12 +251,22 @@ impl BrakeLimits<'_> {
         let falling_back = -&self.closing_distance([&x, &y], [&ahead, &y]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z. Closing has not grown since its stop.
         let (t, b) = (&x + &y, &(&x + &y) + &z);
-        let since_stop = &self.closing_distance([&x, &x], [&b, &x]) - &self.closing_distance([&x, &x], [&b, &t]);
+        let since_stop =
+            &self.closing_distance([&x, &x], [&b, &x]) - &self.closing_distance([&x, &x], [&b, &t]);
         [
-            ProofCase::zero("fails where both move, the own vehicle brakes harder and stops first", both_move),
-            ProofCase::nonnegative("fails where closing turns round after the own stop", before_stop),
+            ProofCase::zero(
+                "fails where both move, the own vehicle brakes harder and stops first",
+                both_move,
+            ),
+            ProofCase::nonnegative(
+                "fails where closing turns round after the own stop",
+                before_stop,
+            ),
             ProofCase::nonnegative("fails where the own vehicle is slower", falling_back),
-            ProofCase::nonnegative("fails where only the own vehicle stands, having braked harder", since_stop),
+            ProofCase::nonnegative(
+                "fails where only the own vehicle stands, having braked harder",
+                since_stop,
+            ),
         ]
     }
 
@@ -226,7 +276,8 @@ impl BrakeLimits<'_> {
         // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >=
         // 0.
         let (b, a) = (&x + &y, &(&x + &y) + &z);
-        let stop_ahead = &(&x * &self.difference_of_stops(&a, &b)) - &(&b * &self.closing_distance([&a, &x], [&b, &x]));
+        let stop_ahead = &(&x * &self.difference_of_stops(&a, &b))
+            - &(&b * &self.closing_distance([&a, &x], [&b, &x]));
         // The own vehicle stops first: closing <= 0 throughout. Both move: t = x, A = x + y, B = x + y + z.
         let both_move = -&self.closing_distance([&b, &x], [&a, &x]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z.
@@ -234,10 +285,19 @@ impl BrakeLimits<'_> {
         // Both stand: A = x, B = x + y.
         let both_stand = -&self.closing_distance([&x, &x], [&b, &b]);
         [
-            ProofCase::nonnegative("fails where both move, the own vehicle stops last", stop_ahead),
-            ProofCase::nonnegative("fails where both move, the own vehicle stops first", both_move),
+            ProofCase::nonnegative(
+                "fails where both move, the own vehicle stops last",
+                stop_ahead,
+            ),
+            ProofCase::nonnegative(
+                "fails where both move, the own vehicle stops first",
+                both_move,
+            ),
             ProofCase::nonnegative("fails where only the own vehicle stands", own_stands),
-            ProofCase::nonnegative("fails where both stand, the own vehicle stopped first", both_stand),
+            ProofCase::nonnegative(
+                "fails where both stand, the own vehicle stopped first",
+                both_stand,
+            ),
         ]
     }
 }

@@ -72,8 +72,8 @@ pub mod unavoidable;
 pub mod work;
 
 pub use certificate::{
-    Assumption, AvoidableClaim, Branch, Certificate, CertificateParseError, CertificateProvenance, GapBoundClaim,
-    MultiplierRows, Statement, UnavoidableClaim,
+    Assumption, AvoidableClaim, Branch, Certificate, CertificateParseError, CertificateProvenance,
+    GapBoundClaim, MultiplierRows, Statement, UnavoidableClaim,
 };
 pub use claim::{ConstantPiece, Scene, SceneEgo, SceneFollower, SceneLeader};
 pub use interval::Interval;
@@ -179,7 +179,9 @@ impl SafetyAfterHorizon {
 impl std::fmt::Display for SafetyAfterHorizon {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Self::ForAnyLeader => "and a collision remains avoidable afterwards, whatever the leader does",
+            Self::ForAnyLeader => {
+                "and a collision remains avoidable afterwards, whatever the leader does"
+            }
             Self::UnlessLeaderBrakes => {
                 "and a collision remains avoidable afterwards, if the leader does not brake again"
             }
@@ -274,7 +276,9 @@ pub enum Rejection {
         needed: Vec<Assumption>,
     },
     /// Two vehicles may collide on the stated profile.
-    #[error("vehicle {front_vehicle} and its follower may collide in step {step}: only a gap of {gap_m} m is proved")]
+    #[error(
+        "vehicle {front_vehicle} and its follower may collide in step {step}: only a gap of {gap_m} m is proved"
+    )]
     MayCollide {
         /// Index of the vehicle ahead, 0 for the leader.
         front_vehicle: usize,
@@ -292,7 +296,9 @@ pub enum Rejection {
         min_gap_m: f64,
     },
     /// The branches do not cover the firing instants one after the other.
-    #[error("`branches[{branch}]` must begin where the previous one ends, and end no later than instant N")]
+    #[error(
+        "`branches[{branch}]` must begin where the previous one ends, and end no later than instant N"
+    )]
     Tiling {
         /// Index of the branch.
         branch: usize,
@@ -357,7 +363,10 @@ pub enum Rejection {
 
 impl Rejection {
     fn invalid(field: impl Into<String>, problem: &'static str) -> Self {
-        Self::Invalid { field: field.into(), problem }
+        Self::Invalid {
+            field: field.into(),
+            problem,
+        }
     }
 }
 
@@ -379,7 +388,9 @@ pub fn check_with(
     limit: WorkLimit,
 ) -> Result<ProvedClaim, Rejection> {
     if !certificate.has_required_assumptions() {
-        return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
+        return Err(Rejection::Assumptions {
+            needed: certificate.statement.assumptions(),
+        });
     }
     if !certificate.is_first_version() {
         binding::check(certificate)?;
@@ -392,7 +403,9 @@ pub fn check_with(
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
-        Statement::Reach(claim) => reach::check(claim, policy, certificate.is_first_version(), work),
+        Statement::Reach(claim) => {
+            reach::check(claim, policy, certificate.is_first_version(), work)
+        }
         Statement::Invariant(claim) => invariant::check(claim, policy, work),
     }
 }

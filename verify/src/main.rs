@@ -22,11 +22,17 @@ fn main() -> ExitCode {
         if option == "--policy" {
             policy = value;
         } else {
-            limit = value.and_then(|value| value.to_str()?.parse().ok()).map(WorkLimit::from_billions);
+            limit = value
+                .and_then(|value| value.to_str()?.parse().ok())
+                .map(WorkLimit::from_billions);
         }
     }
     let (policy, paths) = (policy.as_ref().map(Path::new), words);
-    let worst = limit.and_then(|limit| paths.map(|path| check_file(Path::new(&path), policy, limit)).max());
+    let worst = limit.and_then(|limit| {
+        paths
+            .map(|path| check_file(Path::new(&path), policy, limit))
+            .max()
+    });
     ExitCode::from(worst.unwrap_or_else(|| {
         eprintln!("usage: crumple-verify [--policy FILE] [--work-limit N] FILE...");
         2
@@ -35,22 +41,35 @@ fn main() -> ExitCode {
 
 fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     let name = path.display();
-    let certificate =
-        match open_regular_file(path).map_err(CertificateParseError::from).and_then(Certificate::from_reader) {
-            Ok(certificate) => certificate,
-            Err(error) => {
-                // A token of the file may be as long as the file.
-                let problem: String = error.to_string().chars().take(MAX_PROBLEM_CHARS).collect();
-                let line = format!("{name}: {problem}\n");
-                let _ = std::io::stderr().write_all(line.as_bytes());
-                return 2;
-            }
-        };
-    match check_with(&certificate, certificate.read_policy(path, policy).as_deref(), limit) {
+    let certificate = match open_regular_file(path)
+        .map_err(CertificateParseError::from)
+        .and_then(Certificate::from_reader)
+    {
+        Ok(certificate) => certificate,
+        Err(error) => {
+            // A token of the file may be as long as the file.
+            let problem: String = error.to_string().chars().take(MAX_PROBLEM_CHARS).collect();
+            let line = format!("{name}: {problem}\n");
+            let _ = std::io::stderr().write_all(line.as_bytes());
+            return 2;
+        }
+    };
+    match check_with(
+        &certificate,
+        certificate.read_policy(path, policy).as_deref(),
+        limit,
+    ) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            println!("  {}", certificate.scope().to_string().replace('\n', "\n  "));
-            println!("  version {}, SHA-256 of its canonical form {}", certificate.version, certificate.digest());
+            println!(
+                "  {}",
+                certificate.scope().to_string().replace('\n', "\n  ")
+            );
+            println!(
+                "  version {}, SHA-256 of its canonical form {}",
+                certificate.version,
+                certificate.digest()
+            );
             if let Some(caveat) = certificate.caveat() {
                 println!("  {caveat}");
             }

@@ -24,8 +24,10 @@ pub fn distance_and_speed_after(
     acceleration_mps2: Interval,
     time_s: Interval,
 ) -> (Interval, Interval) {
-    let (least_m, least_mps) = corner_distance_and_speed(speed_mps.low(), acceleration_mps2.low(), time_s);
-    let (most_m, most_mps) = corner_distance_and_speed(speed_mps.high(), acceleration_mps2.high(), time_s);
+    let (least_m, least_mps) =
+        corner_distance_and_speed(speed_mps.low(), acceleration_mps2.low(), time_s);
+    let (most_m, most_mps) =
+        corner_distance_and_speed(speed_mps.high(), acceleration_mps2.high(), time_s);
     (least_m.hull(most_m), least_mps.hull(most_mps))
 }
 
@@ -44,7 +46,8 @@ fn corner_distance_and_speed(v: f64, a: f64, t: Interval) -> (Interval, Interval
 }
 
 pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
-    held.iter().flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
+    held.iter()
+        .flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
 }
 
 impl Scene {
@@ -59,11 +62,14 @@ impl Scene {
     pub fn leader_rear_m(&self) -> Vec<Interval> {
         let rear_m = self.leader.position_m - Interval::point(self.leader.length_m);
         let step_s = Interval::point(self.step_s);
-        let moves = expand_pieces(&self.leader.acceleration_mps2).scan((rear_m, self.leader.speed_mps), |(x, v), a| {
-            let (covered_m, speed_mps) = distance_and_speed_after(*v, a, step_s);
-            (*x, *v) = (*x + covered_m, speed_mps);
-            Some(*x)
-        });
+        let moves = expand_pieces(&self.leader.acceleration_mps2).scan(
+            (rear_m, self.leader.speed_mps),
+            |(x, v), a| {
+                let (covered_m, speed_mps) = distance_and_speed_after(*v, a, step_s);
+                (*x, *v) = (*x + covered_m, speed_mps);
+                Some(*x)
+            },
+        );
         std::iter::once(rear_m).chain(moves).collect()
     }
 
@@ -76,12 +82,28 @@ impl Scene {
         if coasts == k {
             return coasting_m;
         }
-        coasting_m + distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
+        coasting_m
+            + distance_and_speed_after(
+                follower.speed_mps,
+                -follower.brake_mps2,
+                self.time_s(k - coasts),
+            )
+            .0
     }
 
-    pub(crate) fn follower_speed_mps(&self, follower: &SceneFollower, fires: u32, k: u32) -> Interval {
+    pub(crate) fn follower_speed_mps(
+        &self,
+        follower: &SceneFollower,
+        fires: u32,
+        k: u32,
+    ) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
-        distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
+        distance_and_speed_after(
+            follower.speed_mps,
+            -follower.brake_mps2,
+            self.time_s(k - coasts),
+        )
+        .1
     }
 }
 
@@ -114,7 +136,10 @@ mod tests {
         for (fires, k) in (0..=20_u32).flat_map(|fires| (0..=20_u32).map(move |k| (fires, k))) {
             let expected = (12.0 - 1.5 * f64::from(k.saturating_sub(fires + 2))).max(0.0);
             let found = scene.follower_speed_mps(&follower, fires, k);
-            assert!((found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12, "{fires} {k}");
+            assert!(
+                (found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12,
+                "{fires} {k}"
+            );
         }
     }
 }

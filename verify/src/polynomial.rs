@@ -25,7 +25,9 @@ impl Polynomial {
     }
 
     fn term(powers: [u8; 3], coefficient: BigRational) -> Self {
-        let terms = [(powers, coefficient)].into_iter().filter(|(_, coefficient)| !coefficient.is_zero());
+        let terms = [(powers, coefficient)]
+            .into_iter()
+            .filter(|(_, coefficient)| !coefficient.is_zero());
         Self(terms.collect())
     }
 
@@ -38,7 +40,10 @@ impl Polynomial {
     #[cfg(test)]
     pub(crate) fn evaluate(&self, point: [&BigRational; 3]) -> BigRational {
         let term = |(powers, coefficient): (&[u8; 3], &BigRational)| {
-            let factors = powers.iter().zip(point).flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()));
+            let factors = powers
+                .iter()
+                .zip(point)
+                .flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()));
             factors.fold(coefficient.clone(), |product, factor| product * factor)
         };
         self.0.iter().map(term).sum()
@@ -53,7 +58,9 @@ impl Polynomial {
     /// True if no coefficient is negative, so that no value is, for x, y, z >= 0.
     #[must_use]
     pub fn has_no_negative_coefficient(&self) -> bool {
-        self.0.values().all(|coefficient| !coefficient.is_negative())
+        self.0
+            .values()
+            .all(|coefficient| !coefficient.is_negative())
     }
 }
 
@@ -74,7 +81,12 @@ impl Neg for &Polynomial {
     type Output = Polynomial;
 
     fn neg(self) -> Polynomial {
-        Polynomial(self.0.iter().map(|(powers, coefficient)| (*powers, -coefficient)).collect())
+        Polynomial(
+            self.0
+                .iter()
+                .map(|(powers, coefficient)| (*powers, -coefficient))
+                .collect(),
+        )
     }
 }
 

@@ -112,50 +112,98 @@ pub(crate) fn check_rate(claim: &RateClaim, work: &OpBudget) -> Result<ProvedCla
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     if claim.failures >= registration.runs {
-        return Err(Rejection::invalid("failures", "equal the number of runs: no bound on the rate follows"));
+        return Err(Rejection::invalid(
+            "failures",
+            "equal the number of runs: no bound on the rate follows",
+        ));
     }
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
-        return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
+        return Err(Rejection::invalid(
+            "rate_at_most",
+            "must be between 0 and 1",
+        ));
     }
     work.charge_or_reject(registration.runs.saturating_mul(OPS_PER_RUN))?;
-    check_tail(claim.failures, registration.runs, claim.rate_at_most, registration.confidence)?;
-    Ok(ProvedClaim::Rate { max_rate: claim.rate_at_most, confidence: registration.confidence })
+    check_tail(
+        claim.failures,
+        registration.runs,
+        claim.rate_at_most,
+        registration.confidence,
+    )?;
+    Ok(ProvedClaim::Rate {
+        max_rate: claim.rate_at_most,
+        confidence: registration.confidence,
+    })
 }
 
-pub(crate) fn check_comparison(claim: &ComparisonClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+pub(crate) fn check_comparison(
+    claim: &ComparisonClaim,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
-    let differ = claim.only_first_failed.saturating_add(claim.only_second_failed);
+    let differ = claim
+        .only_first_failed
+        .saturating_add(claim.only_second_failed);
     if differ > registration.runs {
-        return Err(Rejection::invalid("only_first_failed", "and `only_second_failed` must not exceed the runs"));
+        return Err(Rejection::invalid(
+            "only_first_failed",
+            "and `only_second_failed` must not exceed the runs",
+        ));
     }
     work.charge_or_reject(differ.saturating_mul(OPS_PER_RUN))?;
-    check_tail(claim.only_first_failed, differ, 0.5, registration.confidence)?;
-    Ok(ProvedClaim::FailsLessOften { confidence: registration.confidence })
+    check_tail(
+        claim.only_first_failed,
+        differ,
+        0.5,
+        registration.confidence,
+    )?;
+    Ok(ProvedClaim::FailsLessOften {
+        confidence: registration.confidence,
+    })
 }
 
 fn check_registration(registration: &Registration, published: &str) -> Result<(), Rejection> {
     if registration.digest() != published {
-        return Err(Rejection::invalid("registration_sha256", "is not the digest of `registration`"));
+        return Err(Rejection::invalid(
+            "registration_sha256",
+            "is not the digest of `registration`",
+        ));
     }
     if !(1..=MAX_RUNS).contains(&registration.runs) {
-        return Err(Rejection::invalid("registration.runs", "must be from 1 to 1000 million"));
+        return Err(Rejection::invalid(
+            "registration.runs",
+            "must be from 1 to 1000 million",
+        ));
     }
     // For γ between 1/2 and 1 the subtraction 1 - γ does not round.
     if !(registration.confidence > 0.5 && registration.confidence < 1.0) {
-        return Err(Rejection::invalid("registration.confidence", "must be between 1/2 and 1"));
+        return Err(Rejection::invalid(
+            "registration.confidence",
+            "must be between 1/2 and 1",
+        ));
     }
     Ok(())
 }
 
 pub(crate) fn check_rate_blocks(claim: &RateClaim) -> Result<(), Rejection> {
-    let counts = claim.blocks.iter().map(|(failures, sha256)| (*failures, 0, sha256.as_str()));
+    let counts = claim
+        .blocks
+        .iter()
+        .map(|(failures, sha256)| (*failures, 0, sha256.as_str()));
     check_blocks(&claim.registration, counts, [claim.failures, 0])
 }
 
 pub(crate) fn check_comparison_blocks(claim: &ComparisonClaim) -> Result<(), Rejection> {
-    let counts = claim.blocks.iter().map(|([first, second], sha256)| (*first, *second, sha256.as_str()));
-    check_blocks(&claim.registration, counts, [claim.only_first_failed, claim.only_second_failed])
+    let counts = claim
+        .blocks
+        .iter()
+        .map(|([first, second], sha256)| (*first, *second, sha256.as_str()));
+    check_blocks(
+        &claim.registration,
+        counts,
+        [claim.only_first_failed, claim.only_second_failed],
+    )
 }
 
 /// Checks that the blocks cover the runs and that their counts sum to the claimed ones.
@@ -165,7 +213,8 @@ fn check_blocks<'a>(
     claimed: [u64; 2],
 ) -> Result<(), Rejection> {
     let block_runs = registration.block_runs.filter(|&block_runs| block_runs > 0);
-    let block_runs = block_runs.ok_or_else(|| Rejection::invalid("registration.block_runs", "must be positive"))?;
+    let block_runs = block_runs
+        .ok_or_else(|| Rejection::invalid("registration.block_runs", "must be positive"))?;
     if blocks.len() as u64 != registration.runs.div_ceil(block_runs) {
         return Err(Rejection::invalid("blocks", "must cover all runs"));
     }
@@ -173,22 +222,47 @@ fn check_blocks<'a>(
     for (index, (first, second, sha256)) in blocks.enumerate() {
         let runs = left.min(block_runs);
         if first.saturating_add(second) > runs {
-            return Err(Rejection::invalid(format!("blocks[{index}]"), "counts more runs than it has"));
+            return Err(Rejection::invalid(
+                format!("blocks[{index}]"),
+                "counts more runs than it has",
+            ));
         }
         if !canonical::is_sha256(sha256) {
-            return Err(Rejection::invalid(format!("blocks[{index}]"), "must have a SHA-256"));
+            return Err(Rejection::invalid(
+                format!("blocks[{index}]"),
+                "must have a SHA-256",
+            ));
         }
-        (sums, left) = ([sums[0].saturating_add(first), sums[1].saturating_add(second)], left - runs);
+        (sums, left) = (
+            [
+                sums[0].saturating_add(first),
+                sums[1].saturating_add(second),
+            ],
+            left - runs,
+        );
     }
-    if sums == claimed { Ok(()) } else { Err(Rejection::invalid("blocks", "do not add up to the claimed counts")) }
+    if sums == claimed {
+        Ok(())
+    } else {
+        Err(Rejection::invalid(
+            "blocks",
+            "do not add up to the claimed counts",
+        ))
+    }
 }
 
 fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
-    let (tail, allowed) = (binomial_tail_upper_bound(failures, runs, rate), 1.0 - confidence);
+    let (tail, allowed) = (
+        binomial_tail_upper_bound(failures, runs, rate),
+        1.0 - confidence,
+    );
     if tail <= allowed {
         Ok(())
     } else {
-        Err(Rejection::NotSignificant { tail_probability: tail, max_tail_probability: allowed })
+        Err(Rejection::NotSignificant {
+            tail_probability: tail,
+            max_tail_probability: allowed,
+        })
     }
 }
 
@@ -196,7 +270,9 @@ fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<()
 #[must_use]
 pub fn binomial_tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
     match runs {
-        0..=MAX_FACTORWISE_RUNS => tail_upper_bound(failures, runs, rate, &[(round_up(1.0 - rate), 1)]),
+        0..=MAX_FACTORWISE_RUNS => {
+            tail_upper_bound(failures, runs, rate, &[(round_up(1.0 - rate), 1)])
+        }
         _ if runs > MAX_RUNS => 1.0,
         _ => tail_upper_bound_by_powers(failures, runs, rate),
     }
@@ -234,7 +310,8 @@ fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64
     while taken < k || damped < n - k {
         if taken < k && (term < 1.0 || damped == n - k) {
             taken += 1;
-            term = round_up(term * round_up(round_up(rate * (n - k + taken) as f64) / taken as f64));
+            term =
+                round_up(term * round_up(round_up(rate * (n - k + taken) as f64) / taken as f64));
             continue;
         }
         while let [rest @ .., (_, exponent)] = powers
@@ -264,31 +341,55 @@ mod tests {
     /// Checks that powers, another order of the same product, are as tight and never below the exact tail.
     #[test]
     fn grouped_powers_equal_products_of_factors() {
-        for (failures, runs, rate) in
-            [(0, 300_000, 3e-5), (7, 300_000, 5e-5), (900, 300_000, 3.2e-3), (1, 1000, 1e-7), (140_000, 300_000, 0.47)]
-        {
+        for (failures, runs, rate) in [
+            (0, 300_000, 3e-5),
+            (7, 300_000, 5e-5),
+            (900, 300_000, 3.2e-3),
+            (1, 1000, 1e-7),
+            (140_000, 300_000, 0.47),
+        ] {
             let one_by_one = binomial_tail_upper_bound(failures, runs, rate);
             let together = tail_upper_bound_by_powers(failures, runs, rate);
-            assert!((together / one_by_one - 1.0).abs() < 2e-10, "{failures} {runs} {rate}: {together} {one_by_one}");
+            assert!(
+                (together / one_by_one - 1.0).abs() < 2e-10,
+                "{failures} {runs} {rate}: {together} {one_by_one}"
+            );
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.
         let rate = 2.0_f64.powi(-27);
         let found = binomial_tail_upper_bound(0, 1 << 29, rate);
         let exact = (-4.0_f64 - 2.0 * rate).exp();
-        assert!(found >= exact && found < exact * (1.0 + 4e-7), "{found} {exact}");
+        assert!(
+            found >= exact && found < exact * (1.0 + 4e-7),
+            "{found} {exact}"
+        );
     }
 
     #[test]
     fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
-        let times = |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));
-        let squared = |rate: f64, often: u32| (0..often).fold(round_up(1.0 - rate), |power, _| round_up(power * power));
+        let times =
+            |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));
+        let squared = |rate: f64, often: u32| {
+            (0..often).fold(round_up(1.0 - rate), |power, _| round_up(power * power))
+        };
         for rate in (1..=50).map(|n| 1e-5 * f64::from(n)) {
-            assert_eq!(binomial_tail_upper_bound(0, 1000, rate), times(round_up(1.0 - rate), 1000));
-            assert_eq!(tail_upper_bound_by_powers(0, 1024, rate), times(squared(rate, 10), 1));
-            let each_once = (0..10).rev().fold(1.0, |product, often| round_up(product * squared(rate, often)));
+            assert_eq!(
+                binomial_tail_upper_bound(0, 1000, rate),
+                times(round_up(1.0 - rate), 1000)
+            );
+            assert_eq!(
+                tail_upper_bound_by_powers(0, 1024, rate),
+                times(squared(rate, 10), 1)
+            );
+            let each_once = (0..10).rev().fold(1.0, |product, often| {
+                round_up(product * squared(rate, often))
+            });
             assert_eq!(tail_upper_bound_by_powers(0, 1023, rate), each_once);
         }
         // 0.9^4 is 0.66, and its square is less than a half.
-        assert_eq!(tail_upper_bound_by_powers(0, 64, 0.1), times(squared(0.1, 2), 16));
+        assert_eq!(
+            tail_upper_bound_by_powers(0, 64, 0.1),
+            times(squared(0.1, 2), 16)
+        );
     }
 }

@@ -54,13 +54,18 @@ impl Certificate {
     pub fn scope_with_uncovered_vehicles(&self, left_out: usize) -> Scope {
         let mut scope = self.scope();
         let vehicles = if left_out == 1 { "vehicle" } else { "vehicles" };
-        let is_followed = self.statement.scene().is_some_and(|scene| scene.follower.is_some());
+        let is_followed = self
+            .statement
+            .scene()
+            .is_some_and(|scene| scene.follower.is_some());
         scope.behind = match (scope.behind.filter(|_| is_followed), left_out) {
             (behind, 0) => Some(behind.unwrap_or_else(|| NO_VEHICLE_BEHIND.to_owned())),
-            (Some(behind), _) => {
-                Some(format!("{behind}\nfarther behind: {left_out} {vehicles}, not part of the claim"))
-            }
-            (None, _) => Some(format!("behind: {left_out} {vehicles}, not part of the claim")),
+            (Some(behind), _) => Some(format!(
+                "{behind}\nfarther behind: {left_out} {vehicles}, not part of the claim"
+            )),
+            (None, _) => Some(format!(
+                "behind: {left_out} {vehicles}, not part of the claim"
+            )),
         };
         scope
     }
@@ -70,13 +75,19 @@ impl Certificate {
         // The author of the file chose the name: it must not control a terminal.
         let name = name.escape_debug();
         if self.is_first_version() {
-            return format!("`{name}`, as the file states; version 1 does not bind the statement to a text");
+            return format!(
+                "`{name}`, as the file states; version 1 does not bind the statement to a text"
+            );
         }
         match &self.statement {
             Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
-            Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),
+            Statement::Rate(_) | Statement::Comparison(_) => {
+                format!("space `{name}`, SHA-256 {sha256}")
+            }
             Statement::Invariant(_) => format!("the limits of scenario `{name}`, SHA-256 {sha256}"),
-            _ if self.provenance.box_text.is_some() => format!("a box around scenario `{name}`, SHA-256 {sha256}"),
+            _ if self.provenance.box_text.is_some() => {
+                format!("a box around scenario `{name}`, SHA-256 {sha256}")
+            }
             _ => format!("scenario `{name}`, SHA-256 {sha256}"),
         }
     }
@@ -84,7 +95,14 @@ impl Certificate {
 
 impl fmt::Display for Scope {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { horizon_s, covers_after_horizon: has_afterwards, about, vehicles, behind, limits } = self;
+        let Self {
+            horizon_s,
+            covers_after_horizon: has_afterwards,
+            about,
+            vehicles,
+            behind,
+            limits,
+        } = self;
         writeln!(out, "about {about}")?;
         match horizon_s {
             Some(f64::INFINITY) => write!(out, "for ever")?,
@@ -92,32 +110,61 @@ impl fmt::Display for Scope {
             Some(horizon_s) => write!(out, "for {horizon_s} s from the start and no longer")?,
             None => write!(out, "horizon not stated")?,
         }
-        vehicles.iter().chain(behind).chain(limits).try_for_each(|line| write!(out, "\n{line}"))
+        vehicles
+            .iter()
+            .chain(behind)
+            .chain(limits)
+            .try_for_each(|line| write!(out, "\n{line}"))
     }
 }
 
 fn format_range(of: Interval) -> String {
-    if of.low() == of.high() { of.low().to_string() } else { format!("{} to {}", of.low(), of.high()) }
+    if of.low() == of.high() {
+        of.low().to_string()
+    } else {
+        format!("{} to {}", of.low(), of.high())
+    }
 }
 
 fn partial_scope(horizon_s: Option<f64>, vehicles: Vec<String>, limits: Vec<String>) -> Scope {
-    Scope { horizon_s, covers_after_horizon: false, about: String::new(), vehicles, behind: None, limits }
+    Scope {
+        horizon_s,
+        covers_after_horizon: false,
+        about: String::new(),
+        vehicles,
+        behind: None,
+        limits,
+    }
 }
 
 fn scene_scope(scene: &Scene) -> Scope {
     let leader = &scene.leader;
     let script = &leader.acceleration_mps2;
     let ends = |held: &ConstantPiece<Interval>| [held.1.low(), held.1.high()];
-    let hull = script.iter().map(ends).reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
+    let hull = script
+        .iter()
+        .map(ends)
+        .reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
     let script = match hull.and_then(|[low, high]| Interval::new(low, high)) {
-        Some(accelerations) => format!("a script of {} pieces at {} m/s²", script.len(), format_range(accelerations)),
+        Some(accelerations) => format!(
+            "a script of {} pieces at {} m/s²",
+            script.len(),
+            format_range(accelerations)
+        ),
         None => "no script".to_owned(),
     };
     let start = |position_m: Interval, speed_mps: Interval| {
-        format!("front bumper at {} m, {} m/s", format_range(position_m), format_range(speed_mps))
+        format!(
+            "front bumper at {} m, {} m/s",
+            format_range(position_m),
+            format_range(speed_mps)
+        )
     };
-    let mut vehicles =
-        vec![format!("leader: {}, {} m long, {script}", start(leader.position_m, leader.speed_mps), leader.length_m)];
+    let mut vehicles = vec![format!(
+        "leader: {}, {} m long, {script}",
+        start(leader.position_m, leader.speed_mps),
+        leader.length_m
+    )];
     vehicles.extend(scene.egos.iter().map(|ego| {
         let SceneEgo { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
         format!(
@@ -137,14 +184,21 @@ fn scene_scope(scene: &Scene) -> Scope {
         None => "behind: no vehicle is part of the claim".to_owned(),
     };
     let limits = vec![format!("{} steps of {} s", scene.steps, scene.step_s)];
-    Scope { behind: Some(behind), ..partial_scope(Some(scene.horizon_s()), vehicles, limits) }
+    Scope {
+        behind: Some(behind),
+        ..partial_scope(Some(scene.horizon_s()), vehicles, limits)
+    }
 }
 
 fn kernel_scope(kernel: &KernelClaim) -> Scope {
     // Texts from a file must not control a terminal.
-    let [b, c, step_s, margin_m] =
-        [&kernel.ego_brake_mps2, &kernel.leader_brake_mps2, &kernel.step_s, &kernel.margin_m]
-            .map(|text| text.escape_debug());
+    let [b, c, step_s, margin_m] = [
+        &kernel.ego_brake_mps2,
+        &kernel.leader_brake_mps2,
+        &kernel.step_s,
+        &kernel.margin_m,
+    ]
+    .map(|text| text.escape_debug());
     let vehicles = vec![
         format!("ahead: never brakes harder than {c} m/s², and does not reverse"),
         format!("own: can brake at {b} m/s² from every decision on"),
@@ -154,12 +208,24 @@ fn kernel_scope(kernel: &KernelClaim) -> Scope {
          nor delay"
     )];
     let behind = Some("behind: not considered".to_owned());
-    Scope { behind, ..partial_scope(Some(f64::INFINITY), vehicles, limits) }
+    Scope {
+        behind,
+        ..partial_scope(Some(f64::INFINITY), vehicles, limits)
+    }
 }
 
 fn runs_scope(registration: &Registration) -> Scope {
-    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str).escape_debug();
-    let horizon_s = registration.configuration.get("horizon_s").and_then(|text| text.parse().ok());
+    let of = |key: &str| {
+        registration
+            .configuration
+            .get(key)
+            .map_or("", String::as_str)
+            .escape_debug()
+    };
+    let horizon_s = registration
+        .configuration
+        .get("horizon_s")
+        .and_then(|text| text.parse().ok());
     let controller = |place: &str| {
         format!(
             "under test: {}, SHA-256 {}, with estimator {}",
@@ -174,8 +240,12 @@ fn runs_scope(registration: &Registration) -> Scope {
     }
     let (runs, seed) = (registration.runs, of("seed"));
     // Registrations are hashed, so they keep the earlier wording.
-    let failure = of("failure").to_string().replacen("vehicles touch", "collision", 1);
-    let limits = vec![format!("{runs} random scenarios, seed {seed}; a failure is: {failure}")];
+    let failure = of("failure")
+        .to_string()
+        .replacen("vehicles touch", "collision", 1);
+    let limits = vec![format!(
+        "{runs} random scenarios, seed {seed}; a failure is: {failure}"
+    )];
     partial_scope(horizon_s, vehicles, limits)
 }
 
@@ -204,7 +274,10 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
                 "never speeds up, and brakes as it likes: over each step at another rate from 0 to {limit_mps2} m/s²"
             )
         }
-        None => format!("brakes at {} m/s² from {onset_s} s on", of(BoxDimension::LeaderBrakeMps2)),
+        None => format!(
+            "brakes at {} m/s² from {onset_s} s on",
+            of(BoxDimension::LeaderBrakeMps2)
+        ),
     };
     let vehicles = vec![
         format!(
@@ -224,22 +297,39 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
     };
     let brake_mps2 = of(BoxDimension::FollowerBrakeMps2);
     let behind = match (claim.follower_ttc_s, &claim.follower_law) {
-        (Some(ttc_s), _) => {
-            followed(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
-        }
+        (Some(ttc_s), _) => followed(format!(
+            "brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"
+        )),
         (None, Some(law)) => {
             let accel_mps2 = law.max_accel_mps2();
-            followed(format!("{law}; it brakes at up to {brake_mps2} and accelerates at up to {accel_mps2} m/s²"))
+            followed(format!(
+                "{law}; it brakes at up to {brake_mps2} and accelerates at up to {accel_mps2} m/s²"
+            ))
         }
         (None, None) => NO_VEHICLE_BEHIND.to_owned(),
     };
-    let limits = vec![format!("{} steps of {} s", claim.steps, claim.step_s), reach_errors(claim)];
-    Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
+    let limits = vec![
+        format!("{} steps of {} s", claim.steps, claim.step_s),
+        reach_errors(claim),
+    ];
+    Scope {
+        behind: Some(behind),
+        ..partial_scope(Some(claim.horizon_s()), vehicles, limits)
+    }
 }
 
 /// Describes the observation errors of a reach claim; those of a follower only if there is one.
 fn reach_errors(claim: &ReachClaim) -> String {
-    let [gap, gap_behind, leader, own, follower, leader_mps2, own_mps2, follower_mps2] = claim.observation_error;
+    let [
+        gap,
+        gap_behind,
+        leader,
+        own,
+        follower,
+        leader_mps2,
+        own_mps2,
+        follower_mps2,
+    ] = claim.observation_error;
     let mut errors = vec![
         ("gap ahead", gap, "m"),
         ("leader's speed", leader, "m/s"),
@@ -260,7 +350,11 @@ fn reach_errors(claim: &ReachClaim) -> String {
 /// Describes the observation errors of an invariant claim. A network may observe any acceleration within the limits.
 fn invariant_errors(claim: &InvariantClaim) -> String {
     let [gap, own, leader] = claim.observation_error;
-    let errors = describe_errors(&[("gap", gap, "m"), ("own speed", own, "m/s"), ("leader's speed", leader, "m/s")]);
+    let errors = describe_errors(&[
+        ("gap", gap, "m"),
+        ("own speed", own, "m/s"),
+        ("leader's speed", leader, "m/s"),
+    ]);
     match &claim.controller {
         InvariantController::Law(_) => errors,
         InvariantController::Network(_) => {
@@ -271,8 +365,10 @@ fn invariant_errors(claim: &InvariantClaim) -> String {
 
 /// Describes the largest error of each observed quantity, given as name, error and unit.
 fn describe_errors(errors: &[(&str, f64, &str)]) -> String {
-    let errors: Vec<_> =
-        errors.iter().map(|(quantity, error, unit)| format!("{quantity} {} {unit}", format_number(*error))).collect();
+    let errors: Vec<_> = errors
+        .iter()
+        .map(|(quantity, error, unit)| format!("{quantity} {} {unit}", format_number(*error)))
+        .collect();
     format!("largest observation errors: {}", errors.join(", "))
 }
 
@@ -281,7 +377,10 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
     let driver = match &claim.controller {
         InvariantController::Law(law) => law.to_string(),
         InvariantController::Network(network) => {
-            format!("driven by the {}", describe_network(&network.policy_sha256, network.source.as_ref()))
+            format!(
+                "driven by the {}",
+                describe_network(&network.policy_sha256, network.source.as_ref())
+            )
         }
     };
     let [brake, accel] = claim.own_mps2;
@@ -290,27 +389,43 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
         [least, most] => format!("accelerates as it likes from {least} to {most} m/s²"),
     };
     let (leader, speed) = match claim.motion {
-        MotionModel::Absolute => {
-            (format!("leader: {} to {} m/s, {accelerates}", round_up(leader.low), round_down(leader.high)), "speed")
-        }
-        MotionModel::Relative => (format!("leader: any speed, {accelerates}; no standstill"), "closing speed"),
+        MotionModel::Absolute => (
+            format!(
+                "leader: {} to {} m/s, {accelerates}",
+                round_up(leader.low),
+                round_down(leader.high)
+            ),
+            "speed",
+        ),
+        MotionModel::Relative => (
+            format!("leader: any speed, {accelerates}; no standstill"),
+            "closing speed",
+        ),
     };
     let own = format!(
         "under test: {speed} up to {} m/s (at the start up to {}), from {brake} to {accel} m/s², {driver}",
         round_down(own.high),
         round_down(claim.initial_own_mps_at_most)
     );
-    let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
+    let ends = claim
+        .ends_beyond_gap_m
+        .map(|gap_m| format!("until a gap exceeds {gap_m} m"));
     let decides = match claim.decision_steps {
         1 => format!("a decision in each step of {} s", claim.step_s),
         steps => format!("a decision every {steps} steps of {} s", claim.step_s),
     };
-    let limits = [decides, invariant_errors(claim)].into_iter().chain(ends).collect();
+    let limits = [decides, invariant_errors(claim)]
+        .into_iter()
+        .chain(ends)
+        .collect();
     let behind = match &claim.controller {
         InvariantController::Law(_) => "behind: not considered",
         InvariantController::Network(_) => NO_VEHICLE_BEHIND,
     };
-    Scope { behind: Some(behind.to_owned()), ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }
+    Scope {
+        behind: Some(behind.to_owned()),
+        ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits)
+    }
 }
 
 /// Rounds a lower bound down to four significant digits.
@@ -326,11 +441,16 @@ pub(crate) fn round_up(bound: f64) -> f64 {
 /// Rounds to four significant digits, up for a `direction` of 1 and down for -1. Returns a shorter number unchanged.
 fn round_towards(bound: f64, direction: i64) -> f64 {
     let shortest = format!("{bound:e}");
-    let Some((mantissa, exponent)) = shortest.split_once('e') else { return bound };
+    let Some((mantissa, exponent)) = shortest.split_once('e') else {
+        return bound;
+    };
     let digits = mantissa.replace('.', "");
     let most = 4 + usize::from(bound < 0.0);
     let kept: Option<i64> = digits.get(..most).and_then(|kept| kept.parse().ok());
-    let (Some(kept), Ok(exponent), true) = (kept, exponent.parse::<i32>(), digits.len() > most) else { return bound };
+    let (Some(kept), Ok(exponent), true) = (kept, exponent.parse::<i32>(), digits.len() > most)
+    else {
+        return bound;
+    };
     // Dropping digits rounds towards zero.
     let is_outward = (bound > 0.0) == (direction > 0);
     let kept = if is_outward { kept + direction } else { kept };

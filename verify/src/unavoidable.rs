@@ -56,18 +56,34 @@ pub(crate) fn check(
     work: &OpBudget,
 ) -> Result<ProvedClaim, Rejection> {
     let overlap_m = min_overlap_m(scene, branches, work, positive_overlap_m)?;
-    Ok(ProvedClaim::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
+    Ok(ProvedClaim::Unavoidable {
+        overlap_m,
+        horizon_s: scene.horizon_s(),
+    })
 }
 
-pub(crate) fn check_gap_bound(claim: &GapBoundClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
-    let GapBoundClaim { scene, gap_m: stated_m, branches } = claim;
+pub(crate) fn check_gap_bound(
+    claim: &GapBoundClaim,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
+    let GapBoundClaim {
+        scene,
+        gap_m: stated_m,
+        branches,
+    } = claim;
     if !(*stated_m >= 0.0 && stated_m.is_finite()) {
         return Err(Rejection::invalid("gap_m", "must be 0 or more"));
     }
     let gap_m = (-min_overlap_m(scene, branches, work, branch_overlap_m)?).max(0.0);
     match gap_m <= *stated_m {
-        true => Ok(ProvedClaim::GapBound { gap_m, horizon_s: scene.horizon_s() }),
-        false => Err(Rejection::GapBound { stated_m: *stated_m, gap_m }),
+        true => Ok(ProvedClaim::GapBound {
+            gap_m,
+            horizon_s: scene.horizon_s(),
+        }),
+        false => Err(Rejection::GapBound {
+            stated_m: *stated_m,
+            gap_m,
+        }),
     }
 }
 
@@ -85,7 +101,9 @@ fn min_overlap_m(
         work.charge_or_reject(a_branch)?;
         proved_m(scene, branch, index)
     });
-    overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))
+    overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| {
+        Ok(overlap_m?.min(least_m))
+    })
 }
 
 /// Returns the proved overlap of branch `index`, in metres; infinite if the brake cannot first fire there.
@@ -99,16 +117,34 @@ pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64,
 
 fn positive_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
-    if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+    if sum_m > 0.0 && overlap_m > 0.0 {
+        Ok(overlap_m)
+    } else {
+        Err(Rejection::Unproved {
+            branch: index,
+            sum_m,
+        })
+    }
 }
 
 /// Returns the proved overlap of a branch; a negative one bounds a gap.
 fn branch_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
-    if overlap_m > f64::NEG_INFINITY { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
+    if overlap_m > f64::NEG_INFINITY {
+        Ok(overlap_m)
+    } else {
+        Err(Rejection::Unproved {
+            branch: index,
+            sum_m,
+        })
+    }
 }
 
-fn branch_overlap_and_sum(scene: &Scene, branch: &Branch, index: usize) -> Result<(f64, f64), Rejection> {
+fn branch_overlap_and_sum(
+    scene: &Scene,
+    branch: &Branch,
+    index: usize,
+) -> Result<(f64, f64), Rejection> {
     if branch.last < branch.first || branch.last > scene.steps {
         return Err(Rejection::Tiling { branch: index });
     }
@@ -131,11 +167,20 @@ fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
         }
         next = last.checked_add(1);
     }
-    if branches.last().is_none_or(|branch| branch.last != scene.steps) {
-        return Err(Rejection::invalid("branches", "must end with the last instant, N"));
+    if branches
+        .last()
+        .is_none_or(|branch| branch.last != scene.steps)
+    {
+        return Err(Rejection::invalid(
+            "branches",
+            "must end with the last instant, N",
+        ));
     }
     if scene.follower.is_none() && branches.len() != 1 {
-        return Err(Rejection::invalid("branches", "must be one branch if there is no follower"));
+        return Err(Rejection::invalid(
+            "branches",
+            "must be one branch if there is no follower",
+        ));
     }
     Ok(())
 }
@@ -147,11 +192,19 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     let end = scene.steps + 1;
     check_multipliers(&branch.front, end, || place("front"))?;
     check_multipliers(&branch.rear, with_follower(end), || place("rear"))?;
-    check_multipliers(&branch.unfired, with_follower(branch.first), || place("unfired"))?;
+    check_multipliers(&branch.unfired, with_follower(branch.first), || {
+        place("unfired")
+    })?;
     let egos = scene.egos.len();
-    for (name, lists, wanted) in [("between", &branch.between, egos - 1), ("speed", &branch.speed, egos)] {
+    for (name, lists, wanted) in [
+        ("between", &branch.between, egos - 1),
+        ("speed", &branch.speed, egos),
+    ] {
         if !lists.is_empty() && lists.len() != wanted {
-            return Err(Rejection::invalid(place(name), "has the wrong number of lists"));
+            return Err(Rejection::invalid(
+                place(name),
+                "has the wrong number of lists",
+            ));
         }
         for (list, rows) in lists.iter().enumerate() {
             check_multipliers(rows, end, || format!("{}[{list}]", place(name)))?;
@@ -161,17 +214,30 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     if branch.fired == 0.0 || may_fire && branch.fired > 0.0 && branch.fired.is_finite() {
         return Ok(());
     }
-    Err(Rejection::invalid(place("fired"), "must be 0 except for a single firing instant, and not negative"))
+    Err(Rejection::invalid(
+        place("fired"),
+        "must be 0 except for a single firing instant, and not negative",
+    ))
 }
 
-fn check_multipliers(rows: &MultiplierRows, end: u32, place: impl Fn() -> String) -> Result<(), Rejection> {
+fn check_multipliers(
+    rows: &MultiplierRows,
+    end: u32,
+    place: impl Fn() -> String,
+) -> Result<(), Rejection> {
     let mut next = 0;
     for (entry, &(k, multiplier)) in rows.iter().enumerate() {
         if k < next || k >= end {
-            return Err(Rejection::invalid(format!("{}[{entry}]", place()), "is out of order, or has no such row"));
+            return Err(Rejection::invalid(
+                format!("{}[{entry}]", place()),
+                "is out of order, or has no such row",
+            ));
         }
         if !(multiplier >= 0.0 && multiplier.is_finite()) {
-            return Err(Rejection::invalid(format!("{}[{entry}]", place()), "has a negative or infinite multiplier"));
+            return Err(Rejection::invalid(
+                format!("{}[{entry}]", place()),
+                "has a negative or infinite multiplier",
+            ));
         }
         next = k + 1;
     }
@@ -208,12 +274,15 @@ fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
         let length_m = Interval::point(egos[last].length_m);
         for (k, y) in nonzero_multipliers(&branch.rear) {
             weights[last][k][POSITION] += -y;
-            constant += y * (scene.follower_position_m(follower, branch.first, k as u32) + length_m);
+            constant +=
+                y * (scene.follower_position_m(follower, branch.first, k as u32) + length_m);
             contact += y;
         }
         // The row `fired` is the negative of what `unfired` would be at that instant.
         let ttc_s = Interval::point(follower.ttc_s);
-        let fired = nonzero_multipliers(&[(branch.first, branch.fired)]).map(|(k, y)| (k, -y)).next();
+        let fired = nonzero_multipliers(&[(branch.first, branch.fired)])
+            .map(|(k, y)| (k, -y))
+            .next();
         for (k, y) in nonzero_multipliers(&branch.unfired).chain(fired) {
             weights[last][k][POSITION] += -y;
             weights[last][k][SPEED] += -(y * ttc_s);
@@ -222,7 +291,12 @@ fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
         }
     }
     let step_s = Interval::point(scene.step_s);
-    let sum = egos.iter().zip(&weights).fold(constant, |sum, (ego, weights)| sum + min_ego_sum(ego, weights, step_s));
+    let sum = egos
+        .iter()
+        .zip(&weights)
+        .fold(constant, |sum, (ego, weights)| {
+            sum + min_ego_sum(ego, weights, step_s)
+        });
     (sum.low(), contact)
 }
 
@@ -230,7 +304,9 @@ const POSITION: usize = 0;
 const SPEED: usize = 1;
 
 fn nonzero_multipliers(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
-    rows.iter().filter(|row| row.1 != 0.0).map(|&(k, multiplier)| (k as usize, Interval::point(multiplier)))
+    rows.iter()
+        .filter(|row| row.1 != 0.0)
+        .map(|&(k, multiplier)| (k as usize, Interval::point(multiplier)))
 }
 
 /// Bounds x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ φ(q) from below; only the lower end is meaningful.
@@ -238,7 +314,10 @@ fn nonzero_multipliers(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Inte
 /// The loop runs backwards from the last instant. `slope` is the sum of the w so far, and `q` is the value of q just
 /// before the instant. At time 0 they are the factors of x_0 and v_0.
 fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
-    let Some(end) = weights.iter().rposition(|weight| *weight != [Interval::ZERO; 2]) else {
+    let Some(end) = weights
+        .iter()
+        .rposition(|weight| *weight != [Interval::ZERO; 2])
+    else {
         return Interval::ZERO;
     };
     let (mut slope, mut q, mut sum) = (Interval::ZERO, Interval::ZERO, Interval::ZERO);
@@ -260,9 +339,13 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
 /// p² b / (p + n) and n² A / (p + n), times -h/2. Otherwise the trapezoid is a lower bound, because φ(q(t)) is concave.
 /// The trapezoid is exact if q does not change sign.
 fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
-    let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
+    let (brake, accel) = (
+        Interval::point(ego.max_brake_mps2),
+        Interval::point(ego.max_accel_mps2),
+    );
     let half = step_s * Interval::point(0.5);
-    let triangles = |p: Interval, n: Interval| -half * (brake * p.sqr() + accel * n.sqr()).over(p + n);
+    let triangles =
+        |p: Interval, n: Interval| -half * (brake * p.sqr() + accel * n.sqr()).over(p + n);
     let phi = |q: Interval| (-brake * q).min(accel * q);
     if begin.low() > 0.0 && end.high() < 0.0 {
         triangles(begin, -end)

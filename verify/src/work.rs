@@ -62,12 +62,19 @@ pub(crate) struct OpBudget {
 
 impl OpBudget {
     pub(crate) fn new(limit: WorkLimit) -> Self {
-        Self { limit, spent: AtomicU64::new(0) }
+        Self {
+            limit,
+            spent: AtomicU64::new(0),
+        }
     }
 
     /// Counts operations, ideally before they run. Returns true while the limit holds.
     pub(crate) fn charge(&self, operations: u64) -> bool {
-        let before = self.spent.update(Ordering::Relaxed, Ordering::Relaxed, |done| done.saturating_add(operations));
+        let before = self
+            .spent
+            .update(Ordering::Relaxed, Ordering::Relaxed, |done| {
+                done.saturating_add(operations)
+            });
         before.saturating_add(operations) <= self.limit.0
     }
 
@@ -76,6 +83,10 @@ impl OpBudget {
     /// # Errors
     /// [`Rejection::BudgetExceeded`] if the total exceeds the limit.
     pub(crate) fn charge_or_reject(&self, operations: u64) -> Result<(), Rejection> {
-        if self.charge(operations) { Ok(()) } else { Err(Rejection::BudgetExceeded { limit: self.limit }) }
+        if self.charge(operations) {
+            Ok(())
+        } else {
+            Err(Rejection::BudgetExceeded { limit: self.limit })
+        }
     }
 }

@@ -22,8 +22,15 @@ pub fn with_cases(normal: u32) -> Config {
         Ok(wanted) => wanted,
         Err(_) => panic!("{VARIABLE} must be a number, found {text:?}"),
     });
-    let scaled = u64::from(normal).saturating_mul(wanted).div_ceil(NORMAL_CASES).max(1);
-    Config { cases: u32::try_from(scaled).unwrap_or(u32::MAX), max_shrink_iters: 2000, ..Config::default() }
+    let scaled = u64::from(normal)
+        .saturating_mul(wanted)
+        .div_ceil(NORMAL_CASES)
+        .max(1);
+    Config {
+        cases: u32::try_from(scaled).unwrap_or(u32::MAX),
+        max_shrink_iters: 2000,
+        ..Config::default()
+    }
 }
 
 #[cfg(test)]

@@ -12,7 +12,8 @@ const ROUNDING_MARGIN: f64 = 1e-12;
 /// Returns the rate at which P(X <= `failures`) is `tail`, rounded up; 1 if there is none.
 #[must_use]
 pub fn clopper_pearson_upper(failures: u64, runs: u64, tail: f64) -> f64 {
-    solve_log_odds(failures, runs, tail).map_or(1.0, |odds| 1.0 / (1.0 + exp(-(odds + ROUNDING_MARGIN))))
+    solve_log_odds(failures, runs, tail)
+        .map_or(1.0, |odds| 1.0 / (1.0 + exp(-(odds + ROUNDING_MARGIN))))
 }
 
 /// Returns the rate at which P(X >= `failures`) is `tail`, rounded down; 0 if there is none.
@@ -52,7 +53,11 @@ fn ln_cdf(k: u64, n: u64, p: f64, q: f64) -> f64 {
     if is_low {
         return ln_pmf(k, n, p, q) + log(cdf_to_pmf_ratio(k, n, p, q));
     }
-    let above = if k >= n { 0.0 } else { exp(ln_pmf(k + 1, n, p, q)) * cdf_to_pmf_ratio(n - k - 1, n, q, p) };
+    let above = if k >= n {
+        0.0
+    } else {
+        exp(ln_pmf(k + 1, n, p, q)) * cdf_to_pmf_ratio(n - k - 1, n, q, p)
+    };
     log1p(-above)
 }
 
@@ -114,7 +119,9 @@ fn stirling_error(n: u64) -> f64 {
     let square = x * x;
     (1.0 / 12.0
         - (1.0 / 360.0
-            - (1.0 / 1260.0 - (1.0 / 1680.0 - (1.0 / 1188.0 - 691.0 / 360_360.0 / square) / square) / square) / square)
+            - (1.0 / 1260.0
+                - (1.0 / 1680.0 - (1.0 / 1188.0 - 691.0 / 360_360.0 / square) / square) / square)
+                / square)
             / square)
         / x
 }
@@ -127,7 +134,10 @@ mod tests {
 
     fn assert_end(found: f64, exact: f64, outwards: f64) {
         let beyond = outwards * (found - exact) / exact;
-        assert!((-1e-15..1e-11).contains(&beyond), "{found:e} {exact:e}: {beyond:e}");
+        assert!(
+            (-1e-15..1e-11).contains(&beyond),
+            "{found:e} {exact:e}: {beyond:e}"
+        );
     }
 
     /// Reference: bisection with 50 digits, or closed forms. scipy 1.16 agrees to 15 digits, except for the upper end
@@ -135,10 +145,30 @@ mod tests {
     #[test]
     fn ends_are_those_of_clopper_and_pearson() {
         for (failures, runs, tail, ends) in [
-            (3, 1000, 0.005, [0.000_338_144_529_066_493_27, 0.010_933_777_420_405_242]),
-            (12, 20_000_000, 0.005, [2.471_558_749_808_974_6e-7, 1.207_246_691_762_830_8e-6]),
-            (150, 1_000_000_000, 1e-4, [1.086_653_018_671_793_6e-7, 2.010_293_807_913_290_4e-7]),
-            (700, 1500, 0.025, [0.441_172_927_572_352_56, 0.492_291_153_412_647_3]),
+            (
+                3,
+                1000,
+                0.005,
+                [0.000_338_144_529_066_493_27, 0.010_933_777_420_405_242],
+            ),
+            (
+                12,
+                20_000_000,
+                0.005,
+                [2.471_558_749_808_974_6e-7, 1.207_246_691_762_830_8e-6],
+            ),
+            (
+                150,
+                1_000_000_000,
+                1e-4,
+                [1.086_653_018_671_793_6e-7, 2.010_293_807_913_290_4e-7],
+            ),
+            (
+                700,
+                1500,
+                0.025,
+                [0.441_172_927_572_352_56, 0.492_291_153_412_647_3],
+            ),
         ] {
             assert_end(clopper_pearson_lower(failures, runs, tail), ends[0], -1.0);
             assert_end(clopper_pearson_upper(failures, runs, tail), ends[1], 1.0);
@@ -149,9 +179,23 @@ mod tests {
             for tail in [0.45, 0.025, 5e-4, 1e-6, 1e-12] {
                 let none = -libm::expm1(log(tail) / runs as f64);
                 assert_end(clopper_pearson_upper(0, runs, tail), none, 1.0);
-                assert_end(clopper_pearson_lower(1, runs, tail), -libm::expm1(log1p(-tail) / runs as f64), -1.0);
-                assert_end(clopper_pearson_lower(runs, runs, tail), exp(log(tail) / runs as f64), -1.0);
-                assert_eq!((clopper_pearson_lower(0, runs, tail), clopper_pearson_upper(runs, runs, tail)), (0.0, 1.0));
+                assert_end(
+                    clopper_pearson_lower(1, runs, tail),
+                    -libm::expm1(log1p(-tail) / runs as f64),
+                    -1.0,
+                );
+                assert_end(
+                    clopper_pearson_lower(runs, runs, tail),
+                    exp(log(tail) / runs as f64),
+                    -1.0,
+                );
+                assert_eq!(
+                    (
+                        clopper_pearson_lower(0, runs, tail),
+                        clopper_pearson_upper(runs, runs, tail)
+                    ),
+                    (0.0, 1.0)
+                );
             }
         }
     }
@@ -188,8 +232,20 @@ mod tests {
     #[test]
     fn unbounded_intervals_have_no_end() {
         for tail in [0.0, 1.0, f64::NAN, -1.0] {
-            assert_eq!((clopper_pearson_lower(3, 10, tail), clopper_pearson_upper(3, 10, tail)), (0.0, 1.0));
+            assert_eq!(
+                (
+                    clopper_pearson_lower(3, 10, tail),
+                    clopper_pearson_upper(3, 10, tail)
+                ),
+                (0.0, 1.0)
+            );
         }
-        assert_eq!((clopper_pearson_lower(0, 0, 0.1), clopper_pearson_upper(0, 0, 0.1)), (0.0, 1.0));
+        assert_eq!(
+            (
+                clopper_pearson_lower(0, 0, 0.1),
+                clopper_pearson_upper(0, 0, 0.1)
+            ),
+            (0.0, 1.0)
+        );
     }
 }

@@ -30,7 +30,10 @@ impl Sha256 {
     /// Returns the digest of all bytes, in hexadecimal.
     #[must_use]
     pub fn hexadecimal(self) -> String {
-        self.finish().iter().map(|byte| format!("{byte:02x}")).collect()
+        self.finish()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect()
     }
 }
 

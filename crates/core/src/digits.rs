@@ -32,7 +32,9 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     match rounded.parse::<f64>() {
         Ok(shown) if shown < bound => {
             // Parsed, because powers of ten below 1e-308 are 0 when computed.
-            let step = format!("1e{}", exponent + 1 - digits as i32).parse().unwrap_or(f64::MIN_POSITIVE);
+            let step = format!("1e{}", exponent + 1 - digits as i32)
+                .parse()
+                .unwrap_or(f64::MIN_POSITIVE);
             format_rounded(shown + step, digits)
         }
         Ok(shown) => format_rounded(shown, digits),
@@ -43,7 +45,10 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
 /// Returns a number in scientific notation, and its exponent.
 fn format_scientific(number: f64, digits: usize) -> (String, i32) {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
-    let exponent = rounded.rsplit_once('e').and_then(|(_, exponent)| exponent.parse().ok()).unwrap_or(0);
+    let exponent = rounded
+        .rsplit_once('e')
+        .and_then(|(_, exponent)| exponent.parse().ok())
+        .unwrap_or(0);
     (rounded, exponent)
 }
 

@@ -38,7 +38,10 @@ mod tests {
             let RateInterval { lower, upper } = RateInterval::clopper_pearson(failures, runs, 0.95);
             let at_most = Binomial::new(upper, runs).unwrap().cdf(failures);
             let at_least = Binomial::new(lower, runs).unwrap().sf(failures - 1);
-            assert!((at_most - 0.025).abs() < 1e-6 && (at_least - 0.025).abs() < 1e-6, "{at_most} {at_least}");
+            assert!(
+                (at_most - 0.025).abs() < 1e-6 && (at_least - 0.025).abs() < 1e-6,
+                "{at_most} {at_least}"
+            );
         }
     }
 }

@@ -26,7 +26,11 @@ pub trait Observer<P: ?Sized>: Sync {
     /// # Errors
     /// [`Stopped`] if the observer stops the work.
     fn notify(&self, progress: &P) -> Result<(), Stopped> {
-        if self.observe(progress).is_break() { Err(Stopped) } else { Ok(()) }
+        if self.observe(progress).is_break() {
+            Err(Stopped)
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -77,7 +81,11 @@ impl<'o> ProgressCounter<'o> {
     /// Creates a counter at 0.
     #[must_use]
     pub fn new(observer: &'o dyn Observer<RunProgress>, total: Option<u64>) -> Self {
-        Self { observer, done: AtomicU64::new(0), total }
+        Self {
+            observer,
+            done: AtomicU64::new(0),
+            total,
+        }
     }
 
     /// Adds completed units, and reports the new count.
@@ -86,7 +94,10 @@ impl<'o> ProgressCounter<'o> {
     /// [`Stopped`] if the observer stops the work.
     pub fn add(&self, units: u64) -> Result<(), Stopped> {
         let done = self.done.fetch_add(units, Ordering::Relaxed) + units;
-        self.observer.notify(&RunProgress { done, total: self.total })
+        self.observer.notify(&RunProgress {
+            done,
+            total: self.total,
+        })
     }
 }
 

@@ -73,7 +73,11 @@ pub fn shorten_message(text: &str) -> Cow<'_, str> {
         short.push_str(if index > 0 { "`" } else { "" });
         // Text after an opening backtick without a closing one is no quotation.
         let is_quoted = index % 2 == 1 && index < last;
-        short.push_str(&if is_quoted { keep_ends(part, MAX_QUOTED_CHARS, 0) } else { Cow::Borrowed(part) });
+        short.push_str(&if is_quoted {
+            keep_ends(part, MAX_QUOTED_CHARS, 0)
+        } else {
+            Cow::Borrowed(part)
+        });
     }
     Cow::Owned(keep_ends(&short, MAX_MESSAGE_CHARS, MESSAGE_END_CHARS).into_owned())
 }
@@ -84,9 +88,18 @@ fn keep_ends(text: &str, most: usize, end: usize) -> Cow<'_, str> {
     if count <= most {
         return Cow::Borrowed(text);
     }
-    let byte_of = |index: usize| text.char_indices().nth(index).map_or(text.len(), |(byte, _)| byte);
-    let begin = text.get(..byte_of(most.saturating_sub(end + 1))).unwrap_or_default();
-    Cow::Owned(format!("{begin}…{}", text.get(byte_of(count - end)..).unwrap_or_default()))
+    let byte_of = |index: usize| {
+        text.char_indices()
+            .nth(index)
+            .map_or(text.len(), |(byte, _)| byte)
+    };
+    let begin = text
+        .get(..byte_of(most.saturating_sub(end + 1)))
+        .unwrap_or_default();
+    Cow::Owned(format!(
+        "{begin}…{}",
+        text.get(byte_of(count - end)..).unwrap_or_default()
+    ))
 }
 
 fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
@@ -94,12 +107,17 @@ fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
         return out.write_char(letter);
     }
     // JSON writes characters beyond 16 bits as surrogate pairs.
-    letter.encode_utf16(&mut [0; 2]).iter().try_for_each(|half| write!(out, "\\u{half:04x}"))
+    letter
+        .encode_utf16(&mut [0; 2])
+        .iter()
+        .try_for_each(|half| write!(out, "\\u{half:04x}"))
 }
 
 impl Display for TerminalText<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
-        self.0.chars().try_for_each(|letter| write_escaped(letter, out))
+        self.0
+            .chars()
+            .try_for_each(|letter| write_escaped(letter, out))
     }
 }
 
@@ -121,11 +139,16 @@ impl Display for TerminalLines<'_> {
 impl Display for MarkdownText<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         let text = self.0.trim_start_matches(char::is_whitespace);
-        let number = text.len() - text.trim_start_matches(|letter: char| letter.is_ascii_digit()).len();
+        let number = text.len()
+            - text
+                .trim_start_matches(|letter: char| letter.is_ascii_digit())
+                .len();
         let is_word = |letter: Option<char>| letter.is_some_and(char::is_alphanumeric);
         let mut before = None;
         for (place, letter) in text.char_indices() {
-            let after = text.get(place + letter.len_utf8()..).and_then(|rest| rest.chars().next());
+            let after = text
+                .get(place + letter.len_utf8()..)
+                .and_then(|rest| rest.chars().next());
             let ends_word = after.is_none_or(char::is_whitespace);
             // At the start of a block, these begin headings, quotations, rules and lists.
             let begins_block = match letter {
@@ -140,7 +163,9 @@ impl Display for MarkdownText<'_> {
                 '_' if is_word(before) && is_word(after) => out.write_char('_')?,
                 // Neither HTML nor an entity begins with these.
                 '<' | '&' if after == Some(' ') => out.write_char(letter)?,
-                '\\' | '`' | '*' | '_' | '<' | '&' | '[' | ']' | '|' | '~' | '$' => write!(out, "\\{letter}")?,
+                '\\' | '`' | '*' | '_' | '<' | '&' | '[' | ']' | '|' | '~' | '$' => {
+                    write!(out, "\\{letter}")?
+                }
                 _ if begins_block => write!(out, "\\{letter}")?,
                 _ if is_hidden(letter) => {
                     out.write_char('\\')?;
@@ -157,11 +182,20 @@ impl Display for MarkdownText<'_> {
 impl Display for MarkdownCode<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         // The fence must be longer than any run of backticks inside.
-        let longest = self.0.split(|letter| letter != '`').map(str::len).max().unwrap_or_default();
+        let longest = self
+            .0
+            .split(|letter| letter != '`')
+            .map(str::len)
+            .max()
+            .unwrap_or_default();
         let fence = "`".repeat(longest + 1);
         // Markdown removes a space at each end, unless the code is all spaces.
         let blank = self.0.chars().all(|letter| letter == ' ');
-        let pad = if longest > 0 || (self.0.starts_with(' ') && self.0.ends_with(' ') && !blank) { " " } else { "" };
+        let pad = if longest > 0 || (self.0.starts_with(' ') && self.0.ends_with(' ') && !blank) {
+            " "
+        } else {
+            ""
+        };
         write!(out, "{fence}{pad}")?;
         if self.0.is_empty() {
             out.write_char(' ')?;
@@ -172,7 +206,8 @@ impl Display for MarkdownCode<'_> {
 
 impl Display for ShellWord<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
-        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "+-./:@_=,".contains(letter);
+        let is_plain =
+            |letter: char| letter.is_ascii_alphanumeric() || "+-./:@_=,".contains(letter);
         // Some shells expand `=NAME` to the path of a program.
         if !self.0.is_empty() && !self.0.starts_with('=') && self.0.chars().all(is_plain) {
             return out.write_str(self.0);
@@ -188,12 +223,24 @@ mod tests {
     use super::*;
 
     fn hostile_text() -> impl Strategy<Value = String> {
-        let words = ["\u{1b}]0;x\u{7}", "\u{1b}[2J", "\u{9b}1m", "$(touch x)", "`touch x`", "&&"].map(str::to_owned);
-        let letters =
-            "\u{202e}\u{2066}\u{2028}\u{feff}\u{e0041}\r\n\t\u{0}\u{7f};'\"\\|# é=~-".chars().map(String::from);
+        let words = [
+            "\u{1b}]0;x\u{7}",
+            "\u{1b}[2J",
+            "\u{9b}1m",
+            "$(touch x)",
+            "`touch x`",
+            "&&",
+        ]
+        .map(str::to_owned);
+        let letters = "\u{202e}\u{2066}\u{2028}\u{feff}\u{e0041}\r\n\t\u{0}\u{7f};'\"\\|# é=~-"
+            .chars()
+            .map(String::from);
         let nasty = prop::sample::select(words.into_iter().chain(letters).collect::<Vec<_>>());
-        prop::collection::vec(prop_oneof![nasty, any::<char>().prop_map(String::from)], 0..12)
-            .prop_map(|pieces| pieces.concat())
+        prop::collection::vec(
+            prop_oneof![nasty, any::<char>().prop_map(String::from)],
+            0..12,
+        )
+        .prop_map(|pieces| pieces.concat())
     }
 
     proptest! {
@@ -218,13 +265,25 @@ mod tests {
     #[test]
     fn messages_are_shortened_where_they_quote_and_as_a_whole() {
         let long = "ä".repeat(1_000_000);
-        let quoted = TerminalMessage(&format!("a.toml:1: unknown field `{long}`, expected `name`")).to_string();
-        let expected = format!("a.toml:1: unknown field `{}…`, expected `name`", "ä".repeat(MAX_QUOTED_CHARS - 1));
+        let quoted = TerminalMessage(&format!(
+            "a.toml:1: unknown field `{long}`, expected `name`"
+        ))
+        .to_string();
+        let expected = format!(
+            "a.toml:1: unknown field `{}…`, expected `name`",
+            "ä".repeat(MAX_QUOTED_CHARS - 1)
+        );
         assert_eq!(quoted, expected);
-        for text in [format!("a.toml:1: {long}: is no number"), format!("a.toml:1: `{long}: is no number")] {
+        for text in [
+            format!("a.toml:1: {long}: is no number"),
+            format!("a.toml:1: `{long}: is no number"),
+        ] {
             let short = shorten_message(&text);
             assert_eq!(short.chars().count(), MAX_MESSAGE_CHARS);
-            assert!(short.starts_with("a.toml:1: ") && short.ends_with("ä: is no number"), "{short}");
+            assert!(
+                short.starts_with("a.toml:1: ") && short.ends_with("ä: is no number"),
+                "{short}"
+            );
         }
         let whole = format!("`{}`", "x".repeat(MAX_QUOTED_CHARS));
         assert_eq!(shorten_message(&whole), whole);
@@ -233,19 +292,42 @@ mod tests {
     #[test]
     fn harmless_text_is_unchanged() {
         let text = "policy-2 at 3.5 m/s², 1 - ε: `ttc_s` (v1.gap_m > 0.3)!";
-        assert_eq!([TerminalText(text).to_string(), TerminalLines(text).to_string()], [text; 2]);
-        for text in ["vehicle 2 hits 1, 3.5 m, ttc_s", "4.25", "-3.1 m/s²", "TTC < 1.4 s & more"] {
+        assert_eq!(
+            [
+                TerminalText(text).to_string(),
+                TerminalLines(text).to_string()
+            ],
+            [text; 2]
+        );
+        for text in [
+            "vehicle 2 hits 1, 3.5 m, ttc_s",
+            "4.25",
+            "-3.1 m/s²",
+            "TTC < 1.4 s & more",
+        ] {
             assert_eq!(MarkdownText(text).to_string(), text);
         }
-        assert_eq!(ShellWord("shield:acc-aeb,ttc_s=2.0").to_string(), "shield:acc-aeb,ttc_s=2.0");
+        assert_eq!(
+            ShellWord("shield:acc-aeb,ttc_s=2.0").to_string(),
+            "shield:acc-aeb,ttc_s=2.0"
+        );
     }
 
     #[test]
     fn each_place_is_quoted_for() {
-        assert_eq!(TerminalText("a\u{1b}[2J\nb").to_string(), "a\\u001b[2J\\u000ab");
-        assert_eq!(MarkdownText("<img> & *x* [a](b) a|b").to_string(), "\\<img> & \\*x\\* \\[a\\](b) a\\|b");
+        assert_eq!(
+            TerminalText("a\u{1b}[2J\nb").to_string(),
+            "a\\u001b[2J\\u000ab"
+        );
+        assert_eq!(
+            MarkdownText("<img> & *x* [a](b) a|b").to_string(),
+            "\\<img> & \\*x\\* \\[a\\](b) a\\|b"
+        );
         assert_eq!(MarkdownText("  12. x\n- y").to_string(), "12\\. x - y");
         assert_eq!(MarkdownCode("a`b``").to_string(), "``` a`b`` ```");
-        assert_eq!(ShellWord("x;touch PWNED;#.safetensors").to_string(), "'x;touch PWNED;#.safetensors'");
+        assert_eq!(
+            ShellWord("x;touch PWNED;#.safetensors").to_string(),
+            "'x;touch PWNED;#.safetensors'"
+        );
     }
 }

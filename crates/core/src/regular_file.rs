@@ -22,8 +22,14 @@ pub fn permit_pipes(paths: Vec<PathBuf>) {
 /// # Errors
 /// Those of the system; [`io::ErrorKind::InvalidInput`] for a pipe, a terminal, a device or a socket.
 pub fn open(path: &Path) -> io::Result<File> {
-    let is_permitted = PERMITTED_PIPES.get().is_some_and(|known| known.iter().any(|known| known == path));
-    if is_permitted && path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+    let is_permitted = PERMITTED_PIPES
+        .get()
+        .is_some_and(|known| known.iter().any(|known| known == path));
+    if is_permitted
+        && path
+            .metadata()
+            .is_ok_and(|found| !found.is_file() && !found.is_dir())
+    {
         return File::open(path);
     }
     open_with(path, OpenOptions::new().read(true))
@@ -50,7 +56,9 @@ pub fn open_with(path: &Path, options: &OpenOptions) -> io::Result<File> {
 /// Those of [`open`]; [`io::ErrorKind::InvalidData`] for a longer file.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    open(path)?.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    open(path)?
+        .take(most.saturating_add(1))
+        .read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
         let problem = format!("has more than {most} bytes, too many for such a file");
         return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
@@ -62,16 +70,26 @@ fn ensure_regular(found: &Metadata) -> io::Result<()> {
     if found.is_file() {
         Ok(())
     } else if found.is_dir() {
-        Err(io::Error::new(io::ErrorKind::IsADirectory, "is not a regular file but a folder"))
+        Err(io::Error::new(
+            io::ErrorKind::IsADirectory,
+            "is not a regular file but a folder",
+        ))
     } else {
-        Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a regular file"))
+        Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "is not a regular file",
+        ))
     }
 }
 
 /// `O_NONBLOCK`, which has no effect on reads and writes of regular files. The standard library has no name for it.
 #[cfg(unix)]
 const NON_BLOCKING: i32 = if cfg!(any(target_os = "linux", target_os = "android")) {
-    if cfg!(any(target_arch = "mips", target_arch = "mips64")) { 0x80 } else { 0x800 }
+    if cfg!(any(target_arch = "mips", target_arch = "mips64")) {
+        0x80
+    } else {
+        0x800
+    }
 } else {
     0x4
 };
@@ -101,18 +119,39 @@ mod tests {
         fs::write(at("file"), "text").unwrap();
         std::os::unix::fs::symlink(at("file"), at("link")).unwrap();
         std::os::unix::fs::symlink("/dev/zero", at("device")).unwrap();
-        assert!(Command::new("mkfifo").arg(at("pipe")).status().unwrap().success());
+        assert!(
+            Command::new("mkfifo")
+                .arg(at("pipe"))
+                .status()
+                .unwrap()
+                .success()
+        );
         for name in ["file", "link"] {
             assert_eq!(read(&at(name), 4).unwrap(), b"text");
-            assert_eq!(read(&at(name), 3).unwrap_err().kind(), io::ErrorKind::InvalidData);
+            assert_eq!(
+                read(&at(name), 3).unwrap_err().kind(),
+                io::ErrorKind::InvalidData
+            );
         }
         let writing = OpenOptions::new().write(true).create(true).clone();
         for name in ["device", "pipe"] {
-            assert_eq!(open(&at(name)).unwrap_err().to_string(), "is not a regular file");
-            assert_eq!(open_with(&at(name), &writing).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+            assert_eq!(
+                open(&at(name)).unwrap_err().to_string(),
+                "is not a regular file"
+            );
+            assert_eq!(
+                open_with(&at(name), &writing).unwrap_err().kind(),
+                io::ErrorKind::InvalidInput
+            );
         }
-        assert_eq!(open(folder.path()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
-        assert_eq!(open(&at("missing")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(
+            open(folder.path()).unwrap_err().kind(),
+            io::ErrorKind::IsADirectory
+        );
+        assert_eq!(
+            open(&at("missing")).unwrap_err().kind(),
+            io::ErrorKind::NotFound
+        );
         assert!(open_with(&at("new"), &writing).is_ok());
     }
 }

@@ -54,7 +54,11 @@ pub enum BindingError {
 
 impl From<FileError> for BindingError {
     fn from(error: FileError) -> Self {
-        if error.is_start_refused() { Self::StartRefused(error) } else { Self::Text(error) }
+        if error.is_start_refused() {
+            Self::StartRefused(error)
+        } else {
+            Self::Text(error)
+        }
     }
 }
 
@@ -72,7 +76,9 @@ pub enum ScenarioMismatch {
     #[error(transparent)]
     Script(#[from] ScriptBeyondLimit),
     /// Step, duration or the follower's controller differ.
-    #[error("the time step, the duration or the follower's driver of the scenario differs from that of the statement")]
+    #[error(
+        "the time step, the duration or the follower's driver of the scenario differs from that of the statement"
+    )]
     OtherRun,
     /// The policy is missing, or exceeds the limits of the vehicle under test.
     #[error("its vehicle under test cannot execute all commands of the policy")]
@@ -102,8 +108,13 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
             .iter()
             .filter_map(|(name, _)| built_in_scenario(name))
             .find(|one| hash(one) == *carried);
-        let is_of_it = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
-        return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
+        let is_of_it =
+            |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
+        return if claimed.as_ref().is_none_or(is_of_it) {
+            Ok(())
+        } else {
+            Err(scene_mismatch())
+        };
     }
     match &certificate.statement {
         Statement::Kernel(_) => Ok(()),
@@ -115,10 +126,17 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
         _ => {
             if certificate.provenance.box_text.is_some() {
                 let problem = "is a box of `avoid --box`, which crumple 0.3.0 removed: version 0.2.0 checks it";
-                return Err(BindingError::Differs { field: BOX_TEXT_FIELD, problem });
+                return Err(BindingError::Differs {
+                    field: BOX_TEXT_FIELD,
+                    problem,
+                });
             }
             let is_about = covers_scenario(certificate, &read_scenario(certificate)?);
-            if is_about { Ok(()) } else { Err(scene_mismatch()) }
+            if is_about {
+                Ok(())
+            } else {
+                Err(scene_mismatch())
+            }
         }
     }
 }
@@ -134,7 +152,11 @@ pub fn check_covers_scenario(
     policy: Option<&[u8]>,
 ) -> Result<(), ScenarioMismatch> {
     let Statement::Reach(claim) = &certificate.statement else {
-        return if covers_scenario(certificate, scenario) { Ok(()) } else { Err(ScenarioMismatch::OtherScene) };
+        return if covers_scenario(certificate, scenario) {
+            Ok(())
+        } else {
+            Err(ScenarioMismatch::OtherScene)
+        };
     };
     let limit_mps2 = claim.leader_brakes_at_most_mps2;
     let starts = InitialSet::from_scenario(scenario, limit_mps2)?;
@@ -166,7 +188,11 @@ pub fn check_covers_scenario(
 pub fn count_omitted_vehicles(certificate: &Certificate) -> Option<usize> {
     let scene = certificate.statement.scene()?;
     let in_scene = 1 + scene.egos.len() + usize::from(scene.follower.is_some());
-    read_scenario(certificate).ok()?.vehicles().len().checked_sub(in_scene)
+    read_scenario(certificate)
+        .ok()?
+        .vehicles()
+        .len()
+        .checked_sub(in_scene)
 }
 
 fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
@@ -174,17 +200,29 @@ fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
 }
 
 fn scene_mismatch() -> BindingError {
-    mismatch("statement", "does not match the scenario or box of `provenance`")
+    mismatch(
+        "statement",
+        "does not match the scenario or box of `provenance`",
+    )
 }
 
 fn scenario_text(certificate: &Certificate) -> Result<&String, BindingError> {
-    certificate.provenance.scenario_text.as_ref().ok_or(BindingError::Missing { field: SCENARIO_TEXT_FIELD })
+    certificate
+        .provenance
+        .scenario_text
+        .as_ref()
+        .ok_or(BindingError::Missing {
+            field: SCENARIO_TEXT_FIELD,
+        })
 }
 
 fn check_name(certificate: &Certificate, name: &str) -> Result<(), BindingError> {
     match name == certificate.provenance.scenario {
         true => Ok(()),
-        false => Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`")),
+        false => Err(mismatch(
+            "provenance.scenario",
+            "differs from the name in `scenario_text`",
+        )),
     }
 }
 
@@ -217,7 +255,9 @@ fn read_box<T>(
     scenario: fn(&T) -> &String,
 ) -> Result<T, BindingError> {
     let text = certificate.provenance.box_text.as_ref();
-    let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
+    let text = text.ok_or(BindingError::Missing {
+        field: BOX_TEXT_FIELD,
+    })?;
     let spec = parse(text, Path::new(BOX_TEXT_FIELD))?;
     if *scenario(&spec) != certificate.provenance.scenario {
         return Err(mismatch(BOX_TEXT_FIELD, "belongs to another scenario"));
@@ -225,7 +265,11 @@ fn read_box<T>(
     Ok(spec)
 }
 
-fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]>) -> Result<(), BindingError> {
+fn check_box(
+    certificate: &Certificate,
+    claim: &ReachClaim,
+    policy: Option<&[u8]>,
+) -> Result<(), BindingError> {
     let scenario = read_scenario(certificate)?;
     let spec = read_box(certificate, BoxSpec::from_toml, |spec| &spec.scenario)?;
     let starts = InitialSet::new(&scenario, &spec)?;
@@ -239,7 +283,10 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
     if can_execute_policy(policy, &starts) {
         Ok(())
     } else {
-        Err(mismatch("policy_file", "commands accelerations that the vehicle cannot execute"))
+        Err(mismatch(
+            "policy_file",
+            "commands accelerations that the vehicle cannot execute",
+        ))
     }
 }
 
@@ -252,11 +299,16 @@ fn check_invariant(
     let spec = read_box(certificate, InvariantSpec::from_toml, |spec| &spec.scenario)?;
     // The checker has compared the digest of the policy.
     let frame = spec.frame(&scenario, claim.network().and(policy))?;
-    if has_frame(claim, frame) { Ok(()) } else { Err(scene_mismatch()) }
+    if has_frame(claim, frame) {
+        Ok(())
+    } else {
+        Err(scene_mismatch())
+    }
 }
 
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
-    let space = space::file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+    let space =
+        space::file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
     check_name(certificate, space.name())?;
     Ok(space)
 }
@@ -266,19 +318,42 @@ pub(super) fn rebuild_plan(
     registration: &Registration,
     (controller, second_controller): (NamedController, Option<NamedController>),
 ) -> Result<RatePlan, BindingError> {
-    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
-    let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
-    let estimator =
-        estimator.ok_or_else(|| mismatch("registration.configuration.estimator", "is not a known estimator"))?;
-    let seed = of("seed").parse().map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
+    let of = |key: &str| {
+        registration
+            .configuration
+            .get(key)
+            .map_or("", String::as_str)
+    };
+    let estimator = EstimatorKind::ALL
+        .into_iter()
+        .find(|one| one.name() == of("estimator"));
+    let estimator = estimator.ok_or_else(|| {
+        mismatch(
+            "registration.configuration.estimator",
+            "is not a known estimator",
+        )
+    })?;
+    let seed = of("seed")
+        .parse()
+        .map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
     let space = read_space(certificate)?;
-    Ok(RatePlan::new(RateConfig { controller, second_controller, space, seed, estimator, runs, confidence })?)
+    Ok(RatePlan::new(RateConfig {
+        controller,
+        second_controller,
+        space,
+        seed,
+        estimator,
+        runs,
+        confidence,
+    })?)
 }
 
 /// Returns the controllers of a registration if all are built in. A name in a certificate never opens a file or starts
 /// a program.
-pub(super) fn built_in_controllers(registration: &Registration) -> Option<(NamedController, Option<NamedController>)> {
+pub(super) fn built_in_controllers(
+    registration: &Registration,
+) -> Option<(NamedController, Option<NamedController>)> {
     let find = |name: &String| NamedController::find_built_in(name);
     let first = find(registration.configuration.get("controller")?)?;
     let second = registration.configuration.get("against");
@@ -288,21 +363,37 @@ pub(super) fn built_in_controllers(registration: &Registration) -> Option<(Named
     }
 }
 
-fn check_registration(certificate: &Certificate, registration: &Registration) -> Result<(), BindingError> {
+fn check_registration(
+    certificate: &Certificate,
+    registration: &Registration,
+) -> Result<(), BindingError> {
     let space = read_space(certificate)?;
-    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+    let of = |key: &str| {
+        registration
+            .configuration
+            .get(key)
+            .map_or("", String::as_str)
+    };
     let text = space::file::to_toml(&space).unwrap_or_default();
     if sha256(text) != of("space_sha256") {
-        return Err(mismatch("provenance.scenario_text", "differs from what this program writes for the space"));
+        return Err(mismatch(
+            "provenance.scenario_text",
+            "differs from what this program writes for the space",
+        ));
     }
     // Other releases may use these names for other controllers.
     if of("crumple") != env!("CARGO_PKG_VERSION") {
         return Ok(());
     }
-    let Some(controllers) = built_in_controllers(registration) else { return Ok(()) };
+    let Some(controllers) = built_in_controllers(registration) else {
+        return Ok(());
+    };
     if rebuild_plan(certificate, registration, controllers)?.registration() == registration {
         Ok(())
     } else {
-        Err(mismatch("registration", "does not match the controllers and space that it names"))
+        Err(mismatch(
+            "registration",
+            "does not match the controllers and space that it names",
+        ))
     }
 }

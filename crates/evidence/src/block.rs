@@ -20,10 +20,18 @@ pub struct CountedBlock {
     /// SHA-256 of the result of each run, known only to a program that simulates them: see `docs/certificates.md`.
     pub sha256: String,
     /// Runs without an answer of the controller, or of the first of two; they count as failures.
-    #[serde(rename = "unanswered", default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        rename = "unanswered",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub missing_answers: Option<FailedControllerRuns>,
     /// Runs without an answer of the second controller; they count for neither controller.
-    #[serde(rename = "other_unanswered", default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        rename = "other_unanswered",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub second_missing_answers: Option<FailedControllerRuns>,
 }
 
@@ -41,12 +49,23 @@ impl RunFingerprint {
             Outcome::Collision(contact) => (1, contact.time_s),
             Outcome::ControllerFailed(failed) => (2, failed.time_s),
         };
-        let smallest_m = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min);
+        let smallest_m = result
+            .vehicles
+            .iter()
+            .filter_map(|vehicle| vehicle.min_gap_m)
+            .fold(f64::INFINITY, f64::min);
         let mut bytes = [kind; 17];
         bytes[1..9].copy_from_slice(&at_s.to_bits().to_le_bytes());
         bytes[9..].copy_from_slice(&smallest_m.to_bits().to_le_bytes());
-        let failure_reason = result.outcome.failed_controller().map(FailedController::reason);
-        Self { failed: kind != 0, failure_reason, bytes }
+        let failure_reason = result
+            .outcome
+            .failed_controller()
+            .map(FailedController::reason);
+        Self {
+            failed: kind != 0,
+            failure_reason,
+            bytes,
+        }
     }
 }
 
@@ -64,20 +83,31 @@ impl CountedBlock {
         runs: impl Iterator<Item = Vec<&'a RunFingerprint>>,
     ) -> Self {
         let mut block = Self::default();
-        let mut hash = Sha256::default().with(HASH_PREFIX).with(registered).with(first.to_le_bytes());
+        let mut hash = Sha256::default()
+            .with(HASH_PREFIX)
+            .with(registered)
+            .with(first.to_le_bytes());
         for endings in runs {
             endings.iter().for_each(|ending| hash.update(ending.bytes));
-            let missing = [&mut block.missing_answers, &mut block.second_missing_answers];
+            let missing = [
+                &mut block.missing_answers,
+                &mut block.second_missing_answers,
+            ];
             for (known, ending) in missing.into_iter().zip(&endings) {
                 let because = ending.failure_reason.clone();
-                FailedControllerRuns::merge(known, because.map(|because| FailedControllerRuns { runs: 1, because }));
+                FailedControllerRuns::merge(
+                    known,
+                    because.map(|because| FailedControllerRuns { runs: 1, because }),
+                );
             }
             match endings.as_slice() {
                 [one] if one.failed => block.failures += 1,
                 [first, second] if first.failed && second.failed => block.failures += 1,
                 [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
                 // A second controller without an answer is not known to be worse.
-                [first, second] if !first.failed && second.failed && second.failure_reason.is_none() => {
+                [first, second]
+                    if !first.failed && second.failed && second.failure_reason.is_none() =>
+                {
                     block.only_second_failed += 1;
                 }
                 _ => {}

@@ -62,13 +62,22 @@ impl CountsStatus {
                 confirmation.total_runs
             ),
             Self::Confirmed { confirmation, seed } => {
-                let Confirmation { blocks, total_blocks: of_blocks, runs, total_runs: of_runs, .. } = confirmation;
+                let Confirmation {
+                    blocks,
+                    total_blocks: of_blocks,
+                    runs,
+                    total_runs: of_runs,
+                    ..
+                } = confirmation;
                 let mut chances = detection_probabilities(confirmation).to_vec();
                 // With few runs, 1 % is one run as well.
                 chances.dedup();
                 let chance = |(forged, chance): (u64, f64)| {
                     let runs = if forged == 1 { "run" } else { "runs" };
-                    format!("{forged} forged {runs}: {:.2} %", (1e4 * chance).floor() / 1e2)
+                    format!(
+                        "{forged} forged {runs}: {:.2} %",
+                        (1e4 * chance).floor() / 1e2
+                    )
                 };
                 let chances: Vec<String> = chances.into_iter().map(chance).collect();
                 format!(
@@ -86,8 +95,12 @@ impl CountsStatus {
 
 /// Returns the probabilities of detecting one forged run, 1 % and 10 % forged runs.
 fn detection_probabilities(confirmation: &Confirmation) -> [(u64, f64); 3] {
-    [1, confirmation.total_runs.div_ceil(100), confirmation.total_runs.div_ceil(10)]
-        .map(|forged| (forged, confirmation.detection_probability(forged)))
+    [
+        1,
+        confirmation.total_runs.div_ceil(100),
+        confirmation.total_runs.div_ceil(10),
+    ]
+    .map(|forged| (forged, confirmation.detection_probability(forged)))
 }
 
 impl<'a> CertificateReport<'a> {
@@ -103,20 +116,33 @@ impl<'a> CertificateReport<'a> {
         policy: Option<&[u8]>,
         limit: WorkLimit,
     ) -> Result<Self, BindingError> {
-        let accepted = check_with(certificate, policy, limit).map_err(|rejection| rejection.to_string());
+        let accepted =
+            check_with(certificate, policy, limit).map_err(|rejection| rejection.to_string());
         let accepted = match (accepted, check_binding(certificate, policy)) {
             (Ok(_), Err(refused @ BindingError::StartRefused(_))) => return Err(refused),
             (Ok(_), Err(unbound)) => Err(unbound.to_string()),
             (accepted, _) => accepted,
         };
-        Ok(Self { path, certificate, accepted, counts: None, covers_scenario: None })
+        Ok(Self {
+            path,
+            certificate,
+            accepted,
+            counts: None,
+            covers_scenario: None,
+        })
     }
 
     /// Checks a certificate that was just made, without its binding.
     #[must_use]
     pub fn new(path: String, certificate: &'a Certificate) -> Self {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
-        Self { path, certificate, accepted, counts: None, covers_scenario: None }
+        Self {
+            path,
+            certificate,
+            accepted,
+            counts: None,
+            covers_scenario: None,
+        }
     }
 }
 
@@ -135,7 +161,9 @@ impl CertificateReport<'_> {
 
     fn confidence(&self) -> Option<f64> {
         match self.accepted {
-            Ok(ProvedClaim::Rate { confidence, .. } | ProvedClaim::FailsLessOften { confidence }) => Some(confidence),
+            Ok(
+                ProvedClaim::Rate { confidence, .. } | ProvedClaim::FailsLessOften { confidence },
+            ) => Some(confidence),
             _ => None,
         }
     }
@@ -144,7 +172,10 @@ impl CertificateReport<'_> {
     /// text.
     fn is_built_in(&self) -> Option<bool> {
         let provenance = &self.certificate.provenance;
-        let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_first_version())?;
+        let text = provenance
+            .scenario_text
+            .as_ref()
+            .filter(|_| !self.certificate.is_first_version())?;
         let built_in = match &self.certificate.statement {
             Statement::Rate(_) | Statement::Comparison(_) => {
                 space_file::to_toml(&built_in_space(&provenance.scenario)?)
@@ -156,10 +187,15 @@ impl CertificateReport<'_> {
 
     /// Returns the plants of a space; `None` for other statements, which have the plants as an assumption.
     fn plants(&self) -> Option<&'static str> {
-        let (Statement::Rate(_) | Statement::Comparison(_)) = &self.certificate.statement else { return None };
+        let (Statement::Rate(_) | Statement::Comparison(_)) = &self.certificate.statement else {
+            return None;
+        };
         let space = read_space(self.certificate).ok()?;
         let scenario = space.scenario_at(&space.nominal()).ok()?;
-        let is_multi_body = scenario.vehicles().iter().any(|vehicle| vehicle.plant == PlantKind::MultiBody);
+        let is_multi_body = scenario
+            .vehicles()
+            .iter()
+            .any(|vehicle| vehicle.plant == PlantKind::MultiBody);
         Some(if is_multi_body {
             "some of its vehicles have the plant `multi-body`"
         } else {
@@ -175,15 +211,25 @@ impl CertificateReport<'_> {
     }
 
     fn text(&self, scenario: Option<&str>) -> String {
-        let Self { certificate, accepted, counts, covers_scenario: about, .. } = self;
+        let Self {
+            certificate,
+            accepted,
+            counts,
+            covers_scenario: about,
+            ..
+        } = self;
         let path = TerminalText(&self.path);
         let mut text = match accepted {
             Ok(accepted) if matches!(counts, Some(CountsStatus::Refuted { .. })) => {
-                format!("{path}: REFUTED: its counts are wrong, although the claim follows from them: {accepted}\n")
+                format!(
+                    "{path}: REFUTED: its counts are wrong, although the claim follows from them: {accepted}\n"
+                )
             }
             Ok(accepted) if let (Some(scenario), Some(Err(why))) = (scenario, about) => {
                 let (scenario, why) = (TerminalText(scenario), TerminalText(why));
-                format!("{path}: is NOT about {scenario}: {why}; the certificate itself is accepted: {accepted}\n")
+                format!(
+                    "{path}: is NOT about {scenario}: {why}; the certificate itself is accepted: {accepted}\n"
+                )
             }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
@@ -195,9 +241,15 @@ impl CertificateReport<'_> {
             }
         };
         match (scenario, about) {
-            (Some(scenario), Some(Ok(()))) => text += &format!("  is about {}\n", TerminalText(scenario)),
+            (Some(scenario), Some(Ok(()))) => {
+                text += &format!("  is about {}\n", TerminalText(scenario))
+            }
             (Some(scenario), Some(Err(why))) if accepted.is_err() => {
-                text += &format!("  is NOT about {}: {}\n", TerminalText(scenario), TerminalText(why));
+                text += &format!(
+                    "  is NOT about {}: {}\n",
+                    TerminalText(scenario),
+                    TerminalText(why)
+                );
             }
             _ => {}
         }
@@ -205,10 +257,21 @@ impl CertificateReport<'_> {
             return text;
         }
         if let Statement::Rate(rate) = &certificate.statement {
-            text += &format!("  counted: {} failures in {} runs\n", rate.failures, rate.registration.runs);
+            text += &format!(
+                "  counted: {} failures in {} runs\n",
+                rate.failures, rate.registration.runs
+            );
         }
-        text += &counts.iter().map(|counts| format!("  {}\n", TerminalText(&counts.summary()))).collect::<String>();
-        text += &self.scope().to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
+        text += &counts
+            .iter()
+            .map(|counts| format!("  {}\n", TerminalText(&counts.summary())))
+            .collect::<String>();
+        text += &self
+            .scope()
+            .to_string()
+            .lines()
+            .map(|line| format!("  {line}\n"))
+            .collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  it is the built-in scenario or space of that name\n",
             Some(false) => text += "  it is NOT the built-in scenario or space of that name\n",
@@ -217,9 +280,15 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
-        text += &self.plants().map(|plants| format!("  {plants}\n")).unwrap_or_default();
-        let old =
-            if certificate.is_first_version() { ", an old one: see docs/certificates.md for its limits" } else { "" };
+        text += &self
+            .plants()
+            .map(|plants| format!("  {plants}\n"))
+            .unwrap_or_default();
+        let old = if certificate.is_first_version() {
+            ", an old one: see docs/certificates.md for its limits"
+        } else {
+            ""
+        };
         text + &format!(
             "  version {}{old}; SHA-256 of its content, without spaces and line breaks: {}\n",
             certificate.version,
@@ -231,10 +300,17 @@ impl CertificateReport<'_> {
 /// Returns the number of accepted bounds and their joint confidence level by the Bonferroni inequality, if there are
 /// several.
 fn joint_confidence(all: &[CertificateReport<'_>]) -> Option<(usize, f64)> {
-    let open: Vec<f64> =
-        all.iter().filter_map(CertificateReport::confidence).map(|confidence| 1.0 - confidence).collect();
-    (open.len() > 1)
-        .then(|| (open.len(), (1.0 - open.iter().fold(0.0, |sum: f64, one| (sum + one).next_up())).max(0.0)))
+    let open: Vec<f64> = all
+        .iter()
+        .filter_map(CertificateReport::confidence)
+        .map(|confidence| 1.0 - confidence)
+        .collect();
+    (open.len() > 1).then(|| {
+        (
+            open.len(),
+            (1.0 - open.iter().fold(0.0, |sum: f64, one| (sum + one).next_up())).max(0.0),
+        )
+    })
 }
 
 /// Formats reports for a reader. `scenario` is the name of the requested scenario.
@@ -297,12 +373,23 @@ struct RerunReport {
 /// None in practice; only the serializer can fail.
 pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::Error> {
     let joint_confidence = joint_confidence(all).map(|(_, confidence)| confidence);
-    let lines = all.iter().map(|one| Ok(serde_json::to_string(&report_line(one, joint_confidence))? + "\n"));
+    let lines = all
+        .iter()
+        .map(|one| Ok(serde_json::to_string(&report_line(one, joint_confidence))? + "\n"));
     lines.collect()
 }
 
-fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
-    let CertificateReport { path, certificate, accepted, counts, covers_scenario: about } = one;
+fn report_line<'a>(
+    one: &'a CertificateReport<'a>,
+    joint_confidence: Option<f64>,
+) -> ReportLine<'a> {
+    let CertificateReport {
+        path,
+        certificate,
+        accepted,
+        counts,
+        covers_scenario: about,
+    } = one;
     // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let scope = one.scope();
@@ -325,7 +412,10 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         counts: counts.as_ref().map(CountsStatus::name),
         rejection: accepted.as_ref().err().cloned().or(refuted),
         about_scenario: about.as_ref().map(Result::is_ok),
-        not_about_scenario: about.as_ref().and_then(|about| about.as_ref().err()).map(String::as_str),
+        not_about_scenario: about
+            .as_ref()
+            .and_then(|about| about.as_ref().err())
+            .map(String::as_str),
         ..ReportLine::default()
     };
     if let Some(CountsStatus::Confirmed { confirmation, seed }) = counts {
@@ -339,16 +429,26 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         });
     }
     match *accepted {
-        Ok(ProvedClaim::Avoidable { min_gap_m, after_horizon, .. }) => {
+        Ok(ProvedClaim::Avoidable {
+            min_gap_m,
+            after_horizon,
+            ..
+        }) => {
             (line.smallest_gap_m, line.afterwards) = (Some(min_gap_m), Some(after_horizon.name()));
         }
         Ok(ProvedClaim::Unavoidable { overlap_m, .. }) => line.overlap_m = finite(overlap_m),
         Ok(ProvedClaim::GapBound { gap_m, .. }) => line.gap_bound_m = Some(gap_m),
         Ok(ProvedClaim::Rate { max_rate, .. }) => line.rate_at_most = Some(max_rate),
-        Ok(ProvedClaim::Reach { min_gap_m, verified_share, .. }) => {
+        Ok(ProvedClaim::Reach {
+            min_gap_m,
+            verified_share,
+            ..
+        }) => {
             (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(verified_share));
         }
-        Ok(ProvedClaim::Invariant { share, min_gap_m, .. }) => {
+        Ok(ProvedClaim::Invariant {
+            share, min_gap_m, ..
+        }) => {
             (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(share));
         }
         _ => {}

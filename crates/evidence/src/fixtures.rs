@@ -44,6 +44,9 @@ pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         seed,
-        effort: SplittingConfig { samples: 50, repetitions },
+        effort: SplittingConfig {
+            samples: 50,
+            repetitions,
+        },
     }
 }

@@ -38,7 +38,9 @@ impl InitialSet {
     fn from_valid_limit(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let wrong = |why: &str| InvalidBox::field("scenario", why);
         let vehicles = scenario.vehicles();
-        let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
+        let [leader, ego, rest @ ..] = vehicles else {
+            return Err(wrong("has too few vehicles"));
+        };
         let led = spec.leader_brakes_at_most_mps2;
         let script = match (&leader.driver, led) {
             (Driver::Profile(LeadProfile::Brake(brake)), None) => Some(brake),
@@ -62,20 +64,30 @@ impl InitialSet {
             ));
         }
         if scenario.spec().sensors.faults.is_any() {
-            return Err(wrong("must have no sensor faults, which the checker does not model"));
+            return Err(wrong(
+                "must have no sensor faults, which the checker does not model",
+            ));
         }
         let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
             ([], None) => (None, None),
-            ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning without a follower")),
+            ([], Some(_)) => {
+                return Err(InvalidBox::field(
+                    FOLLOWER_FIELD,
+                    "has no meaning without a follower",
+                ));
+            }
             ([follower], in_place) => follower_model(follower, in_place.as_ref())?,
             _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
         };
         let step_s = scenario.spec().step_s;
-        let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
-        let behind = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let or =
+            |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
+        let behind =
+            |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
         let given = &spec.ranges;
-        let of_script =
-            |range, value: fn(&Brake) -> f64| script.map_or(Interval::ZERO, |brake| or(range, value(brake)));
+        let of_script = |range, value: fn(&Brake) -> f64| {
+            script.map_or(Interval::ZERO, |brake| or(range, value(brake)))
+        };
         let onset_s = of_script(given.onset_s, |brake| brake.onset_s);
         let ranges = InitialRanges {
             gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
@@ -92,7 +104,10 @@ impl InitialSet {
                 .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
         };
         if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
-            return Err(InvalidBox::field("ranges.leader_brake_mps2", "exceeds the braking limit of the leader"));
+            return Err(InvalidBox::field(
+                "ranges.leader_brake_mps2",
+                "exceeds the braking limit of the leader",
+            ));
         }
         let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
         Ok(Self {
@@ -115,7 +130,13 @@ impl InitialSet {
         leader_brakes_at_most_mps2: Option<f64>,
     ) -> Result<Self, InvalidBox> {
         let point = BoxSpec::around(&scenario.spec().name, RangesSpec::default());
-        Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
+        Self::from_valid_limit(
+            scenario,
+            &BoxSpec {
+                leader_brakes_at_most_mps2,
+                ..point
+            },
+        )
     }
 
     /// True if the vehicle under test can execute all commands between these bounds.
@@ -139,7 +160,10 @@ fn follower_model(
     match law {
         Some(law) => Ok((None, Some(law))),
         None => {
-            let problem = format!("must drive with baseline, idm or acc-aeb, found {}", driver.name());
+            let problem = format!(
+                "must drive with baseline, idm or acc-aeb, found {}",
+                driver.name()
+            );
             Err(match in_place {
                 Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
                 None => InvalidBox::field("scenario", format!("its follower {problem}")),
@@ -174,20 +198,32 @@ pub(super) fn control_law(spec: &ControllerSpec, max_accel_mps2: f64) -> Option<
     }
 }
 
-fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
+fn check_leader_limit(
+    limit_mps2: f64,
+    able_mps2: f64,
+    given: &RangesSpec,
+) -> Result<(), InvalidBox> {
     if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
-        return Err(InvalidBox::field(LEADER_LIMIT_FIELD, format!("must be 0 or more, found {limit_mps2}")));
+        return Err(InvalidBox::field(
+            LEADER_LIMIT_FIELD,
+            format!("must be 0 or more, found {limit_mps2}"),
+        ));
     }
     if limit_mps2 > able_mps2 {
-        let problem =
-            format!("exceeds the braking limit of the leader: must be at most {able_mps2} m/s², found {limit_mps2}");
+        let problem = format!(
+            "exceeds the braking limit of the leader: must be at most {able_mps2} m/s², found {limit_mps2}"
+        );
         return Err(InvalidBox::field(LEADER_LIMIT_FIELD, problem));
     }
-    let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
+    let of_script = [
+        ("leader_brake_mps2", given.leader_brake_mps2),
+        ("onset_s", given.onset_s),
+    ];
     match of_script.into_iter().find(|(_, range)| range.is_some()) {
         Some((name, _)) => {
-            let problem =
-                format!("has no meaning with `{LEADER_LIMIT_FIELD}`: the leader brakes arbitrarily up to that limit");
+            let problem = format!(
+                "has no meaning with `{LEADER_LIMIT_FIELD}`: the leader brakes arbitrarily up to that limit"
+            );
             Err(InvalidBox::field(&format!("ranges.{name}"), problem))
         }
         None => Ok(()),
@@ -203,12 +239,22 @@ mod tests {
     fn other_plants_and_sensor_faults_are_refused() {
         let paper = built_in_scenario("paper-1").unwrap();
         let refusal = |scenario: &Scenario| {
-            InitialSet::new(scenario, &BoxSpec::around("paper-1", RangesSpec::default())).err().map(|e| e.to_string())
+            InitialSet::new(scenario, &BoxSpec::around("paper-1", RangesSpec::default()))
+                .err()
+                .map(|e| e.to_string())
         };
         assert_eq!(refusal(&paper), None);
         let multi_body = refusal(&paper.with_plant(PlantKind::MultiBody).unwrap()).unwrap();
-        assert!(multi_body.contains("the plant `point-mass`"), "{multi_body}");
-        let faulty = refusal(&paper.edited(|spec| spec.sensors.faults.latency_s = 0.1).unwrap()).unwrap();
+        assert!(
+            multi_body.contains("the plant `point-mass`"),
+            "{multi_body}"
+        );
+        let faulty = refusal(
+            &paper
+                .edited(|spec| spec.sensors.faults.latency_s = 0.1)
+                .unwrap(),
+        )
+        .unwrap();
         assert!(faulty.contains("no sensor faults"), "{faulty}");
     }
 }

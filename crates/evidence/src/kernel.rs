@@ -9,9 +9,14 @@ use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 /// Returns the certificates of all pairs of vehicle classes on a dry road, by names such as `light-behind-heavy`.
 #[must_use]
 pub fn shipped_kernels() -> Vec<(String, Certificate)> {
-    let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
+    let pairs = VehicleClass::ALL
+        .iter()
+        .flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
     let certificates = pairs.filter_map(|(own, ahead)| {
-        let kernel = ViabilityKernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let kernel = ViabilityKernel {
+            own_brake_mps2: own.max_brake_mps2(),
+            ahead_brake_mps2: ahead.max_brake_mps2(),
+        };
         let name = format!("{}-behind-{}", own.name(), ahead.name());
         let certificate = kernel_certificate(&kernel, PAPER_STEP_S, MIN_MARGIN_M)?;
         Some((name, certificate))
@@ -22,19 +27,35 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
 /// Returns the certificate of a kernel; `None` if a limit is not positive, or has too many digits. Numbers are taken as
 /// they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
-pub fn kernel_certificate(kernel: &ViabilityKernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
-    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::from_f64);
+pub fn kernel_certificate(
+    kernel: &ViabilityKernel,
+    step_s: f64,
+    margin_m: f64,
+) -> Option<Certificate> {
+    let [b, c, h, m] = [
+        kernel.own_brake_mps2,
+        kernel.ahead_brake_mps2,
+        step_s,
+        margin_m,
+    ]
+    .map(Rational::from_f64);
     let (b, c) = (b?, c?);
     let harder = b.checked_sub(c)?;
-    Some(certificate_without_scenario(Statement::Kernel(crumple_verify::KernelClaim {
-        ego_brake_mps2: b.to_string(),
-        leader_brake_mps2: c.to_string(),
-        step_s: h?.to_string(),
-        margin_m: m?.to_string(),
-        stopping_own_squared: b.half_reciprocal()?.to_string(),
-        stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
-        catching_up_squared: if harder.numerator > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
-    })))
+    Some(certificate_without_scenario(Statement::Kernel(
+        crumple_verify::KernelClaim {
+            ego_brake_mps2: b.to_string(),
+            leader_brake_mps2: c.to_string(),
+            step_s: h?.to_string(),
+            margin_m: m?.to_string(),
+            stopping_own_squared: b.half_reciprocal()?.to_string(),
+            stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
+            catching_up_squared: if harder.numerator > 0 {
+                Some(harder.half_reciprocal()?.to_string())
+            } else {
+                None
+            },
+        },
+    )))
 }
 
 /// A rational number in lowest terms.
@@ -50,7 +71,10 @@ impl Rational {
         while b != 0 {
             (a, b) = (b, a % b);
         }
-        (under > 0).then(|| Self { numerator: over / a, denominator: under / a })
+        (under > 0).then(|| Self {
+            numerator: over / a,
+            denominator: under / a,
+        })
     }
 
     /// Converts a positive number as it is printed.
@@ -62,8 +86,14 @@ impl Rational {
     }
 
     fn checked_sub(self, other: Self) -> Option<Self> {
-        let (a, b) = (self.numerator.checked_mul(other.denominator)?, other.numerator.checked_mul(self.denominator)?);
-        Self::new(a.checked_sub(b)?, self.denominator.checked_mul(other.denominator)?)
+        let (a, b) = (
+            self.numerator.checked_mul(other.denominator)?,
+            other.numerator.checked_mul(self.denominator)?,
+        );
+        Self::new(
+            a.checked_sub(b)?,
+            self.denominator.checked_mul(other.denominator)?,
+        )
     }
 
     fn half_reciprocal(self) -> Option<Self> {
@@ -73,8 +103,15 @@ impl Rational {
 
 impl std::fmt::Display for Rational {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { numerator: over, denominator: under } = self;
-        if *under == 1 { write!(out, "{over}") } else { write!(out, "{over}/{under}") }
+        let Self {
+            numerator: over,
+            denominator: under,
+        } = self;
+        if *under == 1 {
+            write!(out, "{over}")
+        } else {
+            write!(out, "{over}/{under}")
+        }
     }
 }
 

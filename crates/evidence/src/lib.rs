@@ -25,12 +25,15 @@ mod record;
 mod rerun;
 mod script;
 
-pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles};
+pub use binding::{
+    BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles,
+};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use crumple_core::interval::RateInterval;
 pub use invariant::{
-    Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec, InvariantStage,
+    Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
+    InvariantStage,
 };
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
@@ -39,7 +42,8 @@ pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use reach::{
-    BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts, VolumeShares, checker_file,
+    BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts,
+    VolumeShares, checker_file,
 };
 pub use record::{CountRecord, CountTally};
 pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};

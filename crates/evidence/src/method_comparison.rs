@@ -84,10 +84,20 @@ pub struct PairedTest {
 
 impl PairedTest {
     fn new(first: u64, second: u64) -> Self {
-        let of =
-            |only_second_fails, only_first_fails| DiscordantPairs { only_second_fails, only_first_fails }.p_value();
+        let of = |only_second_fails, only_first_fails| {
+            DiscordantPairs {
+                only_second_fails,
+                only_first_fails,
+            }
+            .p_value()
+        };
         let p = (2.0 * of(first, second).min(of(second, first))).min(1.0);
-        Self { first, second, p, p_corrected: p }
+        Self {
+            first,
+            second,
+            p,
+            p_corrected: p,
+        }
     }
 }
 
@@ -103,7 +113,8 @@ impl MethodRuns {
             falsified: falsified as u64,
             falsification_rate: falsified as f64 / count as f64,
             interval: [interval.lower, interval.upper],
-            mean_simulations: (falsified > 0).then(|| simulations.iter().sum::<u64>() as f64 / falsified as f64),
+            mean_simulations: (falsified > 0)
+                .then(|| simulations.iter().sum::<u64>() as f64 / falsified as f64),
             median_simulations: middle(falsified / 2)
                 .zip(middle(falsified.saturating_sub(1) / 2))
                 .map(|(upper, lower)| f64::midpoint(lower, upper)),
@@ -114,11 +125,19 @@ impl MethodRuns {
 
 impl MethodPair {
     fn new(one: &MethodRuns, other: &MethodRuns) -> Self {
-        let count = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool, [one, other]: [&MethodRuns; 2]| {
-            one.runs.iter().zip(&other.runs).filter(|(one, other)| is_better(one, other)).count() as u64
+        let count = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool,
+                     [one, other]: [&MethodRuns; 2]| {
+            one.runs
+                .iter()
+                .zip(&other.runs)
+                .filter(|(one, other)| is_better(one, other))
+                .count() as u64
         };
         let both = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool| {
-            PairedTest::new(count(is_better, [one, other]), count(is_better, [other, one]))
+            PairedTest::new(
+                count(is_better, [one, other]),
+                count(is_better, [other, one]),
+            )
         };
         // A run without a failure needs more simulations than any with one.
         let needed = |run: &FirstFailure| run.simulations.unwrap_or(u64::MAX);
@@ -145,7 +164,10 @@ impl MethodComparison {
     ) -> Result<Self, CampaignError> {
         CampaignError::check_range("seeds", seeds, 1..=MAX_SEEDS)?;
         CampaignError::check_range("methods", methods.len() as u64, 1..=MAX_METHODS)?;
-        let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
+        let total = campaign
+            .budget
+            .saturating_mul(seeds)
+            .saturating_mul(methods.len() as u64);
         let (mut results, mut finished, mut failures) = (Vec::new(), 0, 0);
         for method in methods {
             let mut runs = Vec::new();
@@ -153,21 +175,38 @@ impl MethodComparison {
                 let observe = |progress: &CampaignProgress| {
                     let evaluations = finished + progress.evaluations;
                     let failures = failures + progress.failures;
-                    observer.observe(&CampaignProgress { evaluations, total, failures, ..progress.clone() })
+                    observer.observe(&CampaignProgress {
+                        evaluations,
+                        total,
+                        failures,
+                        ..progress.clone()
+                    })
                 };
-                let run = Campaign { method: method.clone(), seed, ..campaign.clone() }.find_first_failure(&observe)?;
+                let run = Campaign {
+                    method: method.clone(),
+                    seed,
+                    ..campaign.clone()
+                }
+                .find_first_failure(&observe)?;
                 finished += campaign.budget;
                 failures += u64::from(run.simulations.is_some());
                 runs.push(run);
             }
             results.push(MethodRuns::new(method, runs));
         }
-        let pairs = results
-            .iter()
-            .enumerate()
-            .flat_map(|(index, one)| results.iter().skip(index + 1).map(move |other| MethodPair::new(one, other)));
+        let pairs = results.iter().enumerate().flat_map(|(index, one)| {
+            results
+                .iter()
+                .skip(index + 1)
+                .map(move |other| MethodPair::new(one, other))
+        });
         let mut pairs: Vec<MethodPair> = pairs.collect();
-        correct_by_holm(pairs.iter_mut().flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations]).collect());
+        correct_by_holm(
+            pairs
+                .iter_mut()
+                .flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations])
+                .collect(),
+        );
         Ok(Self {
             controller: campaign.controller.name.clone(),
             space: campaign.space.name().to_owned(),
@@ -182,7 +221,15 @@ impl MethodComparison {
     /// Returns a table of the methods, and one of their pairs.
     #[must_use]
     pub fn to_text(&self) -> String {
-        let Self { controller, space, specification, budget, methods, pairs, .. } = self;
+        let Self {
+            controller,
+            space,
+            specification,
+            budget,
+            methods,
+            pairs,
+            ..
+        } = self;
         let seeds = methods.first().map_or(0, |method| method.runs.len());
         let mut text = format!(
             "{controller} in {space}, `{specification}`: {seeds} {}, at most {budget} simulations each\n\n\
@@ -194,18 +241,35 @@ impl MethodComparison {
             "mean",
             "median"
         );
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
-        for MethodRuns { method, falsified, interval, mean_simulations, median_simulations, .. } in methods {
+        let number =
+            |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
+        for MethodRuns {
+            method,
+            falsified,
+            interval,
+            mean_simulations,
+            median_simulations,
+            ..
+        } in methods
+        {
             let share = format!("{falsified}/{seeds}");
             let interval = format!("{:.1} to {:.1} %", 100.0 * interval[0], 100.0 * interval[1]);
             let (mean, median) = (number(*mean_simulations), number(*median_simulations));
             // Writing to a string does not fail.
-            let _ = writeln!(text, "{method:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}");
+            let _ = writeln!(
+                text,
+                "{method:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}"
+            );
         }
         if !pairs.is_empty() {
             text += "\nOn the same seeds (p: exact, two-sided, with the correction of Holm):\n";
         }
-        for MethodPair { methods: [one, other], falsified, fewer_simulations } in pairs {
+        for MethodPair {
+            methods: [one, other],
+            falsified,
+            fewer_simulations,
+        } in pairs
+        {
             let _ = writeln!(
                 text,
                 "{one} against {other}: only one falsifies {} to {} (p {:.3}); fewer simulations {} to {} (p {:.3})",
@@ -226,8 +290,14 @@ impl MethodComparison {
         let mut text = "method,seed,simulations,least_robustness\n".to_owned();
         for MethodRuns { method, runs, .. } in &self.methods {
             for (seed, run) in (self.first_seed..).zip(runs) {
-                let simulations = run.simulations.map_or_else(String::new, |number| number.to_string());
-                let _ = writeln!(text, "{method},{seed},{simulations},{}", run.least_robustness);
+                let simulations = run
+                    .simulations
+                    .map_or_else(String::new, |number| number.to_string());
+                let _ = writeln!(
+                    text,
+                    "{method},{seed},{simulations},{}",
+                    run.least_robustness
+                );
             }
         }
         text
@@ -253,22 +323,46 @@ mod tests {
     use crumple_world::scenario::space::built_in_space;
 
     fn result(name: &str, simulations: &[Option<u64>]) -> MethodRuns {
-        let run = |&simulations: &Option<u64>| FirstFailure { simulations, least_robustness: 1.0 };
-        MethodRuns { method: name.to_owned(), ..MethodRuns::new(&Method::Auto, simulations.iter().map(run).collect()) }
+        let run = |&simulations: &Option<u64>| FirstFailure {
+            simulations,
+            least_robustness: 1.0,
+        };
+        MethodRuns {
+            method: name.to_owned(),
+            ..MethodRuns::new(&Method::Auto, simulations.iter().map(run).collect())
+        }
     }
 
     #[test]
     fn measures_and_tests_by_hand() {
         let one = result("one", &[Some(4), Some(2), Some(9), Some(1), None, Some(5)]);
         let other = result("other", &[Some(5), None, Some(9), None, None, Some(7)]);
-        assert_eq!((one.falsified, one.mean_simulations, one.median_simulations), (5, Some(4.2), Some(4.0)));
-        assert_eq!((other.mean_simulations, other.median_simulations), (Some(7.0), Some(7.0)));
+        assert_eq!(
+            (one.falsified, one.mean_simulations, one.median_simulations),
+            (5, Some(4.2), Some(4.0))
+        );
+        assert_eq!(
+            (other.mean_simulations, other.median_simulations),
+            (Some(7.0), Some(7.0))
+        );
         assert_eq!(result("none", &[None]).median_simulations, None);
-        let MethodPair { falsified, fewer_simulations, .. } = MethodPair::new(&one, &other);
+        let MethodPair {
+            falsified,
+            fewer_simulations,
+            ..
+        } = MethodPair::new(&one, &other);
         for (test, first, p) in [(falsified, 2, 0.5), (fewer_simulations, 4, 0.125)] {
-            assert!((test.first, test.second) == (first, 0) && (test.p - p).abs() < 1e-12, "{test:?}");
+            assert!(
+                (test.first, test.second) == (first, 0) && (test.p - p).abs() < 1e-12,
+                "{test:?}"
+            );
         }
-        let mut tests = [0.01, 0.04, 0.03, 0.5].map(|p| PairedTest { first: 0, second: 0, p, p_corrected: p });
+        let mut tests = [0.01, 0.04, 0.03, 0.5].map(|p| PairedTest {
+            first: 0,
+            second: 0,
+            p,
+            p_corrected: p,
+        });
         correct_by_holm(tests.iter_mut().collect());
         assert_eq!(tests.map(|test| test.p_corrected), [0.04, 0.09, 0.09, 0.5]);
     }
@@ -276,25 +370,48 @@ mod tests {
     #[test]
     fn a_comparison_needs_seeds_and_methods() {
         let controller = ControllerSpec::from_name("match-leader").unwrap();
-        let campaign = Campaign { budget: 1, ..Campaign::new(controller, built_in_space("high-risk").unwrap()) };
-        let refused = |methods: &[Method], seeds| {
-            MethodComparison::run(&campaign, methods, seeds, &Quiet).unwrap_err().to_string()
+        let campaign = Campaign {
+            budget: 1,
+            ..Campaign::new(controller, built_in_space("high-risk").unwrap())
         };
-        assert_eq!(refused(&[Method::Uniform], 0), "seeds: must be from 1 to 1000, found 0");
-        assert_eq!(refused(&[Method::Uniform], 1001), "seeds: must be from 1 to 1000, found 1001");
+        let refused = |methods: &[Method], seeds| {
+            MethodComparison::run(&campaign, methods, seeds, &Quiet)
+                .unwrap_err()
+                .to_string()
+        };
+        assert_eq!(
+            refused(&[Method::Uniform], 0),
+            "seeds: must be from 1 to 1000, found 0"
+        );
+        assert_eq!(
+            refused(&[Method::Uniform], 1001),
+            "seeds: must be from 1 to 1000, found 1001"
+        );
         assert_eq!(refused(&[], 1), "methods: must be from 1 to 1000, found 0");
     }
 
     #[test]
     fn a_method_does_not_differ_from_itself_and_each_run_has_its_seed() {
         let controller = ControllerSpec::from_name("match-leader").unwrap();
-        let campaign = Campaign { budget: 60, ..Campaign::new(controller, built_in_space("high-risk").unwrap()) };
+        let campaign = Campaign {
+            budget: 60,
+            ..Campaign::new(controller, built_in_space("high-risk").unwrap())
+        };
         let methods = [Method::Uniform, Method::Uniform, Method::Halton];
         let compared = MethodComparison::run(&campaign, &methods, 4, &Quiet).unwrap();
         assert_eq!(compared.methods[0], compared.methods[1]);
-        assert_eq!((compared.pairs.len(), compared.pairs[0].fewer_simulations.p), (3, 1.0));
+        assert_eq!(
+            (compared.pairs.len(), compared.pairs[0].fewer_simulations.p),
+            (3, 1.0)
+        );
         assert_eq!(compared.to_csv().lines().count(), 13);
-        let third = Campaign { method: Method::Uniform, seed: 2, ..campaign }.find_first_failure(&Quiet).unwrap();
+        let third = Campaign {
+            method: Method::Uniform,
+            seed: 2,
+            ..campaign
+        }
+        .find_first_failure(&Quiet)
+        .unwrap();
         assert_eq!(third, compared.methods[0].runs[2]);
         assert_ne!(third, compared.methods[0].runs[0]);
     }

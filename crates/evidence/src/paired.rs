@@ -22,9 +22,14 @@ impl DiscordantPairs {
     /// Returns the probability of at least so many new failures if the second controller is no worse.
     #[must_use]
     pub fn p_value(&self) -> f64 {
-        let Some(below) = self.only_second_fails.checked_sub(1) else { return 1.0 };
-        Binomial::new(0.5, self.only_second_fails.saturating_add(self.only_first_fails))
-            .map_or(f64::NAN, |chance| chance.sf(below))
+        let Some(below) = self.only_second_fails.checked_sub(1) else {
+            return 1.0;
+        };
+        Binomial::new(
+            0.5,
+            self.only_second_fails.saturating_add(self.only_first_fails),
+        )
+        .map_or(f64::NAN, |chance| chance.sf(below))
     }
 
     /// True if the second controller is worse at this significance level.
@@ -41,14 +46,28 @@ mod tests {
 
     #[test]
     fn by_hand() {
-        let p = |new, fixed| DiscordantPairs { only_second_fails: new, only_first_fails: fixed }.p_value();
+        let p = |new, fixed| {
+            DiscordantPairs {
+                only_second_fails: new,
+                only_first_fails: fixed,
+            }
+            .p_value()
+        };
         for (new, of_16) in [(0, 16.0), (1, 15.0), (2, 11.0), (3, 5.0), (4, 1.0)] {
             assert!((p(new, 4 - new) - of_16 / 16.0).abs() < 1e-12, "{new}");
         }
         assert_eq!(p(0, 0), 1.0);
         assert!(
-            !DiscordantPairs { only_second_fails: 6, only_first_fails: 0 }.is_worse(0.01)
-                && DiscordantPairs { only_second_fails: 7, only_first_fails: 0 }.is_worse(0.01)
+            !DiscordantPairs {
+                only_second_fails: 6,
+                only_first_fails: 0
+            }
+            .is_worse(0.01)
+                && DiscordantPairs {
+                    only_second_fails: 7,
+                    only_first_fails: 0
+                }
+                .is_worse(0.01)
         );
     }
 

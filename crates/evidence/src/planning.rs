@@ -49,7 +49,8 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     if !(confidence > 0.5 && confidence < 1.0) {
         return Err(SampleSizeError::Confidence { found: confidence });
     }
-    let suffices = |runs: u64| binomial::clopper_pearson_upper(failures, runs, 1.0 - confidence) <= rate;
+    let suffices =
+        |runs: u64| binomial::clopper_pearson_upper(failures, runs, 1.0 - confidence) <= rate;
     let too_many = SampleSizeError::TooMany { rate, failures };
     if failures >= MAX_RUNS || !suffices(MAX_RUNS) {
         return Err(too_many);
@@ -57,7 +58,11 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     let (mut low, mut high) = (failures, MAX_RUNS);
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        if suffices(middle) { high = middle } else { low = middle }
+        if suffices(middle) {
+            high = middle
+        } else {
+            low = middle
+        }
     }
     // The checker rounds outwards, so slightly more runs are necessary.
     let mut step = 1;
@@ -77,15 +82,25 @@ mod tests {
 
     #[test]
     fn as_many_runs_as_it_takes_and_no_more() {
-        for (rate, confidence, failures) in
-            [(0.5, 0.51, 0), (1e-2, 0.99, 0), (1e-3, 0.999, 2), (0.3, 0.9, 40), (1e-4, 1.0 - 1e-6, 0), (0.999, 0.9, 0)]
-        {
+        for (rate, confidence, failures) in [
+            (0.5, 0.51, 0),
+            (1e-2, 0.99, 0),
+            (1e-3, 0.999, 2),
+            (0.3, 0.9, 40),
+            (1e-4, 1.0 - 1e-6, 0),
+            (0.999, 0.9, 0),
+        ] {
             let runs = required_runs(rate, confidence, failures).unwrap();
-            assert!(binomial_tail_upper_bound(failures, runs, rate) <= 1.0 - confidence, "{rate} {failures}: {runs}");
+            assert!(
+                binomial_tail_upper_bound(failures, runs, rate) <= 1.0 - confidence,
+                "{rate} {failures}: {runs}"
+            );
             assert!(upper_bound(failures, runs, confidence) <= rate);
             let fewer = runs - 1 - runs / 100_000_000;
             assert!(
-                fewer <= failures || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence
+                fewer <= failures
+                    || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9))
+                        > 1.0 - confidence
             );
         }
         assert_eq!(required_runs(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
@@ -94,7 +109,10 @@ mod tests {
         assert!((2_004_300..2_004_500).contains(&many), "{many}");
         let large = required_runs(1e-8, 0.999, 0).unwrap();
         assert!((690_775_520..690_776_600).contains(&large), "{large}");
-        assert!(matches!(required_runs(1e-9, 0.999, 0), Err(SampleSizeError::TooMany { .. })));
+        assert!(matches!(
+            required_runs(1e-9, 0.999, 0),
+            Err(SampleSizeError::TooMany { .. })
+        ));
         assert!(
             required_runs(0.0, 0.9, 0).is_err()
                 && required_runs(f64::NAN, 0.9, 0).is_err()

@@ -75,7 +75,15 @@ impl RateConfig {
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace, runs: u64) -> Self {
         let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
-        Self { controller, second_controller: None, space, seed: 0, estimator, runs, confidence: 0.99 }
+        Self {
+            controller,
+            second_controller: None,
+            space,
+            seed: 0,
+            estimator,
+            runs,
+            confidence: 0.99,
+        }
     }
 }
 
@@ -168,23 +176,47 @@ impl RatePlan {
     /// println!("{}", crumple_verify::check(&certificate).unwrap());
     /// ```
     pub fn new(config: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig { controller, second_controller, space, seed, estimator, runs, confidence } = config;
+        let RateConfig {
+            controller,
+            second_controller,
+            space,
+            seed,
+            estimator,
+            runs,
+            confidence,
+        } = config;
         if !(1..=MAX_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
         if !(confidence > 0.5 && confidence < 1.0) {
             return Err(InvalidRate::Confidence { found: confidence });
         }
-        if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
-            return Err(InvalidRate::NoVehicleUnderTest { space: space.name().to_owned() });
+        if space
+            .scenario(&space.nominal())
+            .is_ok_and(|nominal| !nominal.has_vehicle_under_test())
+        {
+            return Err(InvalidRate::NoVehicleUnderTest {
+                space: space.name().to_owned(),
+            });
         }
-        let controllers: Vec<NamedController> = std::iter::once(controller).chain(second_controller).collect();
-        if let Some(unknown) = controllers.iter().find(|driver| driver.kind.identity().is_none()) {
-            return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
+        let controllers: Vec<NamedController> = std::iter::once(controller)
+            .chain(second_controller)
+            .collect();
+        if let Some(unknown) = controllers
+            .iter()
+            .find(|driver| driver.kind.identity().is_none())
+        {
+            return Err(InvalidRate::NoIdentity {
+                controller: unknown.name.clone(),
+            });
         }
         let space_text = file::to_toml(&space)?;
         let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
-        let failure = controllers.iter().map(NamedController::failure_description).max().unwrap_or_default();
+        let failure = controllers
+            .iter()
+            .map(NamedController::failure_description)
+            .max()
+            .unwrap_or_default();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
@@ -203,25 +235,48 @@ impl RatePlan {
                 configuration.insert(format!("{role}_policy_sha256"), policy.digest());
             }
         }
-        let blocks = if runs > LARGE_COUNT_RUNS { MAX_LARGE_COUNT_BLOCKS } else { MAX_BLOCKS };
+        let blocks = if runs > LARGE_COUNT_RUNS {
+            MAX_LARGE_COUNT_BLOCKS
+        } else {
+            MAX_BLOCKS
+        };
         let block_runs = runs.div_ceil(blocks).max(MIN_BLOCK_RUNS);
-        let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
-        let record = CountRecord { registration, space_text };
-        Ok(Self { controllers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
+        let registration = Registration {
+            configuration,
+            runs,
+            confidence,
+            block_runs: Some(block_runs),
+        };
+        let record = CountRecord {
+            registration,
+            space_text,
+        };
+        Ok(Self {
+            controllers,
+            space,
+            seed,
+            estimator,
+            resampling: DEFAULT_RESAMPLING,
+            record,
+        })
     }
 
     /// Sets the number of resamples of the episodes, and of runs in each. They do not affect the count and are not
     /// registered.
     #[must_use]
     pub fn with_resampling(self, resamples: u32, runs_each: u32) -> Self {
-        Self { resampling: (resamples, runs_each), ..self }
+        Self {
+            resampling: (resamples, runs_each),
+            ..self
+        }
     }
 
     /// Returns the number of resamples, and of runs in each; `None` if no rate per hour can be stated: for two
     /// controllers, and for a space without exposure.
     #[must_use]
     pub fn resampling(&self) -> Option<(u32, u32)> {
-        (self.has_single_controller() && self.space.spec().exposure.is_some()).then_some(self.resampling)
+        (self.has_single_controller() && self.space.spec().exposure.is_some())
+            .then_some(self.resampling)
     }
 
     /// Returns the data that must be on record before the first run.
@@ -264,7 +319,9 @@ impl RatePlan {
         let first = tally.blocks.len() as u64;
         let together = (BATCH_SIZE / self.record.block_runs()).max(1);
         let blocks = first..first.saturating_add(together).min(self.block_count());
-        let counted = self.count_runs(self.record.run_range(blocks.clone()), &|| observer.notify(&so_far))?;
+        let counted = self.count_runs(self.record.run_range(blocks.clone()), &|| {
+            observer.notify(&so_far)
+        })?;
         for (index, block) in blocks.zip(counted) {
             tally.add_block(range_len(&self.run_range(index)), block);
         }
@@ -272,7 +329,11 @@ impl RatePlan {
     }
 
     pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {
-        CountProgress { runs: tally.runs, failures: tally.failed_runs(), total: self.registration().runs }
+        CountProgress {
+            runs: tally.runs,
+            failures: tally.failed_runs(),
+            total: self.registration().runs,
+        }
     }
 
     pub(super) fn has_single_controller(&self) -> bool {
@@ -296,7 +357,10 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the failed run.
     pub fn recount_block(&self, block: u64) -> Result<CountedBlock, RateError> {
-        Ok(self.count_runs(self.run_range(block), &|| Ok(()))?.pop().unwrap_or_default())
+        Ok(self
+            .count_runs(self.run_range(block), &|| Ok(()))?
+            .pop()
+            .unwrap_or_default())
     }
 
     /// Counts runs, the first of which starts a block, and returns the counts of each block. Calls `keep_going` after
@@ -307,22 +371,39 @@ impl RatePlan {
         keep_going: &dyn Fn() -> Result<(), Stopped>,
     ) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
-        let mut endings: Vec<Vec<RunFingerprint>> =
-            self.controllers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
+        let mut endings: Vec<Vec<RunFingerprint>> = self
+            .controllers
+            .iter()
+            .map(|_| Vec::with_capacity(indices.len()))
+            .collect();
         for batch in indices.chunks(BATCH_SIZE as usize) {
-            for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, batch)?) {
+            for (all, mut more) in
+                endings
+                    .iter_mut()
+                    .zip(self.simulate_fingerprints(&self.space, self.seed, batch)?)
+            {
                 all.append(&mut more);
             }
             keep_going()?;
         }
         let registered = self.registration().digest();
         let places: Vec<usize> = (0..indices.len()).collect();
-        let counted = places.chunks(self.record.block_runs() as usize).map(|places| {
-            let first = places.first().and_then(|&place| indices.get(place)).copied().unwrap_or_default();
-            let of_run =
-                |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&RunFingerprint>>();
-            CountedBlock::from_runs(&registered, first, places.iter().map(of_run))
-        });
+        let counted = places
+            .chunks(self.record.block_runs() as usize)
+            .map(|places| {
+                let first = places
+                    .first()
+                    .and_then(|&place| indices.get(place))
+                    .copied()
+                    .unwrap_or_default();
+                let of_run = |&place: &usize| {
+                    endings
+                        .iter()
+                        .filter_map(|of| of.get(place))
+                        .collect::<Vec<&RunFingerprint>>()
+                };
+                CountedBlock::from_runs(&registered, first, places.iter().map(of_run))
+            });
         Ok(counted.collect())
     }
 
@@ -337,11 +418,24 @@ impl RatePlan {
         observer: &dyn Observer<RunProgress>,
     ) -> Result<Option<RatePerExposure>, RateError> {
         let counter = ProgressCounter::new(observer, None);
-        let Some(resampling) = self.resampling() else { return Ok(None) };
-        let mut failures =
-            |space: &ScenarioSpace, seed: u64, runs: u64| self.count_failures(space, (seed, runs), &counter);
-        let resamples = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
-        let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
+        let Some(resampling) = self.resampling() else {
+            return Ok(None);
+        };
+        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
+            self.count_failures(space, (seed, runs), &counter)
+        };
+        let resamples = count_on_resamples(
+            &self.space,
+            self.seed,
+            resampling.0,
+            resampling.1,
+            &mut failures,
+        )?;
+        let known = FailureProbability::Counted {
+            failures: tally.failures,
+            unknown: 0,
+            runs: tally.runs,
+        };
         Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
     }
 
@@ -355,7 +449,11 @@ impl RatePlan {
         let mut failed = 0;
         for batch in indices.chunks(BATCH_SIZE as usize) {
             let endings = self.simulate_fingerprints(space, seed, batch)?;
-            failed += endings.iter().flatten().filter(|ending| ending.is_failure()).count() as u64;
+            failed += endings
+                .iter()
+                .flatten()
+                .filter(|ending| ending.is_failure())
+                .count() as u64;
             counter.add(batch.len() as u64)?;
         }
         Ok(failed)
@@ -367,18 +465,36 @@ impl RatePlan {
         seed: u64,
         indices: &[u64],
     ) -> Result<Vec<Vec<RunFingerprint>>, RateError> {
-        let draw = |&index: &u64| space.draw(seed, index).map_err(|source| RateError::Draw { index, source });
-        let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
+        let draw = |&index: &u64| {
+            space
+                .draw(seed, index)
+                .map_err(|source| RateError::Draw { index, source })
+        };
+        let scenarios = indices
+            .par_iter()
+            .map(draw)
+            .collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {
             let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
             let runs = scenarios.iter().zip(indices).map(|(scenario, &index)| {
-                Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
+                Run::new(scenario, options.clone())
+                    .map_err(|source| RateError::Run { index, source })
             });
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| RunFingerprint::new(&result)))
+            Ok(simulate_batch(
+                &runs,
+                RecordingLevel::Summary,
+                |_, result| RunFingerprint::new(&result),
+            ))
         };
-        let endings = self.controllers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
-        self.controllers.iter().try_for_each(NamedController::ensure_trusted)?;
+        let endings = self
+            .controllers
+            .iter()
+            .map(endings)
+            .collect::<Result<Vec<_>, RateError>>()?;
+        self.controllers
+            .iter()
+            .try_for_each(NamedController::ensure_trusted)?;
         Ok(endings)
     }
 

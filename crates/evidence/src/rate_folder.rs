@@ -54,22 +54,33 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, or holds the count of another plan or build.
-    pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
+    pub fn register_in(
+        &self,
+        folder: &Path,
+        resume: bool,
+    ) -> Result<RateCount<'_>, RateFolderError> {
         let work = self.record().register_in(folder, resume)?;
         let tally = match work.read(PROGRESS_FILE)? {
             None => self.empty_tally(),
             Some(bytes) => {
-                let tally: CountTally = serde_json::from_slice(&bytes)
-                    .map_err(|problem| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string()))?;
+                let tally: CountTally = serde_json::from_slice(&bytes).map_err(|problem| {
+                    RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string())
+                })?;
                 if !self.record().is_consistent(&tally) {
-                    return Err(
-                        RunFolderError::damaged(&work.path(PROGRESS_FILE), "belongs to another registration").into()
-                    );
+                    return Err(RunFolderError::damaged(
+                        &work.path(PROGRESS_FILE),
+                        "belongs to another registration",
+                    )
+                    .into());
                 }
                 tally
             }
         };
-        Ok(RateCount { run_folder: work, plan: self, tally })
+        Ok(RateCount {
+            run_folder: work,
+            plan: self,
+            tally,
+        })
     }
 }
 
@@ -90,20 +101,29 @@ impl CountRecord {
     }
 
     /// Writes the counts of all runs, and the certificate if the checker accepts it.
-    fn finish_in(&self, work: &RunFolder, tally: &CountTally) -> Result<Certificate, RateFolderError> {
+    fn finish_in(
+        &self,
+        work: &RunFolder,
+        tally: &CountTally,
+    ) -> Result<Certificate, RateFolderError> {
         let path = work.path(PROGRESS_FILE);
         work.write(PROGRESS_FILE, to_json(&path, tally)?)?;
         let certificate = self.certificate(tally);
         let checked = check(&certificate);
         if checked.is_ok() {
-            work.write(CERTIFICATE_FILE, to_json(&work.path(CERTIFICATE_FILE), &certificate)?)?;
+            work.write(
+                CERTIFICATE_FILE,
+                to_json(&work.path(CERTIFICATE_FILE), &certificate)?,
+            )?;
         }
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
-            Err(rejection) => {
-                Err(RateFolderError::Rejected { path, counts: tally.summary(self.is_comparison()), rejection })
-            }
+            Err(rejection) => Err(RateFolderError::Rejected {
+                path,
+                counts: tally.summary(self.is_comparison()),
+                rejection,
+            }),
         }
     }
 }
@@ -114,17 +134,23 @@ impl RateCount<'_> {
     /// # Errors
     /// [`RateFolderError`] if a run fails, a file cannot be written, the certificate is rejected, or the count is
     /// stopped.
-    pub fn certify(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
+    pub fn certify(
+        &mut self,
+        observer: &dyn Observer<CountProgress>,
+    ) -> Result<Certificate, RateFolderError> {
         let path = self.run_folder.path(PROGRESS_FILE);
         let mut written = Instant::now();
         while (self.tally.blocks.len() as u64) < self.plan.block_count() {
             self.plan.count_batch_observed(&mut self.tally, observer)?;
             if written.elapsed() > WRITE_INTERVAL {
-                self.run_folder.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?;
+                self.run_folder
+                    .write(PROGRESS_FILE, to_json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
         }
-        observer.notify(&self.plan.progress(&self.tally)).map_err(RateError::from)?;
+        observer
+            .notify(&self.plan.progress(&self.tally))
+            .map_err(RateError::from)?;
         self.plan.record().finish_in(&self.run_folder, &self.tally)
     }
 
@@ -142,7 +168,8 @@ impl RateCount<'_> {
 }
 
 fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError> {
-    let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
+    let text =
+        serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
     Ok(text + "\n")
 }
 
@@ -157,49 +184,109 @@ mod tests {
         rate_plan("idm", None, ("paper", 1200), (seed, 0.9))
     }
 
-    fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut CountTally)) -> tempfile::TempDir {
+    fn interrupted_folder(
+        plan: &RatePlan,
+        change: impl FnOnce(&mut CountTally),
+    ) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
         plan.count_batch(&mut count.tally).unwrap();
-        assert!(count.tally().runs < 1200, "one call does not count them all");
+        assert!(
+            count.tally().runs < 1200,
+            "one call does not count them all"
+        );
         change(&mut count.tally);
-        count.run_folder.write(PROGRESS_FILE, to_json(Path::new(PROGRESS_FILE), count.tally()).unwrap()).unwrap();
+        count
+            .run_folder
+            .write(
+                PROGRESS_FILE,
+                to_json(Path::new(PROGRESS_FILE), count.tally()).unwrap(),
+            )
+            .unwrap();
         folder
     }
 
     #[test]
     fn an_interrupted_count_ends_with_the_same_files() {
         let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
-        plan.register_in(whole.path(), false).unwrap().certify(&Quiet).unwrap();
+        plan.register_in(whole.path(), false)
+            .unwrap()
+            .certify(&Quiet)
+            .unwrap();
         let part = interrupted_folder(&plan, |_| ());
-        let error =
-            |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
-        assert!(error(&plan, false).unwrap().contains("already holds a count: use --resume"));
+        let error = |plan: &RatePlan, resume| {
+            plan.register_in(part.path(), resume)
+                .err()
+                .map(|error| error.to_string())
+        };
+        assert!(
+            error(&plan, false)
+                .unwrap()
+                .contains("already holds a count: use --resume")
+        );
         let other = "registration.json: the count there has a different configuration";
-        assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
-        plan.register_in(part.path(), true).unwrap().certify(&Quiet).unwrap();
-        for name in [REGISTRATION_FILE, PROGRESS_FILE, CERTIFICATE_FILE, crumple_store::run_folder::MANIFEST_FILE] {
+        assert!(
+            error(&self::plan(4), true).unwrap().ends_with(other),
+            "{:?}",
+            error(&self::plan(4), true)
+        );
+        plan.register_in(part.path(), true)
+            .unwrap()
+            .certify(&Quiet)
+            .unwrap();
+        for name in [
+            REGISTRATION_FILE,
+            PROGRESS_FILE,
+            CERTIFICATE_FILE,
+            crumple_store::run_folder::MANIFEST_FILE,
+        ] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }
         let read_again = plan.register_in(whole.path(), true).unwrap();
-        assert_eq!((read_again.run_folder.is_complete(), read_again.tally().runs), (true, 1200));
+        assert_eq!(
+            (read_again.run_folder.is_complete(), read_again.tally().runs),
+            (true, 1200)
+        );
     }
 
     #[test]
     fn counts_that_were_not_made_are_not_gone_on_with() {
         let plan = plan(3);
-        let changes: [fn(&mut CountTally); 3] =
-            [|tally| tally.runs = 1201, |tally| tally.failures = u64::MAX, |tally| tally.runs += 1];
+        let changes: [fn(&mut CountTally); 3] = [
+            |tally| tally.runs = 1201,
+            |tally| tally.failures = u64::MAX,
+            |tally| tally.runs += 1,
+        ];
         for change in changes {
             let folder = interrupted_folder(&plan, change);
-            let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
-            assert!(error.ends_with("progress.json: belongs to another registration"), "{error}");
+            let error = plan
+                .register_in(folder.path(), true)
+                .err()
+                .unwrap()
+                .to_string();
+            assert!(
+                error.ends_with("progress.json: belongs to another registration"),
+                "{error}"
+            );
         }
         let folder = interrupted_folder(&plan, |_| ());
         let path = folder.path().join(PROGRESS_FILE);
-        fs::write(&path, fs::read_to_string(&path).unwrap().replace("\"runs\": 1", "\"runs\": 2")).unwrap();
-        let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
-        assert!(error.ends_with("progress.json: has changed since it was written"), "{error}");
+        fs::write(
+            &path,
+            fs::read_to_string(&path)
+                .unwrap()
+                .replace("\"runs\": 1", "\"runs\": 2"),
+        )
+        .unwrap();
+        let error = plan
+            .register_in(folder.path(), true)
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            error.ends_with("progress.json: has changed since it was written"),
+            "{error}"
+        );
     }
 }

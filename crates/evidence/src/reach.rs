@@ -7,8 +7,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use crumple_verify::reach::{
-    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, ReachResult, Undecided,
-    controller_file_name, reach,
+    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem,
+    ReachResult, Undecided, controller_file_name, reach,
 };
 use crumple_verify::{Certificate, Interval, Rejection, Statement};
 use rand::RngExt;
@@ -24,9 +24,12 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{
-    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario, built_in_scenario_names,
+    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
+    built_in_scenario_names,
 };
-use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_world::sim::{
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate,
+};
 
 /// Allowance for rounding of the simulator in double precision, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
@@ -65,7 +68,10 @@ fn default_observation_error() -> [f64; 8] {
 /// Ranges of quantities that differ from the scenario. Each is a number or `{ low = …, high = … }`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-#[expect(missing_docs, reason = "each is what its name says, in the unit that its name says")]
+#[expect(
+    missing_docs,
+    reason = "each is what its name says, in the unit that its name says"
+)]
 pub struct RangesSpec {
     pub gap_ahead_m: Option<Interval>,
     pub gap_behind_m: Option<Interval>,
@@ -172,7 +178,12 @@ struct PartitionNode {
 
 impl PartitionNode {
     fn new(ranges: InitialRanges) -> Self {
-        Self { ranges, cell: PartitionCell::Undecided, first_child: None, result: None }
+        Self {
+            ranges,
+            cell: PartitionCell::Undecided,
+            first_child: None,
+            result: None,
+        }
     }
 }
 
@@ -209,22 +220,36 @@ impl ReachPlan {
     pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let controller = controller.into();
         let scenario = built_in_scenario(&spec.scenario).ok_or_else(|| {
-            let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
+            let known: Vec<_> = built_in_scenario_names()
+                .iter()
+                .map(|(name, _)| *name)
+                .collect();
             InvalidBox::field(
                 "scenario",
-                format!("must be a built-in scenario ({}), found `{}`", known.join(", "), spec.scenario),
+                format!(
+                    "must be a built-in scenario ({}), found `{}`",
+                    known.join(", "),
+                    spec.scenario
+                ),
             )
         })?;
         if let Some(driver) = &spec.follower_drives {
             let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
-            scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(map_invalid_start)?;
+            scenario
+                .edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives))
+                .map_err(map_invalid_start)?;
         }
         let starts = InitialSet::new(&scenario, spec)?;
-        let bytes = checker_file(&controller)?
-            .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple or a network".to_owned()))?;
+        let bytes = checker_file(&controller)?.ok_or_else(|| {
+            InvalidBox::Controller("must be a policy of crumple or a network".to_owned())
+        })?;
         let actor = NeuralController::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
         if !starts.can_execute(actor.action_bounds_mps2) {
-            return Err(excessive_command_error(actor.action_bounds_mps2, starts.accel_limits_mps2, &controller));
+            return Err(excessive_command_error(
+                actor.action_bounds_mps2,
+                starts.accel_limits_mps2,
+                &controller,
+            ));
         }
         let digest = sha256(&bytes);
         let claim = ReachClaim {
@@ -246,7 +271,15 @@ impl ReachPlan {
         claim.problem(&actor).map_err(map_rejection)?;
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
         let follower_drives = spec.follower_drives.clone();
-        let plan = Self { scenario, follower_drives, texts, controller, bytes, actor, claim };
+        let plan = Self {
+            scenario,
+            follower_drives,
+            texts,
+            controller,
+            bytes,
+            actor,
+            claim,
+        };
         // Run one initial state now, so that errors not checked above surface here.
         plan.has_contact_at(&[0.5; 8])?;
         Ok(plan)
@@ -268,7 +301,11 @@ impl ReachPlan {
     ///
     /// # Errors
     /// [`InvalidBox`] if an initial state makes no scenario, or `observer` stops.
-    pub fn partition(&self, depth: u32, observer: &dyn Observer<VolumeShares>) -> Result<Partition, InvalidBox> {
+    pub fn partition(
+        &self,
+        depth: u32,
+        observer: &dyn Observer<VolumeShares>,
+    ) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
         let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
         scene.stop_when_undecided = true;
@@ -276,7 +313,12 @@ impl ReachPlan {
         let mut due = vec![0_usize];
         let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
         for level in 0..=depth {
-            let bound = |&node: &usize| reach(&ReachProblem { ranges: nodes[node].ranges, ..scene.clone() });
+            let bound = |&node: &usize| {
+                reach(&ReachProblem {
+                    ranges: nodes[node].ranges,
+                    ..scene.clone()
+                })
+            };
             let found: Vec<ReachResult> = due.par_iter().map(bound).collect();
             let volume = 0.5_f64.powi(level as i32);
             let mut next = Vec::new();
@@ -299,8 +341,14 @@ impl ReachPlan {
                 }
             }
             let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
-            let now =
-                VolumeShares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
+            let now = VolumeShares {
+                depth: level,
+                verified,
+                falsified: 0.0,
+                undecided: 1.0 - verified,
+                boxes,
+                seconds,
+            };
             observer.notify(&now)?;
             shares.push(now);
             if next.is_empty() {
@@ -312,27 +360,42 @@ impl ReachPlan {
         Ok(self.build_partition(&nodes, shares, gap_m, begin))
     }
 
-    fn falsify(&self, scene: &ReachProblem<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
-        let undecided: Vec<usize> =
-            (0..nodes.len()).filter(|&node| nodes[node].cell == PartitionCell::Undecided).collect();
+    fn falsify(
+        &self,
+        scene: &ReachProblem<'_>,
+        nodes: &mut [PartitionNode],
+    ) -> Result<(), InvalidBox> {
+        let undecided: Vec<usize> = (0..nodes.len())
+            .filter(|&node| nodes[node].cell == PartitionCell::Undecided)
+            .collect();
         let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
             let mut stream = random::stream(0, Purpose::ScenarioSampling, node as u64);
             let ranges = &nodes[node].ranges;
             for start in 0..=SAMPLES_PER_BOX {
-                let mut place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
+                let mut place: [f64; 8] =
+                    std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
                 if scene.leader_brakes_at_most_mps2.is_some() {
                     place[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
                 }
-                let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
+                let cell = ReachProblem {
+                    ranges: *ranges,
+                    ..scene.clone()
+                };
                 let point = interpolate(&cell.scripted_ranges(), &place);
-                if self.has_contact(&point)? && cell.at_point(&point).is_some_and(|scene| reach(&scene).surely_collides)
+                if self.has_contact(&point)?
+                    && cell
+                        .at_point(&point)
+                        .is_some_and(|scene| reach(&scene).surely_collides)
                 {
                     return Ok(Some(point));
                 }
             }
             Ok(None)
         };
-        let found = undecided.par_iter().map(search).collect::<Result<Vec<_>, _>>()?;
+        let found = undecided
+            .par_iter()
+            .map(search)
+            .collect::<Result<Vec<_>, _>>()?;
         for (node, point) in undecided.into_iter().zip(found) {
             if let Some(point) = point {
                 nodes[node].cell = PartitionCell::Falsified(point);
@@ -355,9 +418,14 @@ impl ReachPlan {
             let node = &nodes[number];
             partition.push(node.cell);
             match node.cell {
-                PartitionCell::Cut(_) => pending.extend(node.first_child.iter().flat_map(|&lower| [lower + 1, lower])),
+                PartitionCell::Cut(_) => pending.extend(
+                    node.first_child
+                        .iter()
+                        .flat_map(|&lower| [lower + 1, lower]),
+                ),
                 PartitionCell::Verified | PartitionCell::Falsified(_) => {}
-                PartitionCell::Undecided => match node.result.and_then(|reached| reached.undecided) {
+                PartitionCell::Undecided => match node.result.and_then(|reached| reached.undecided)
+                {
                     Some(Undecided::MayCollide { pair: 0, .. }) => warnings.ahead += 1,
                     Some(Undecided::MayCollide { .. }) => warnings.behind += 1,
                     _ => warnings.too_wide += 1,
@@ -367,19 +435,32 @@ impl ReachPlan {
         let mut claim = ReachClaim {
             partition,
             // Rounded down to micrometres, so that other rounding in another version keeps the proof.
-            min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
+            min_gap_m_at_least: if gap_m.is_finite() {
+                (gap_m * 1e6).floor() / 1e6
+            } else {
+                0.0
+            },
             ..self.claim.clone()
         };
         // Shares as the checker computes them, rounded down for unequal halves.
         let [verified, falsified] = claim.volume_shares().unwrap_or_default();
-        (claim.verified_share_at_least, claim.falsified_share_at_least) = (verified, falsified);
+        (
+            claim.verified_share_at_least,
+            claim.falsified_share_at_least,
+        ) = (verified, falsified);
         if let Some(last) = shares.last_mut() {
-            (last.verified, last.falsified, last.undecided) = (verified, falsified, 1.0 - verified - falsified);
+            (last.verified, last.falsified, last.undecided) =
+                (verified, falsified, 1.0 - verified - falsified);
             last.seconds = begin.elapsed().as_secs_f64();
         }
         let ([scenario, starts], name) = (self.texts.clone(), self.scenario.spec().name.clone());
-        let certificate = build_certificate(name, Some(scenario), Some(starts), Statement::Reach(claim));
-        Partition { certificate, shares, undecided: warnings }
+        let certificate =
+            build_certificate(name, Some(scenario), Some(starts), Statement::Reach(claim));
+        Partition {
+            certificate,
+            shares,
+            undecided: warnings,
+        }
     }
 
     fn has_contact_at(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
@@ -391,16 +472,29 @@ impl ReachPlan {
     /// # Errors
     /// [`InvalidBox`] if it makes no scenario.
     pub fn scenario_at(&self, point: &[f64; 8]) -> Result<Scenario, InvalidBox> {
-        let [ahead_m, behind_m, leader_mps, ego_mps, follower_mps, brake_mps2, follower_brake_mps2, onset] = *point;
+        let [
+            ahead_m,
+            behind_m,
+            leader_mps,
+            ego_mps,
+            follower_mps,
+            brake_mps2,
+            follower_brake_mps2,
+            onset,
+        ] = *point;
         let onset_s = onset * self.claim.step_s;
         let scenario = self.scenario.edited(|spec| {
             if let [leader, ego, rest @ ..] = spec.vehicles.as_mut_slice() {
                 (leader.speed_mps, ego.speed_mps) = (leader_mps, ego_mps);
                 leader.position_m = ego.position_m + ahead_m + leader.length_m();
-                leader.driver = Driver::Profile(LeadProfile::Brake(Brake { onset_s, rate_mps2: brake_mps2 }));
+                leader.driver = Driver::Profile(LeadProfile::Brake(Brake {
+                    onset_s,
+                    rate_mps2: brake_mps2,
+                }));
                 for follower in rest {
                     follower.position_m = ego.position_m - ego.length_m() - behind_m;
-                    (follower.speed_mps, follower.max_brake_mps2) = (follower_mps, Some(follower_brake_mps2));
+                    (follower.speed_mps, follower.max_brake_mps2) =
+                        (follower_mps, Some(follower_brake_mps2));
                     if let Some(driver) = &self.follower_drives {
                         follower.driver = driver.clone();
                     }
@@ -420,7 +514,10 @@ impl ReachPlan {
 
 impl InvalidBox {
     pub(super) fn field(field: &str, problem: impl Into<String>) -> Self {
-        Self::Field { field: field.to_owned(), problem: problem.into() }
+        Self::Field {
+            field: field.to_owned(),
+            problem: problem.into(),
+        }
     }
 }
 
@@ -430,7 +527,9 @@ fn map_rejection(rejection: Rejection) -> InvalidBox {
         Rejection::Invalid { field, problem } if field == "ranges.onset_steps" => {
             InvalidBox::field("ranges.onset_s", problem)
         }
-        Rejection::Invalid { field, problem } if field.starts_with("ranges.") || field == "observation_error" => {
+        Rejection::Invalid { field, problem }
+            if field.starts_with("ranges.") || field == "observation_error" =>
+        {
             InvalidBox::field(&field, problem)
         }
         Rejection::Policy { problem } => InvalidBox::Controller(problem),
@@ -455,20 +554,35 @@ fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
         brake if brake.starts_with("vehicles[0].driver.brake") => "ranges.leader_brake_mps2",
         _ => return InvalidBox::Start(invalid),
     };
-    InvalidBox::field(range, format!("contains an initial state that is not a valid scenario: {}", invalid.problem))
+    InvalidBox::field(
+        range,
+        format!(
+            "contains an initial state that is not a valid scenario: {}",
+            invalid.problem
+        ),
+    )
 }
 
 /// Returns the error of a command beyond the limits of the vehicle; for a network it names the field.
-fn excessive_command_error(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller: &ControllerKind) -> InvalidBox {
+fn excessive_command_error(
+    asked_mps2: [f64; 2],
+    able_mps2: [f64; 2],
+    controller: &ControllerKind,
+) -> InvalidBox {
     let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
         true => ("output.low_mps2", asked_mps2[0]),
         false => ("output.high_mps2", asked_mps2[1]),
     };
     let [least_mps2, most_mps2] = able_mps2;
-    let problem =
-        format!("commands up to {bound_mps2} m/s², and the limits of the vehicle are {least_mps2} to {most_mps2} m/s²");
+    let problem = format!(
+        "commands up to {bound_mps2} m/s², and the limits of the vehicle are {least_mps2} to {most_mps2} m/s²"
+    );
     match controller {
-        ControllerKind::Network(_) => InvalidMapping { field: field.to_owned(), problem }.into(),
+        ControllerKind::Network(_) => InvalidMapping {
+            field: field.to_owned(),
+            problem,
+        }
+        .into(),
         _ => InvalidBox::Controller(problem),
     }
 }
@@ -482,7 +596,9 @@ pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, Inva
     match controller {
         ControllerKind::Network(network) => network.checker_file().map(Some),
         ControllerKind::BuiltIn(_) | ControllerKind::Policy(_) => {
-            let Some(policy) = controller.policy() else { return Ok(None) };
+            let Some(policy) = controller.policy() else {
+                return Ok(None);
+            };
             Ok(policy.to_bytes().ok())
         }
         _ => Ok(None),
@@ -490,10 +606,19 @@ pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, Inva
 }
 
 /// Chooses the dimension with the largest share of the uncertainty, and returns its halves.
-fn choose_cut(ranges: &InitialRanges, reached: &ReachResult) -> Option<(BoxDimension, [InitialRanges; 2])> {
-    let mut order: Vec<(f64, BoxDimension)> = reached.sensitivity.into_iter().zip(BoxDimension::ALL).collect();
+fn choose_cut(
+    ranges: &InitialRanges,
+    reached: &ReachResult,
+) -> Option<(BoxDimension, [InitialRanges; 2])> {
+    let mut order: Vec<(f64, BoxDimension)> = reached
+        .sensitivity
+        .into_iter()
+        .zip(BoxDimension::ALL)
+        .collect();
     order.sort_by(|a, b| b.0.total_cmp(&a.0));
-    order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.bisect(dimension)?)))
+    order
+        .into_iter()
+        .find_map(|(_, dimension)| Some((dimension, ranges.bisect(dimension)?)))
 }
 
 fn interpolate(ranges: &InitialRanges, place: &[f64; 8]) -> [f64; 8] {

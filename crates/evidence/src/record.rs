@@ -40,7 +40,9 @@ impl CountTally {
     /// Returns the number of failed runs; with two controllers, those in which either failed.
     #[must_use]
     pub fn failed_runs(&self) -> u64 {
-        self.failures.saturating_add(self.only_first_failed).saturating_add(self.only_second_failed)
+        self.failures
+            .saturating_add(self.only_first_failed)
+            .saturating_add(self.only_second_failed)
     }
 
     /// Returns runs without an answer of the controller, or of the first of two, and of the second.
@@ -49,7 +51,9 @@ impl CountTally {
         let mut all = [None, None];
         for block in &self.blocks {
             let own = [&block.missing_answers, &block.second_missing_answers];
-            all.iter_mut().zip(own).for_each(|(all, own)| FailedControllerRuns::merge(all, own.clone()));
+            all.iter_mut()
+                .zip(own)
+                .for_each(|(all, own)| FailedControllerRuns::merge(all, own.clone()));
         }
         all
     }
@@ -57,7 +61,13 @@ impl CountTally {
     /// Describes the counts of one controller, or of two.
     #[must_use]
     pub fn summary(&self, is_of_two: bool) -> String {
-        let Self { runs, failures, only_first_failed, only_second_failed, .. } = self;
+        let Self {
+            runs,
+            failures,
+            only_first_failed,
+            only_second_failed,
+            ..
+        } = self;
         let counts = if is_of_two {
             format!(
                 "{only_first_failed} runs in which only the first failed, {only_second_failed} only the second, \
@@ -72,9 +82,14 @@ impl CountTally {
     /// Describes missing answers, each after a semicolon; empty without any.
     #[must_use]
     pub fn missing_answers_summary(&self) -> String {
-        let who = ["; the controller ", "; the other controller, whose runs without an answer count for neither, "];
+        let who = [
+            "; the controller ",
+            "; the other controller, whose runs without an answer count for neither, ",
+        ];
         let words = who.into_iter().zip(self.missing_answers());
-        words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs)))).collect()
+        words
+            .filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs))))
+            .collect()
     }
 
     pub(super) fn add_block(&mut self, runs: u64, block: CountedBlock) {
@@ -104,14 +119,21 @@ impl CountRecord {
 
     #[must_use]
     pub(crate) fn run_range(&self, blocks: Range<u64>) -> Range<u64> {
-        let at = |block: u64| block.saturating_mul(self.block_runs()).min(self.registration.runs);
+        let at = |block: u64| {
+            block
+                .saturating_mul(self.block_runs())
+                .min(self.registration.runs)
+        };
         at(blocks.start)..at(blocks.end)
     }
 
     /// Returns a tally without runs.
     #[must_use]
     pub fn empty_tally(&self) -> CountTally {
-        CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
+        CountTally {
+            registration_sha256: self.registration.digest(),
+            ..CountTally::default()
+        }
     }
 
     /// True if a tally is of the first blocks, adds up, and has no more runs than there are.
@@ -120,19 +142,32 @@ impl CountRecord {
         let counted = tally.blocks.len() as u64;
         let runs_of = |block: u64| range_len(&self.run_range(block..block.saturating_add(1)));
         let may_be = |(block, counted): (u64, &CountedBlock)| {
-            let CountedBlock { failures, only_first_failed: first, only_second_failed: second, sha256, .. } = counted;
-            let is_hash =
-                sha256.len() == 64 && sha256.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
+            let CountedBlock {
+                failures,
+                only_first_failed: first,
+                only_second_failed: second,
+                sha256,
+                ..
+            } = counted;
+            let is_hash = sha256.len() == 64
+                && sha256
+                    .bytes()
+                    .all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
             let sum = failures.saturating_add(*first).saturating_add(*second);
-            let silent = |of: &Option<FailedControllerRuns>| of.as_ref().map_or(0, |silent| silent.runs);
+            let silent =
+                |of: &Option<FailedControllerRuns>| of.as_ref().map_or(0, |silent| silent.runs);
             let own = failures.saturating_add(*first);
             let is_known = silent(&counted.missing_answers) <= own
                 && sum.saturating_add(silent(&counted.second_missing_answers))
                     <= runs_of(block).saturating_add(*failures)
                 && (self.is_comparison() || counted.second_missing_answers.is_none());
-            is_hash && is_known && sum <= runs_of(block) && (self.is_comparison() || first.saturating_add(*second) == 0)
+            is_hash
+                && is_known
+                && sum <= runs_of(block)
+                && (self.is_comparison() || first.saturating_add(*second) == 0)
         };
-        let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
+        let sum =
+            |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
         counted <= self.block_count()
             && tally.registration_sha256 == self.registration.digest()
             && tally.runs == range_len(&self.run_range(0..counted))
@@ -157,12 +192,21 @@ impl CountRecord {
                 blocks: tally
                     .blocks
                     .iter()
-                    .map(|block| ([block.only_first_failed, block.only_second_failed], block.sha256.clone()))
+                    .map(|block| {
+                        (
+                            [block.only_first_failed, block.only_second_failed],
+                            block.sha256.clone(),
+                        )
+                    })
                     .collect(),
             })
         } else {
             let rate_at_most = self.rate_at_most(tally.failures);
-            let blocks = tally.blocks.iter().map(|block| (block.failures, block.sha256.clone())).collect();
+            let blocks = tally
+                .blocks
+                .iter()
+                .map(|block| (block.failures, block.sha256.clone()))
+                .collect();
             Statement::Rate(RateClaim {
                 registration,
                 registration_sha256,
@@ -171,14 +215,23 @@ impl CountRecord {
                 blocks,
             })
         };
-        let space = self.registration.configuration.get("space").cloned().unwrap_or_default();
+        let space = self
+            .registration
+            .configuration
+            .get("space")
+            .cloned()
+            .unwrap_or_default();
         build_certificate(space, Some(self.space_text.clone()), None, statement)
     }
 
     /// Returns the accepted upper bound on the rate if so many of all runs fail; 1 if there is none.
     #[must_use]
     pub fn rate_at_most(&self, failures: u64) -> f64 {
-        upper_bound(failures, self.registration.runs, self.registration.confidence)
+        upper_bound(
+            failures,
+            self.registration.runs,
+            self.registration.confidence,
+        )
     }
 }
 
@@ -197,7 +250,9 @@ pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
         }
         let tail = binomial_tail_upper_bound(failures, runs, rate);
         if tail <= allowed {
-            return lowest_accepted(rejected, rate, |rate| binomial_tail_upper_bound(failures, runs, rate) <= allowed);
+            return lowest_accepted(rejected, rate, |rate| {
+                binomial_tail_upper_bound(failures, runs, rate) <= allowed
+            });
         }
         // The checker rounds its tail upwards, more so for more runs; correct by the observed excess. It cannot
         // distinguish all rates below 10⁻⁸.
@@ -211,7 +266,11 @@ pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
 fn lowest_accepted(mut rejected: f64, mut accepted: f64, is_accepted: impl Fn(f64) -> bool) -> f64 {
     while rejected > 0.0 && accepted - rejected > 1e-9 * accepted {
         let middle = 0.5 * (rejected + accepted);
-        if is_accepted(middle) { accepted = middle } else { rejected = middle }
+        if is_accepted(middle) {
+            accepted = middle
+        } else {
+            rejected = middle
+        }
     }
     accepted
 }
@@ -224,9 +283,12 @@ mod tests {
 
     #[test]
     fn bounds_are_accepted_and_hardly_above_the_closed_form() {
-        for (failures, runs, confidence) in
-            [(0, 1000, 0.99), (3, 1000, 0.999), (0, 138_149, 1.0 - 1e-6), (999, 1000, 0.9)]
-        {
+        for (failures, runs, confidence) in [
+            (0, 1000, 0.99),
+            (3, 1000, 0.999),
+            (0, 138_149, 1.0 - 1e-6),
+            (999, 1000, 0.9),
+        ] {
             let bound = upper_bound(failures, runs, confidence);
             assert!(binomial_tail_upper_bound(failures, runs, bound) <= 1.0 - confidence);
             assert!(
@@ -238,17 +300,28 @@ mod tests {
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
         assert_eq!(upper_bound(10, 10, 0.99), 1.0);
         let bound = upper_bound(12, 20_000_000, 0.995);
-        assert!((bound / 1.207_246_691_693_724e-6 - 1.0).abs() < 1e-7 && bound > 1.207_246_691_693_724e-6, "{bound:e}");
+        assert!(
+            (bound / 1.207_246_691_693_724e-6 - 1.0).abs() < 1e-7
+                && bound > 1.207_246_691_693_724e-6,
+            "{bound:e}"
+        );
         for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
             let bound = upper_bound(failures, 700_000_000, confidence);
             assert!(binomial_tail_upper_bound(failures, 700_000_000, bound) <= 1.0 - confidence);
             assert!(
-                binomial_tail_upper_bound(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence,
+                binomial_tail_upper_bound(failures, 700_000_000, bound * (1.0 - 1e-8))
+                    > 1.0 - confidence,
                 "{failures} {bound}"
             );
         }
         // Closed form: 1 - (1 - γ)^(1/n).
-        let (bound, exact) = (upper_bound(0, 700_000_000, 0.999), -(0.001_f64.ln() / 7e8).exp_m1());
-        assert!(bound >= exact && bound < exact * (1.0 + 1e-7), "{bound} {exact}");
+        let (bound, exact) = (
+            upper_bound(0, 700_000_000, 0.999),
+            -(0.001_f64.ln() / 7e8).exp_m1(),
+        );
+        assert!(
+            bound >= exact && bound < exact * (1.0 + 1e-7),
+            "{bound} {exact}"
+        );
     }
 }

@@ -119,9 +119,14 @@ impl Confirmation {
     /// Returns the minimum probability of detecting a forgery of the results of `forged` runs.
     #[must_use]
     pub fn detection_probability(&self, forged: u64) -> f64 {
-        let changed = forged.div_ceil(self.block_runs.max(1)).min(self.total_blocks);
+        let changed = forged
+            .div_ceil(self.block_runs.max(1))
+            .min(self.total_blocks);
         let missed = (0..changed).map(|i| {
-            let left = self.total_blocks.saturating_sub(self.blocks).saturating_sub(i);
+            let left = self
+                .total_blocks
+                .saturating_sub(self.blocks)
+                .saturating_sub(i);
             left as f64 / (self.total_blocks - i) as f64
         });
         1.0 - missed.product::<f64>()
@@ -136,7 +141,10 @@ impl Rerun {
     pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
         let (registration, stated) = match &certificate.statement {
             Statement::Rate(claim) => {
-                let blocks = claim.blocks.iter().map(|(failures, sha256)| ([*failures, 0], sha256.clone()));
+                let blocks = claim
+                    .blocks
+                    .iter()
+                    .map(|(failures, sha256)| ([*failures, 0], sha256.clone()));
                 (&claim.registration, blocks.collect())
             }
             Statement::Comparison(claim) => (&claim.registration, claim.blocks.clone()),
@@ -145,9 +153,16 @@ impl Rerun {
         if certificate.is_first_version() {
             return Err(RerunError::NoBlocks);
         }
-        let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+        let of = |key: &str| {
+            registration
+                .configuration
+                .get(key)
+                .map_or("", String::as_str)
+        };
         if of("crumple") != env!("CARGO_PKG_VERSION") {
-            return Err(RerunError::OtherRelease { counting_release: of("crumple").escape_debug().to_string() });
+            return Err(RerunError::OtherRelease {
+                counting_release: of("crumple").escape_debug().to_string(),
+            });
         }
         let find = |place: &'static str| {
             let identity = of(match place {
@@ -156,15 +171,22 @@ impl Rerun {
             });
             let is_it = |one: &&NamedController| one.kind.identity().as_deref() == Some(identity);
             // Keep the name under which the controller was counted.
-            given.iter().find(is_it).map(|one| NamedController { name: of(place).to_owned(), kind: one.kind.clone() })
+            given.iter().find(is_it).map(|one| NamedController {
+                name: of(place).to_owned(),
+                kind: one.kind.clone(),
+            })
         };
         let controllers = match binding::built_in_controllers(registration) {
             Some(controllers) => controllers,
             None => {
-                let first = find("controller").ok_or(RerunError::NoController { place: "controller" })?;
+                let first = find("controller").ok_or(RerunError::NoController {
+                    place: "controller",
+                })?;
                 let second = match registration.configuration.get("against") {
                     None => None,
-                    Some(_) => Some(find("against").ok_or(RerunError::NoController { place: "against" })?),
+                    Some(_) => {
+                        Some(find("against").ok_or(RerunError::NoController { place: "against" })?)
+                    }
                 };
                 (first, second)
             }
@@ -173,13 +195,20 @@ impl Rerun {
         if plan.registration() != registration || plan.block_count() != stated.len() as u64 {
             return Err(RerunError::OtherRegistration);
         }
-        Ok(Self { plan, stated_blocks: stated, digest: certificate.digest() })
+        Ok(Self {
+            plan,
+            stated_blocks: stated,
+            digest: certificate.digest(),
+        })
     }
 
     /// Returns the number of runs in a sample.
     #[must_use]
     pub fn run_count(&self, sample: BlockSelection) -> u64 {
-        self.select_blocks(sample).into_iter().map(|block| self.block_run_count(block)).sum()
+        self.select_blocks(sample)
+            .into_iter()
+            .map(|block| self.block_run_count(block))
+            .sum()
     }
 
     fn block_run_count(&self, block: u64) -> u64 {
@@ -206,11 +235,17 @@ impl Rerun {
             self.compare_block(block, &found)
         });
         // Report the first error in order of blocks, independent of threads.
-        judged.collect::<Vec<_>>().into_iter().collect::<Result<(), RerunError>>()?;
+        judged
+            .collect::<Vec<_>>()
+            .into_iter()
+            .collect::<Result<(), RerunError>>()?;
         Ok(Confirmation {
             blocks: blocks.len() as u64,
             total_blocks: self.plan.block_count(),
-            runs: blocks.iter().map(|&block| self.block_run_count(block)).sum(),
+            runs: blocks
+                .iter()
+                .map(|&block| self.block_run_count(block))
+                .sum(),
             total_runs: self.plan.registration().runs,
             block_runs: self.block_run_count(0),
         })
@@ -219,41 +254,61 @@ impl Rerun {
     /// Returns the blocks with the smallest hashes of index, seed and certificate, in order.
     fn select_blocks(&self, sample: BlockSelection) -> Vec<u64> {
         let all = 0..self.plan.block_count();
-        let BlockSelection::Sample { percent, seed } = sample else { return all.collect() };
+        let BlockSelection::Sample { percent, seed } = sample else {
+            return all.collect();
+        };
         let most = self.plan.block_count();
         let wanted = ((percent / 100.0 * most as f64).ceil() as u64).clamp(1, most) as usize;
         let lot = |block: u64| {
-            Sha256::default().with(seed.to_le_bytes()).with(&self.digest).with(block.to_le_bytes()).finish()
+            Sha256::default()
+                .with(seed.to_le_bytes())
+                .with(&self.digest)
+                .with(block.to_le_bytes())
+                .finish()
         };
         let mut order: Vec<([u8; 32], u64)> = all.map(|block| (lot(block), block)).collect();
         order.sort_unstable();
-        let mut blocks: Vec<u64> = order.into_iter().take(wanted).map(|(_, block)| block).collect();
+        let mut blocks: Vec<u64> = order
+            .into_iter()
+            .take(wanted)
+            .map(|(_, block)| block)
+            .collect();
         blocks.sort_unstable();
         blocks
     }
 
     fn compare_block(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
         let is_rate = self.plan.has_single_controller();
-        let counts = if is_rate { [found.failures, 0] } else { [found.only_first_failed, found.only_second_failed] };
+        let counts = if is_rate {
+            [found.failures, 0]
+        } else {
+            [found.only_first_failed, found.only_second_failed]
+        };
         let Some((stated, sha256)) = self.stated_blocks.get(block as usize) else {
             return Err(RerunError::OtherRegistration);
         };
         let runs = self.plan.run_range(block);
         let refuted = |problem: String| {
-            Err(RerunError::Refuted { block, first: runs.start, last: runs.end.saturating_sub(1), problem })
+            Err(RerunError::Refuted {
+                block,
+                first: runs.start,
+                last: runs.end.saturating_sub(1),
+                problem,
+            })
         };
         match (*stated, counts) {
-            (stated, found) if stated != found && is_rate => {
-                refuted(format!("{} runs failed when repeated, and the certificate states {}", found[0], stated[0]))
-            }
+            (stated, found) if stated != found && is_rate => refuted(format!(
+                "{} runs failed when repeated, and the certificate states {}",
+                found[0], stated[0]
+            )),
             (stated, found) if stated != found => refuted(format!(
                 "when repeated, only the first controller failed in {} runs and only the second in {}, and the \
                  certificate states {} and {}",
                 found[0], found[1], stated[0], stated[1]
             )),
-            _ if *sha256 != found.sha256 => {
-                refuted("when repeated, the runs have other results than the certificate states".to_owned())
-            }
+            _ if *sha256 != found.sha256 => refuted(
+                "when repeated, the runs have other results than the certificate states".to_owned(),
+            ),
             _ => Ok(()),
         }
     }

@@ -1,5 +1,8 @@
 //! Conversion of files of other tools to scenarios: recorded traffic and OpenSCENARIO.
 
 pub mod openscenario;
-#[cfg_attr(not(any(feature = "mdf", feature = "parquet")), expect(dead_code, reason = "used by binary formats"))]
+#[cfg_attr(
+    not(any(feature = "mdf", feature = "parquet")),
+    expect(dead_code, reason = "used by binary formats")
+)]
 pub mod recording;

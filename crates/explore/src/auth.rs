@@ -22,7 +22,10 @@ impl RequestAuth {
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes)?;
         let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { token, hosts: ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}")) })
+        Ok(Self {
+            token,
+            hosts: ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}")),
+        })
     }
 
     /// Returns the secret URL of the first page.
@@ -32,7 +35,11 @@ impl RequestAuth {
     }
 
     /// Checks a request and returns the path after the token.
-    pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, RequestError> {
+    pub(crate) fn authorize<'p>(
+        &self,
+        path: &'p str,
+        headers: &HeaderMap,
+    ) -> Result<&'p str, RequestError> {
         let text = path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = text.split_once('/').unwrap_or((text, ""));
         if !is_equal_constant_time(token.as_bytes(), self.token.as_bytes()) {
@@ -41,7 +48,11 @@ impl RequestAuth {
             ));
         }
         let all = |name: &HeaderName| {
-            headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default()).collect::<Vec<_>>()
+            headers
+                .get_all(name)
+                .iter()
+                .map(|value| value.to_str().unwrap_or_default())
+                .collect::<Vec<_>>()
         };
         let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
         if !matches!(all(&HOST)[..], [host] if is_own(host)) {
@@ -52,14 +63,18 @@ impl RequestAuth {
         let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
         let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
         if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
-            return Err(RequestError::Forbidden("the request comes from a page of another origin"));
+            return Err(RequestError::Forbidden(
+                "the request comes from a page of another origin",
+            ));
         }
         Ok(rest)
     }
 }
 
 fn is_equal_constant_time(text: &[u8], wanted: &[u8]) -> bool {
-    let difference = text.iter().zip(wanted).fold(0, |difference, (one, other)| black_box(difference | (one ^ other)));
+    let difference = text.iter().zip(wanted).fold(0, |difference, (one, other)| {
+        black_box(difference | (one ^ other))
+    });
     text.len() == wanted.len() && difference == 0
 }
 
@@ -71,7 +86,10 @@ mod tests {
 
     fn headers(named: &[(&'static str, &str)]) -> HeaderMap {
         let pair = |(name, value): &(&'static str, &str)| {
-            (HeaderName::from_static(name), HeaderValue::from_str(value).unwrap())
+            (
+                HeaderName::from_static(name),
+                HeaderValue::from_str(value).unwrap(),
+            )
         };
         named.iter().map(pair).collect()
     }
@@ -88,17 +106,28 @@ mod tests {
         let gate = RequestAuth::new(8080).unwrap();
         let path = format!("/{}/api/run", gate.token);
         let own = ("host", "127.0.0.1:8080");
-        let admitted =
-            |path: &str, named: &[(&'static str, &str)]| gate.authorize(path, &headers(named)).map(str::to_owned).ok();
+        let admitted = |path: &str, named: &[(&'static str, &str)]| {
+            gate.authorize(path, &headers(named))
+                .map(str::to_owned)
+                .ok()
+        };
         let let_in: [&[_]; 5] = [
             &[own],
             &[("host", "LocalHost:8080")],
             &[own, ("origin", "http://127.0.0.1:8080")],
-            &[own, ("origin", "http://localhost:8080"), ("sec-fetch-site", "same-origin")],
+            &[
+                own,
+                ("origin", "http://localhost:8080"),
+                ("sec-fetch-site", "same-origin"),
+            ],
             &[own, ("sec-fetch-site", "none")],
         ];
         for named in let_in {
-            assert_eq!(admitted(&path, named).as_deref(), Some("api/run"), "{named:?}");
+            assert_eq!(
+                admitted(&path, named).as_deref(),
+                Some("api/run"),
+                "{named:?}"
+            );
         }
         let kept_out: [&[_]; 12] = [
             &[],

@@ -22,22 +22,31 @@ pub(crate) struct AvoidabilityResponse {
 }
 
 /// Decides avoidability as `crumple avoid` does.
-pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, RequestError> {
-    let found = avoid(scenario, AvoidOptions::default()).map_err(|error| RequestError::invalid("scenario", error))?;
+pub(crate) fn check_avoidability(
+    scenario: &Scenario,
+) -> Result<AvoidabilityResponse, RequestError> {
+    let found = avoid(scenario, AvoidOptions::default())
+        .map_err(|error| RequestError::invalid("scenario", error))?;
     let mut escape_figure = String::new();
     let answer = match &found.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
-            let options =
-                RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
-            let run = Run::new(&escape.scenario, options).map_err(|error| RequestError::Internal(error.to_string()))?;
-            escape_figure = render_replay(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
+            let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+                .with_estimator(EstimatorKind::Truth);
+            let run = Run::new(&escape.scenario, options)
+                .map_err(|error| RequestError::Internal(error.to_string()))?;
+            escape_figure = render_replay(
+                &escape.scenario,
+                &simulate(&run, RecordingLevel::Trace),
+                "An escape",
+            );
             format!(
                 "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
                 (100.0 * escape.min_gap_m).floor() / 100.0
             )
         }
         AvoidanceVerdict::Unavoidable(_) => {
-            "No: every driver collides. This is proved, and the checker has accepted the proof.".to_owned()
+            "No: every driver collides. This is proved, and the checker has accepted the proof."
+                .to_owned()
         }
         AvoidanceVerdict::Undecided(reason) => format!("Undecided: {reason}"),
     };
@@ -48,5 +57,9 @@ pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResp
         )
     });
     let sentences = [answer].into_iter().chain(bound).collect();
-    Ok(AvoidabilityResponse { verdict: found.verdict.name(), sentences, escape_figure })
+    Ok(AvoidabilityResponse {
+        verdict: found.verdict.name(),
+        sentences,
+        escape_figure,
+    })
 }

@@ -7,7 +7,8 @@ use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
-    Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names,
+    Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario,
+    built_in_scenario_names,
 };
 use crumple_world::sim::NamedController;
 
@@ -76,59 +77,101 @@ impl ExploreConfig {
 
     /// Adds everything built in and checks the configuration.
     pub(crate) fn into_catalog(self) -> Result<Catalog, ExploreConfigError> {
-        let Self { mut scenarios, mut controllers, estimator, campaigns } = self;
+        let Self {
+            mut scenarios,
+            mut controllers,
+            estimator,
+            campaigns,
+        } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
-            return Err(ExploreConfigError::TooManyControllers { found: controllers.len() });
+            return Err(ExploreConfigError::TooManyControllers {
+                found: controllers.len(),
+            });
         }
-        let names: Vec<&str> = controllers.iter().map(|controller| controller.name.as_str()).collect();
-        if let Some(name) = (1..names.len())
-            .find_map(|index| names.get(index).filter(|name| names.iter().take(index).any(|known| known == *name)))
-        {
-            return Err(ExploreConfigError::DuplicateController { name: (*name).to_owned() });
+        let names: Vec<&str> = controllers
+            .iter()
+            .map(|controller| controller.name.as_str())
+            .collect();
+        if let Some(name) = (1..names.len()).find_map(|index| {
+            names
+                .get(index)
+                .filter(|name| names.iter().take(index).any(|known| known == *name))
+        }) {
+            return Err(ExploreConfigError::DuplicateController {
+                name: (*name).to_owned(),
+            });
         }
         let campaigns = campaigns.into_iter().map(|folder| {
-            Ok(CatalogCampaign { name: folder.display().to_string(), reader: CampaignReader::open(&folder)? })
+            Ok(CatalogCampaign {
+                name: folder.display().to_string(),
+                reader: CampaignReader::open(&folder)?,
+            })
         });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
-            controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
+            controllers
+                .extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
         }
         let selected_controllers = controllers.len();
         for (name, _) in built_in_scenario_names() {
-            if let (Some(scenario), false) =
-                (built_in_scenario(name), scenarios.iter().any(|offered| offered.name == *name))
-            {
-                scenarios.push(CatalogScenario { name: (*name).to_owned(), scenario });
+            if let (Some(scenario), false) = (
+                built_in_scenario(name),
+                scenarios.iter().any(|offered| offered.name == *name),
+            ) {
+                scenarios.push(CatalogScenario {
+                    name: (*name).to_owned(),
+                    scenario,
+                });
             }
         }
         for built_in in ControllerSpec::all().into_iter().map(NamedController::from) {
-            if !controllers.iter().any(|offered| offered.name == built_in.name) {
+            if !controllers
+                .iter()
+                .any(|offered| offered.name == built_in.name)
+            {
                 controllers.push(built_in);
             }
         }
         // Only built-in controllers of campaigns are added: a campaign must not add a command or file to the catalog.
         for campaign in &campaigns {
             let name = campaign.reader.controller();
-            if let (false, Some(Ok(spec))) =
-                (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(name))
-            {
+            if let (false, Some(Ok(spec))) = (
+                controllers.iter().any(|offered| offered.name == name),
+                ControllerSpec::parse(name),
+            ) {
                 controllers.push(spec.into());
             }
         }
         let opened_drivers = Mutex::default();
-        Ok(Catalog { scenarios, controllers, selected_controllers, estimator, campaigns, opened_drivers })
+        Ok(Catalog {
+            scenarios,
+            controllers,
+            selected_controllers,
+            estimator,
+            campaigns,
+            opened_drivers,
+        })
     }
 }
 
 impl Catalog {
-    pub(crate) fn find_controllers(&self, names: &[String]) -> Result<Vec<&NamedController>, RequestError> {
+    pub(crate) fn find_controllers(
+        &self,
+        names: &[String],
+    ) -> Result<Vec<&NamedController>, RequestError> {
         if !(1..=ExploreConfig::MAX_CONTROLLERS).contains(&names.len()) {
-            let problem =
-                format!("must name 1 to {} controllers, found {}", ExploreConfig::MAX_CONTROLLERS, names.len());
+            let problem = format!(
+                "must name 1 to {} controllers, found {}",
+                ExploreConfig::MAX_CONTROLLERS,
+                names.len()
+            );
             return Err(RequestError::invalid("controllers", problem));
         }
         let offered = |(index, name): (usize, &String)| {
-            let found = self.controllers.iter().find(|offered| offered.name == *name);
+            let found = self
+                .controllers
+                .iter()
+                .find(|offered| offered.name == *name);
             found.ok_or_else(|| {
                 RequestError::invalid(
                     format!("controllers[{index}]"),
@@ -142,7 +185,10 @@ impl Catalog {
     /// Registers the drivers from files in a scenario of a campaign, so that later requests with this scenario may name
     /// them.
     pub(crate) fn register_drivers(&self, scenario: &Scenario) {
-        let mut opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut opened = self
+            .opened_drivers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         for driver in file_drivers(scenario) {
             if !opened.contains(driver) {
                 opened.push(driver.clone());
@@ -153,14 +199,21 @@ impl Catalog {
     /// Replaces each driver that a scenario names by file with the same driver of a known scenario. No file is opened,
     /// so a page cannot make the server read one.
     pub(crate) fn resolve_drivers(&self, spec: &mut ScenarioSpec) -> Result<(), RequestError> {
-        let opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
-        let offered = self.scenarios.iter().flat_map(|offered| file_drivers(&offered.scenario));
+        let opened = self
+            .opened_drivers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let offered = self
+            .scenarios
+            .iter()
+            .flat_map(|offered| file_drivers(&offered.scenario));
         let known: Vec<&FileDriver> = offered.chain(opened.iter()).collect();
         for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
                 let found = known.iter().find(|known| **known == file).ok_or_else(|| {
                     let field = format!("scenario.vehicles[{index}].driver.file.path");
-                    let problem = "only the drivers of scenarios that were given at the start are allowed";
+                    let problem =
+                        "only the drivers of scenarios that were given at the start are allowed";
                     RequestError::invalid(field, problem)
                 })?;
                 *file = (*found).clone();
@@ -171,15 +224,25 @@ impl Catalog {
 }
 
 /// Returns the item at an index. The error names `field`, the field of the request with the index.
-pub(crate) fn find<'a, T>(items: &'a [T], index: usize, field: &str, noun: &str) -> Result<&'a T, RequestError> {
-    items.get(index).ok_or_else(|| RequestError::invalid(field, format!("there are {} {noun}", items.len())))
+pub(crate) fn find<'a, T>(
+    items: &'a [T],
+    index: usize,
+    field: &str,
+    noun: &str,
+) -> Result<&'a T, RequestError> {
+    items
+        .get(index)
+        .ok_or_else(|| RequestError::invalid(field, format!("there are {} {noun}", items.len())))
 }
 
 fn file_drivers(scenario: &Scenario) -> impl Iterator<Item = &FileDriver> {
-    scenario.vehicles().iter().filter_map(|vehicle| match &vehicle.driver {
-        Driver::File(file) => Some(file),
-        _ => None,
-    })
+    scenario
+        .vehicles()
+        .iter()
+        .filter_map(|vehicle| match &vehicle.driver {
+            Driver::File(file) => Some(file),
+            _ => None,
+        })
 }
 
 /// Converts the error of a scenario in a request; prefixes its field.

@@ -44,7 +44,10 @@ pub(crate) enum RequestError {
 
 impl RequestError {
     pub(crate) fn invalid(field: impl Into<String>, problem: impl ToString) -> Self {
-        Self::Invalid { field: field.into(), problem: problem.to_string() }
+        Self::Invalid {
+            field: field.into(),
+            problem: problem.to_string(),
+        }
     }
 
     /// Returns the status of the response, and the kind of the error in its body.

@@ -1,10 +1,14 @@
 //! Runs of a scenario on the page: verdicts, diagrams, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
-use crumple_report::draw::{self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names};
+use crumple_report::draw::{
+    self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
+};
 use crumple_world::measure::UnnecessaryBraking;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
-use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_world::sim::{
+    NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
 use maud::html;
 use serde::Serialize;
 
@@ -61,36 +65,61 @@ struct LeadPad {
     max_accel_mps2: f64,
 }
 
-pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result<RunResponse, RequestError> {
+pub(crate) fn run_and_render(
+    mut request: RunRequest,
+    offer: &Catalog,
+) -> Result<RunResponse, RequestError> {
     let scenario = request.take_scenario(offer)?;
     let controllers = offer.find_controllers(&request.controllers)?;
     let mut runs = Vec::new();
     for controller in &controllers {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(request.estimator);
-        let run = Run::new(&scenario, options).map_err(|error| RequestError::invalid("controllers", error))?;
+        let run = Run::new(&scenario, options)
+            .map_err(|error| RequestError::invalid("controllers", error))?;
         runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
     }
     Ok(RunResponse {
-        runs: runs.iter().map(|(controller, run)| render_panel(controller, &scenario, run)).collect(),
+        runs: runs
+            .iter()
+            .map(|(controller, run)| render_panel(controller, &scenario, run))
+            .collect(),
         figures: render_figures(&scenario, &runs, request.narrow),
         sliders: Sliders::new(&scenario),
     })
 }
 
-fn render_panel(controller: &NamedController, scenario: &Scenario, run: &SimulationResult) -> RunPanel {
+fn render_panel(
+    controller: &NamedController,
+    scenario: &Scenario,
+    run: &SimulationResult,
+) -> RunPanel {
     let (verdict, words) = match &run.outcome {
         Outcome::Collision(contact) => (
             "collision",
             format!(
                 "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-                contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+                contact.time_s,
+                contact.rear_vehicle,
+                contact.front_vehicle,
+                contact.impact_speed_mps
             ),
         ),
         Outcome::ControllerFailed(failed) => ("failed", format!("✗ Controller failed: {failed}")),
         Outcome::NoCollision => {
-            let closest = run.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min);
-            let gap = if closest.is_finite() { format!(", smallest gap {closest:.2} m") } else { String::new() };
-            ("safe", format!("✓ No collision in {} s{gap}", scenario.spec().duration_s))
+            let closest = run
+                .vehicles
+                .iter()
+                .filter_map(|vehicle| vehicle.min_gap_m)
+                .fold(f64::INFINITY, f64::min);
+            let gap = if closest.is_finite() {
+                format!(", smallest gap {closest:.2} m")
+            } else {
+                String::new()
+            };
+            (
+                "safe",
+                format!("✓ No collision in {} s{gap}", scenario.spec().duration_s),
+            )
         }
     };
     let mut notes = Vec::new();
@@ -98,16 +127,32 @@ fn render_panel(controller: &NamedController, scenario: &Scenario, run: &Simulat
         notes.push("no vehicle is under test: the drivers of the scenario drive".to_owned());
     }
     if !controller.kind.is_deterministic() {
-        notes.push("the controller declares that it is not deterministic: another run may end differently".to_owned());
+        notes.push(
+            "the controller declares that it is not deterministic: another run may end differently"
+                .to_owned(),
+        );
     }
-    for vehicle in (0..scenario.vehicles().len()).filter(|&vehicle| scenario.is_under_test(vehicle)) {
-        let braking = run.trace.as_ref().and_then(|trace| UnnecessaryBraking::from_trace(trace, &run.impacts, vehicle));
+    for vehicle in (0..scenario.vehicles().len()).filter(|&vehicle| scenario.is_under_test(vehicle))
+    {
+        let braking = run
+            .trace
+            .as_ref()
+            .and_then(|trace| UnnecessaryBraking::from_trace(trace, &run.impacts, vehicle));
         if let Some(braking) = braking.filter(|braking| braking.hardest.is_some()) {
-            notes.push(format!("vehicle {vehicle} brakes unnecessarily for {:.2} s", braking.time_s));
+            notes.push(format!(
+                "vehicle {vehicle} brakes unnecessarily for {:.2} s",
+                braking.time_s
+            ));
         }
     }
     let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
-    RunPanel { controller: escape_text(&controller.name), verdict, summary: escape_text(&words), notes, contact_time_s }
+    RunPanel {
+        controller: escape_text(&controller.name),
+        verdict,
+        summary: escape_text(&words),
+        notes,
+        contact_time_s,
+    }
 }
 
 /// Escapes invisible characters in foreign text.
@@ -115,10 +160,16 @@ fn escape_text(text: &str) -> String {
     TerminalText(text).to_string()
 }
 
-fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResult)], narrow: bool) -> String {
+fn render_figures(
+    scenario: &Scenario,
+    runs: &[(&NamedController, SimulationResult)],
+    narrow: bool,
+) -> String {
     let labels = vehicle_names(scenario);
-    let traced: Vec<_> =
-        runs.iter().filter_map(|(controller, run)| Some((*controller, run, run.trace.as_ref()?))).collect();
+    let traced: Vec<_> = runs
+        .iter()
+        .filter_map(|(controller, run)| Some((*controller, run, run.trace.as_ref()?)))
+        .collect();
     let axes = MotionAxes::from_traces(traced.iter().map(|(_, _, trace)| *trace));
     let layout = match (narrow, traced.len()) {
         (true, _) => PanelArrangement::Stacked,
@@ -141,9 +192,17 @@ fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResu
 
 /// Renders the diagrams of a run with the scenario's own drivers.
 pub(crate) fn render_replay(scenario: &Scenario, run: &SimulationResult, title: &str) -> String {
-    let Some(trace) = &run.trace else { return String::new() };
+    let Some(trace) = &run.trace else {
+        return String::new();
+    };
     let labels = vehicle_names(scenario);
-    let figure = MotionFigure { prefix: "escape", title, labels: &labels, trace, impacts: &run.impacts };
+    let figure = MotionFigure {
+        prefix: "escape",
+        title,
+        labels: &labels,
+        trace,
+        impacts: &run.impacts,
+    };
     TerminalLines(&draw::draw_motion_responsive(&figure).into_string()).to_string()
 }
 
@@ -159,7 +218,9 @@ impl Sliders {
                 Driver::Controller(controller) => controller.to_arg(),
                 driver => driver.name().to_owned(),
             },
-            gap_m: index.checked_sub(1).and_then(|before| gaps_m.get(before).copied()),
+            gap_m: index
+                .checked_sub(1)
+                .and_then(|before| gaps_m.get(before).copied()),
             speed_mps: vehicle.speed_mps,
         };
         Self {
@@ -178,9 +239,13 @@ impl LeadPad {
         let cell_steps = steps.div_ceil(MAX_PAD_CELLS).max(1);
         let lead = spec.vehicles.first();
         let script = lead.and_then(|lead| match &lead.driver {
-            Driver::Profile(profile) => {
-                Some(mean_accelerations(profile, lead.speed_mps, spec.step_s, steps, cell_steps))
-            }
+            Driver::Profile(profile) => Some(mean_accelerations(
+                profile,
+                lead.speed_mps,
+                spec.step_s,
+                steps,
+                cell_steps,
+            )),
             _ => None,
         });
         Self {
@@ -205,7 +270,11 @@ fn mean_accelerations(
         let here = first..steps.min(first + cell_steps);
         let (mut sum, count) = (0.0, here.len() as f64);
         for step in here {
-            let asked = profile.acceleration_mps2(step as f64 * step_s, (step + 1) as f64 * step_s, speed_mps);
+            let asked = profile.acceleration_mps2(
+                step as f64 * step_s,
+                (step + 1) as f64 * step_s,
+                speed_mps,
+            );
             sum += asked;
             speed_mps = (speed_mps + asked * step_s).max(0.0);
         }

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::parse_json;
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass};
+use crumple_world::scenario::{
+    Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass,
+};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -58,7 +60,11 @@ struct VehicleEdit {
 
 pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestError> {
     let text = std::str::from_utf8(body).map_err(|error| RequestError::Malformed {
-        line: 1 + body.iter().take(error.valid_up_to()).filter(|&&byte| byte == b'\n').count(),
+        line: 1 + body
+            .iter()
+            .take(error.valid_up_to())
+            .filter(|&&byte| byte == b'\n')
+            .count(),
         message: "not UTF-8".to_owned(),
     })?;
     Ok(parse_json(text, Path::new("request"))?)
@@ -79,14 +85,23 @@ impl RunRequest {
 }
 
 /// Applies edits to a scenario, and checks that it is valid and small enough for `runs` runs.
-fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalog) -> Result<Scenario, RequestError> {
+fn apply_edits(
+    mut spec: ScenarioSpec,
+    edits: Edits,
+    runs: usize,
+    offer: &Catalog,
+) -> Result<Scenario, RequestError> {
     offer.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
     let scenario = Scenario::new(spec).map_err(scenario_error)?;
-    let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(runs.max(1));
+    let found = scenario
+        .steps()
+        .saturating_mul(scenario.vehicles().len())
+        .saturating_mul(runs.max(1));
     if found > MAX_VEHICLE_STEPS {
-        let problem =
-            format!("asks for {found} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed");
+        let problem = format!(
+            "asks for {found} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed"
+        );
         return Err(RequestError::invalid("scenario.duration_s", problem));
     }
     Ok(scenario)
@@ -101,17 +116,26 @@ impl Edits {
             spec.environment.friction = friction;
         }
         // Keep positions exact if no gap or class changed.
-        let moves = self.vehicles.iter().any(|edit| edit.gap_m.is_some() || edit.class.is_some());
+        let moves = self
+            .vehicles
+            .iter()
+            .any(|edit| edit.gap_m.is_some() || edit.class.is_some());
         let mut gaps_m = gaps_m(spec);
         for (index, edit) in self.vehicles.iter().enumerate() {
             let Some(vehicle) = spec.vehicles.get_mut(edit.vehicle) else {
                 let problem = format!("there is no vehicle {} in the scenario", edit.vehicle);
-                return Err(RequestError::invalid(format!("edits.vehicles[{index}].vehicle"), problem));
+                return Err(RequestError::invalid(
+                    format!("edits.vehicles[{index}].vehicle"),
+                    problem,
+                ));
             };
             vehicle.class = edit.class.unwrap_or(vehicle.class);
             vehicle.speed_mps = edit.speed_mps.unwrap_or(vehicle.speed_mps);
             if let Some(gap_m) = edit.gap_m {
-                let gap = edit.vehicle.checked_sub(1).and_then(|before| gaps_m.get_mut(before));
+                let gap = edit
+                    .vehicle
+                    .checked_sub(1)
+                    .and_then(|before| gaps_m.get_mut(before));
                 *gap.ok_or_else(|| {
                     let field = format!("edits.vehicles[{index}].gap_m");
                     RequestError::invalid(field, "no vehicle is ahead of the first vehicle")
@@ -124,8 +148,12 @@ impl Edits {
         if let (Some(pieces), Some(lead)) = (self.lead, spec.vehicles.first_mut()) {
             lead.driver = Driver::Profile(LeadProfile::Pieces(pieces));
             // A script determines the motion directly.
-            (lead.reaction_delay_s, lead.actuator_lag_s, lead.actuator_delay_s, lead.jerk_limit_mps3) =
-                (0.0, 0.0, 0.0, None);
+            (
+                lead.reaction_delay_s,
+                lead.actuator_lag_s,
+                lead.actuator_delay_s,
+                lead.jerk_limit_mps3,
+            ) = (0.0, 0.0, 0.0, None);
             (lead.plant, lead.body) = Default::default();
         }
         Ok(())
@@ -135,11 +163,15 @@ impl Edits {
 /// Returns the bumper-to-bumper gap ahead of each vehicle but the first, in metres.
 pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
     let pairs = spec.vehicles.iter().zip(spec.vehicles.iter().skip(1));
-    pairs.map(|(ahead, behind)| ahead.position_m - ahead.length_m() - behind.position_m).collect()
+    pairs
+        .map(|(ahead, behind)| ahead.position_m - ahead.length_m() - behind.position_m)
+        .collect()
 }
 
 fn place_vehicles(spec: &mut ScenarioSpec, gaps_m: &[f64]) {
-    let Some(first) = spec.vehicles.first() else { return };
+    let Some(first) = spec.vehicles.first() else {
+        return;
+    };
     let mut rear_bumper_m = first.position_m - first.length_m();
     for (vehicle, gap_m) in spec.vehicles.iter_mut().skip(1).zip(gaps_m) {
         // Round to the nanometre, so that a file shows the chosen gap.

@@ -66,39 +66,67 @@ struct SaveRequest {
 
 impl Application {
     pub(crate) fn new(gate: RequestAuth, offer: Catalog) -> Self {
-        Self { auth: gate, catalog: offer, avoidability_lock: Mutex::new(()) }
+        Self {
+            auth: gate,
+            catalog: offer,
+            avoidability_lock: Mutex::new(()),
+        }
     }
 
     /// Responds to a request; `rest` is its path after the token. A request with a body may block for a long time.
-    pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
+    pub(crate) fn dispatch(
+        &self,
+        method: &Method,
+        rest: &str,
+        body: &[u8],
+    ) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
             ("", &Method::GET) => Ok(HttpResponse::new(HTML, page::scenario_page(&self.catalog))),
-            ("campaigns", &Method::GET) => Ok(HttpResponse::new(HTML, page::campaigns_page(&self.catalog))),
-            ("explore.css", &Method::GET) => Ok(HttpResponse::new("text/css; charset=utf-8", page::style_sheet())),
-            ("explore.js", &Method::GET) => {
-                Ok(HttpResponse::new("text/javascript; charset=utf-8", page::SCRIPT.to_owned()))
+            ("campaigns", &Method::GET) => {
+                Ok(HttpResponse::new(HTML, page::campaigns_page(&self.catalog)))
             }
-            ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(RequestError::MethodNotAllowed("GET")),
+            ("explore.css", &Method::GET) => Ok(HttpResponse::new(
+                "text/css; charset=utf-8",
+                page::style_sheet(),
+            )),
+            ("explore.js", &Method::GET) => Ok(HttpResponse::new(
+                "text/javascript; charset=utf-8",
+                page::SCRIPT.to_owned(),
+            )),
+            ("" | "campaigns" | "explore.css" | "explore.js", _) => {
+                Err(RequestError::MethodNotAllowed("GET"))
+            }
             ("api/open", &Method::POST) => self.open(&parse_body(body)?),
-            ("api/run", &Method::POST) => {
-                json_response(&run_and_render(parse_body::<RunRequest>(body)?, &self.catalog)?)
-            }
+            ("api/run", &Method::POST) => json_response(&run_and_render(
+                parse_body::<RunRequest>(body)?,
+                &self.catalog,
+            )?),
             ("api/avoid", &Method::POST) => self.avoid(parse_body(body)?),
             ("api/save", &Method::POST) => self.save(parse_body(body)?),
-            ("api/campaign", &Method::POST) => {
-                json_response(&campaign::show_campaigns(&parse_body(body)?, &self.catalog.campaigns)?)
-            }
+            ("api/campaign", &Method::POST) => json_response(&campaign::show_campaigns(
+                &parse_body(body)?,
+                &self.catalog.campaigns,
+            )?),
             ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => {
                 Err(RequestError::MethodNotAllowed("POST"))
             }
-            _ => Err(RequestError::NotFound("see the address that crumple printed at its start")),
+            _ => Err(RequestError::NotFound(
+                "see the address that crumple printed at its start",
+            )),
         }
     }
 
     fn open(&self, wanted: &OpenRequest) -> Result<HttpResponse, RequestError> {
         match wanted {
-            OpenRequest { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
-                let scenario = &catalog::find(&self.catalog.scenarios, *index, "scenario", "scenarios")?.scenario;
+            OpenRequest {
+                scenario: Some(index),
+                campaign: None,
+                counterexample: None,
+                evaluation: None,
+            } => {
+                let scenario =
+                    &catalog::find(&self.catalog.scenarios, *index, "scenario", "scenarios")?
+                        .scenario;
                 json_response(&OpenResponse {
                     scenario: scenario.spec(),
                     sliders: Sliders::new(scenario),
@@ -107,10 +135,16 @@ impl Application {
                     note: None,
                 })
             }
-            OpenRequest { scenario: None, campaign: Some(index), counterexample, evaluation } => {
-                self.open_campaign_scenario(*index, *counterexample, *evaluation)
-            }
-            _ => Err(RequestError::invalid("scenario", "open either a scenario or a campaign")),
+            OpenRequest {
+                scenario: None,
+                campaign: Some(index),
+                counterexample,
+                evaluation,
+            } => self.open_campaign_scenario(*index, *counterexample, *evaluation),
+            _ => Err(RequestError::invalid(
+                "scenario",
+                "open either a scenario or a campaign",
+            )),
         }
     }
 
@@ -125,16 +159,30 @@ impl Application {
         let look = &offered.reader;
         let scenario = match (counterexample, evaluation) {
             (Some(place), None) => {
-                let found = look.counterexample(place).map_err(campaign::campaign_error)?;
-                found.ok_or_else(|| RequestError::invalid("counterexample", "the campaign has no such failure"))?
+                let found = look
+                    .counterexample(place)
+                    .map_err(campaign::campaign_error)?;
+                found.ok_or_else(|| {
+                    RequestError::invalid("counterexample", "the campaign has no such failure")
+                })?
             }
             (None, Some(place)) => {
                 let found = look.evaluations().get(place);
                 let (method, evaluated) = found.ok_or_else(|| {
-                    RequestError::invalid("evaluation", format!("{} are known", look.evaluations().len()))
+                    RequestError::invalid(
+                        "evaluation",
+                        format!("{} are known", look.evaluations().len()),
+                    )
                 })?;
-                let scenario = look.scenario(&evaluated.values).map_err(campaign::campaign_error)?;
-                let name = format!("{}-{}-{}", look.space().name(), method.name(), evaluated.number);
+                let scenario = look
+                    .scenario(&evaluated.values)
+                    .map_err(campaign::campaign_error)?;
+                let name = format!(
+                    "{}-{}-{}",
+                    look.space().name(),
+                    method.name(),
+                    evaluated.number
+                );
                 let about = format!(
                     "Evaluation {} of {} in the space `{}`.",
                     evaluated.number,
@@ -143,18 +191,31 @@ impl Application {
                 );
                 scenario.edited(|spec| (spec.name, spec.about) = (name, about))?
             }
-            _ => return Err(RequestError::invalid("campaign", "open either a counterexample or an evaluation")),
+            _ => {
+                return Err(RequestError::invalid(
+                    "campaign",
+                    "open either a counterexample or an evaluation",
+                ));
+            }
         };
         self.catalog.register_drivers(&scenario);
         let name = look.controller();
-        let offered = self.catalog.controllers.iter().find(|controller| controller.name == name);
+        let offered = self
+            .catalog
+            .controllers
+            .iter()
+            .find(|controller| controller.name == name);
         let is_offered = offered.is_some_and(|controller| look.is_for_controller(controller));
         let reason = match offered {
             None => "start with --controller",
             Some(_) => "the controller of this name has another identity",
         };
-        let note = (!is_offered)
-            .then(|| format!("The campaign is about {}, which is not available: {reason}", TerminalText(name)));
+        let note = (!is_offered).then(|| {
+            format!(
+                "The campaign is about {}, which is not available: {reason}",
+                TerminalText(name)
+            )
+        });
         json_response(&OpenResponse {
             scenario: scenario.spec(),
             sliders: Sliders::new(&scenario),
@@ -179,22 +240,38 @@ impl Application {
 
     fn save(&self, save: SaveRequest) -> Result<HttpResponse, RequestError> {
         let scenario = save.edited.into_scenario(&self.catalog)?;
-        let named = self.catalog.find_controllers(std::slice::from_ref(&save.controller))?;
-        let controller = named.first().map_or("", |controller| controller.name.as_str());
-        json_response(&SaveResponse::new(&scenario, controller, save.estimator.name())?)
+        let named = self
+            .catalog
+            .find_controllers(std::slice::from_ref(&save.controller))?;
+        let controller = named
+            .first()
+            .map_or("", |controller| controller.name.as_str());
+        json_response(&SaveResponse::new(
+            &scenario,
+            controller,
+            save.estimator.name(),
+        )?)
     }
 }
 
 impl HttpResponse {
     fn new(content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
-        Self { status: StatusCode::OK, content_type, body: body.into() }
+        Self {
+            status: StatusCode::OK,
+            content_type,
+            body: body.into(),
+        }
     }
 }
 
 impl From<RequestError> for HttpResponse {
     fn from(refused: RequestError) -> Self {
         let body = format!("{}\n", refused.to_json()).into_bytes();
-        Self { status: refused.status_and_kind().0, content_type: JSON, body }
+        Self {
+            status: refused.status_and_kind().0,
+            content_type: JSON,
+            body,
+        }
     }
 }
 
@@ -202,6 +279,7 @@ const HTML: &str = "text/html; charset=utf-8";
 const JSON: &str = "application/json";
 
 fn json_response(content: &impl Serialize) -> Result<HttpResponse, RequestError> {
-    let body = serde_json::to_vec(content).map_err(|error| RequestError::Internal(error.to_string()))?;
+    let body =
+        serde_json::to_vec(content).map_err(|error| RequestError::Internal(error.to_string()))?;
     Ok(HttpResponse::new(JSON, body))
 }

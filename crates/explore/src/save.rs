@@ -16,19 +16,32 @@ pub(crate) struct SaveResponse {
 }
 
 impl SaveResponse {
-    pub(crate) fn new(scenario: &Scenario, controller: &str, estimator: &str) -> Result<Self, RequestError> {
-        let toml = file::to_toml(scenario).map_err(|error| RequestError::Internal(error.to_string()))?;
+    pub(crate) fn new(
+        scenario: &Scenario,
+        controller: &str,
+        estimator: &str,
+    ) -> Result<Self, RequestError> {
+        let toml =
+            file::to_toml(scenario).map_err(|error| RequestError::Internal(error.to_string()))?;
         let file_name = format!("{}.toml", file_stem(&scenario.spec().name));
-        let command =
-            format!("crumple simulate {file_name} --controller {} --estimator {estimator}", ShellWord(controller));
-        Ok(Self { file_name, toml, command: TerminalText(&command).to_string() })
+        let command = format!(
+            "crumple simulate {file_name} --controller {} --estimator {estimator}",
+            ShellWord(controller)
+        );
+        Ok(Self {
+            file_name,
+            toml,
+            command: TerminalText(&command).to_string(),
+        })
     }
 }
 
 /// Returns a file name of letters, digits and hyphens. The name cannot point to another folder, and is not one that
 /// Windows reserves, such as `con`.
 fn file_stem(name: &str) -> String {
-    let words = name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    let words = name
+        .split(|letter: char| !letter.is_ascii_alphanumeric())
+        .filter(|word| !word.is_empty());
     let mut plain = words.collect::<Vec<_>>().join("-").to_ascii_lowercase();
     plain.truncate(MAX_STEM_CHARS);
     let plain = plain.trim_end_matches('-');

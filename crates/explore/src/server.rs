@@ -71,7 +71,10 @@ pub struct Server {
 
 impl fmt::Debug for Server {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.debug_struct("Server").field("port", &self.port).finish_non_exhaustive()
+        formatter
+            .debug_struct("Server")
+            .field("port", &self.port)
+            .finish_non_exhaustive()
     }
 }
 
@@ -113,7 +116,9 @@ impl Server {
         let port = listener.local_addr().map_err(unusable)?.port();
         let gate = RequestAuth::new(port)?;
         // Each simulation takes one processor; connections share one more thread.
-        let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
+        let processors = std::thread::available_parallelism()
+            .map_or(2, usize::from)
+            .max(2);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(processors)
@@ -121,19 +126,30 @@ impl Server {
             .map_err(ServeError::System)?;
         let mut interrupt: Interrupt = Box::pin(tokio::signal::ctrl_c());
         // The first poll sets the handler, so Ctrl-C works as soon as the URL is known.
-        let interrupt: Interrupt =
-            match runtime.block_on(poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context)))) {
-                Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
-                Poll::Pending => interrupt,
-            };
+        let interrupt: Interrupt = match runtime.block_on(poll_fn(|context| {
+            Poll::Ready(interrupt.as_mut().poll(context))
+        })) {
+            Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
+            Poll::Pending => interrupt,
+        };
         let application = Arc::new(Application::new(gate, offer));
-        Ok(Self { listener, port, application, runtime, interrupt, read_timeout: READ_TIMEOUT })
+        Ok(Self {
+            listener,
+            port,
+            application,
+            runtime,
+            interrupt,
+            read_timeout: READ_TIMEOUT,
+        })
     }
 
     /// Sets the time limit of the head of a request, and of its body; the default is 10 s.
     #[must_use]
     pub fn with_read_timeout(self, patience: Duration) -> Self {
-        Self { read_timeout: patience, ..self }
+        Self {
+            read_timeout: patience,
+            ..self
+        }
     }
 
     /// Returns the URL of the first page, with the token.
@@ -164,7 +180,11 @@ impl Server {
     }
 }
 
-async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>, patience: Duration) {
+async fn accept(
+    listener: tokio::net::TcpListener,
+    application: Arc<Application>,
+    patience: Duration,
+) {
     let mut connections = Vec::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
@@ -178,7 +198,9 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
         let idle_since = Arc::new(AtomicU64::new(next_tick()));
         let (application, own_idle_since) = (Arc::clone(&application), Arc::clone(&idle_since));
         let task = tokio::spawn(async move {
-            let service = service_fn(|request| respond(Arc::clone(&application), request, &own_idle_since, patience));
+            let service = service_fn(|request| {
+                respond(Arc::clone(&application), request, &own_idle_since, patience)
+            });
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
@@ -188,7 +210,10 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
             // A client that disconnects needs no response.
             let _ = connection.await;
         });
-        connections.push(Connection { task: task.abort_handle(), idle_since });
+        connections.push(Connection {
+            task: task.abort_handle(),
+            idle_since,
+        });
     }
 }
 
@@ -212,8 +237,14 @@ fn next_tick() -> u64 {
 fn try_free_connection(connections: &mut Vec<Connection>) -> bool {
     connections.retain(|connection| !connection.task.is_finished());
     if connections.len() >= MAX_CONNECTIONS {
-        let since = connections.iter().map(|connection| connection.idle_since.load(Ordering::Relaxed)).enumerate();
-        if let Some((longest, _)) = since.filter(|(_, since)| *since != BUSY).min_by_key(|(_, since)| *since) {
+        let since = connections
+            .iter()
+            .map(|connection| connection.idle_since.load(Ordering::Relaxed))
+            .enumerate();
+        if let Some((longest, _)) = since
+            .filter(|(_, since)| *since != BUSY)
+            .min_by_key(|(_, since)| *since)
+        {
             connections.swap_remove(longest).task.abort();
         }
     }
@@ -227,12 +258,20 @@ async fn respond(
     patience: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
     let answered = handle(application, request, idle_since, patience).await;
-    let HttpResponse { status, content_type, body } = answered.unwrap_or_else(HttpResponse::from);
+    let HttpResponse {
+        status,
+        content_type,
+        body,
+    } = answered.unwrap_or_else(HttpResponse::from);
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
-    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
+    response
+        .headers_mut()
+        .insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
     for (name, value) in SECURITY_HEADERS {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
 }
@@ -246,24 +285,38 @@ async fn handle(
     // Earlier idle time no longer counts.
     idle_since.store(next_tick(), Ordering::Relaxed);
     let (head, body) = request.into_parts();
-    let rest = application.auth.authorize(head.uri.path(), &head.headers)?.to_owned();
+    let rest = application
+        .auth
+        .authorize(head.uri.path(), &head.headers)?
+        .to_owned();
     if head.method == Method::GET {
         return application.dispatch(&head.method, &rest, &[]);
     }
     // A form of another page cannot send this content type without a preflight request.
-    let is_json = head.headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).is_some_and(|kind| {
-        kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
-    });
+    let is_json = head
+        .headers
+        .get(CONTENT_TYPE)
+        .and_then(|kind| kind.to_str().ok())
+        .is_some_and(|kind| {
+            kind.split(';')
+                .next()
+                .is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+        });
     if head.method == Method::POST && !is_json {
         return Err(RequestError::NotJson);
     }
-    let body = timeout(patience, read_body(body)).await.map_err(|_| RequestError::Timeout(patience))??;
+    let body = timeout(patience, read_body(body))
+        .await
+        .map_err(|_| RequestError::Timeout(patience))??;
     // Requests beyond the number of threads are queued.
     idle_since.store(BUSY, Ordering::Relaxed);
-    let answer = tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
+    let answer =
+        tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
     idle_since.store(next_tick(), Ordering::Relaxed);
     answer.unwrap_or_else(|_| {
-        Err(RequestError::Internal("an internal error of crumple: please report it with the scenario".to_owned()))
+        Err(RequestError::Internal(
+            "an internal error of crumple: please report it with the scenario".to_owned(),
+        ))
     })
 }
 
@@ -275,7 +328,9 @@ async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
             line: 1,
             message: format!("the request is incomplete: {error}"),
         };
-        let Ok(data) = frame.map_err(broken)?.into_data() else { continue };
+        let Ok(data) = frame.map_err(broken)?.into_data() else {
+            continue;
+        };
         length = length.saturating_add(data.len());
         if length <= MAX_BODY_BYTES {
             bytes.extend_from_slice(&data);
@@ -283,5 +338,9 @@ async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
             break;
         }
     }
-    if length > MAX_BODY_BYTES { Err(RequestError::TooLarge(MAX_BODY_BYTES >> 10)) } else { Ok(bytes) }
+    if length > MAX_BODY_BYTES {
+        Err(RequestError::TooLarge(MAX_BODY_BYTES >> 10))
+    } else {
+        Ok(bytes)
+    }
 }

@@ -1,5 +1,11 @@
 //! Tests of the server by HTTP: access control and responses.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "everything here is a test"
+)]
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -24,9 +30,18 @@ struct TestServer {
 fn test_server() -> &'static TestServer {
     static SERVED: OnceLock<TestServer> = OnceLock::new();
     SERVED.get_or_init(|| {
-        let wet = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
-        let scenarios = vec![CatalogScenario { name: "wet".to_owned(), scenario: wet }];
-        let offer = ExploreConfig { scenarios, ..ExploreConfig::default() };
+        let wet = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.environment.friction = 0.8)
+            .unwrap();
+        let scenarios = vec![CatalogScenario {
+            name: "wet".to_owned(),
+            scenario: wet,
+        }];
+        let offer = ExploreConfig {
+            scenarios,
+            ..ExploreConfig::default()
+        };
         let (port, token) = start(Server::bind(0, offer).unwrap());
         TestServer { port, token }
     })
@@ -35,7 +50,11 @@ fn test_server() -> &'static TestServer {
 /// Starts a server. Returns its port and its token.
 fn start(server: Server) -> (u16, String) {
     let (port, address) = (server.port(), server.url());
-    let token = address.strip_prefix(&format!("http://127.0.0.1:{port}/")).unwrap().trim_end_matches('/').to_owned();
+    let token = address
+        .strip_prefix(&format!("http://127.0.0.1:{port}/"))
+        .unwrap()
+        .trim_end_matches('/')
+        .to_owned();
     std::thread::spawn(|| server.run().unwrap());
     (port, token)
 }
@@ -45,7 +64,9 @@ static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 
 fn connect(port: u16) -> TcpStream {
     let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    stream
+        .set_read_timeout(Some(Duration::from_secs(60)))
+        .unwrap();
     stream
 }
 
@@ -55,14 +76,28 @@ fn exchange(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
     let _ = stream.write_all(request);
     let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
-    let split = answer.windows(4).position(|window| window == b"\r\n\r\n").unwrap_or(answer.len());
+    let split = answer
+        .windows(4)
+        .position(|window| window == b"\r\n\r\n")
+        .unwrap_or(answer.len());
     let head = String::from_utf8_lossy(&answer[..split]).into_owned();
-    let status = head.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0);
-    (status, head, answer.get(split + 4..).unwrap_or_default().to_vec())
+    let status = head
+        .split(' ')
+        .nth(1)
+        .and_then(|code| code.parse().ok())
+        .unwrap_or(0);
+    (
+        status,
+        head,
+        answer.get(split + 4..).unwrap_or_default().to_vec(),
+    )
 }
 
 fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Vec<u8> {
-    let mut text = format!("{method} {path} HTTP/1.1\r\nConnection: close\r\nContent-Length: {}\r\n", body.len());
+    let mut text = format!(
+        "{method} {path} HTTP/1.1\r\nConnection: close\r\nContent-Length: {}\r\n",
+        body.len()
+    );
     for (name, value) in headers {
         text += &format!("{name}: {value}\r\n");
     }
@@ -78,9 +113,17 @@ fn post(what: &str, body: &[u8]) -> (u16, Value) {
 fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
     let host = format!("127.0.0.1:{port}");
     let path = format!("/{token}/api/{what}");
-    let sent = request("POST", &path, &[("Host", &host), ("Content-Type", "application/json")], body);
+    let sent = request(
+        "POST",
+        &path,
+        &[("Host", &host), ("Content-Type", "application/json")],
+        body,
+    );
     let (status, _, answer) = exchange(port, &sent);
-    (status, serde_json::from_slice(&answer).unwrap_or(Value::Null))
+    (
+        status,
+        serde_json::from_slice(&answer).unwrap_or(Value::Null),
+    )
 }
 
 fn run_request(edits: &Value) -> Value {
@@ -96,9 +139,12 @@ fn run_request(edits: &Value) -> Value {
 fn pages_require_the_token_and_load_nothing_external() {
     let TestServer { port, token, .. } = test_server();
     let host = format!("localhost:{port}");
-    for (path, kind) in
-        [("", "text/html"), ("campaigns", "text/html"), ("explore.css", "text/css"), ("explore.js", "text/javascript")]
-    {
+    for (path, kind) in [
+        ("", "text/html"),
+        ("campaigns", "text/html"),
+        ("explore.css", "text/css"),
+        ("explore.js", "text/javascript"),
+    ] {
         let sent = request("GET", &format!("/{token}/{path}"), &[("Host", &host)], b"");
         let (status, head, body) = exchange(*port, &sent);
         let head = head.to_ascii_lowercase();
@@ -111,7 +157,9 @@ fn pages_require_the_token_and_load_nothing_external() {
         ] {
             assert!(head.contains(header), "{header}: {head}");
         }
-        let text = String::from_utf8(body).unwrap().replace("http://www.w3.org/2000/svg", "");
+        let text = String::from_utf8(body)
+            .unwrap()
+            .replace("http://www.w3.org/2000/svg", "");
         for forbidden in ["http://", "https://", token.as_str()] {
             assert!(!text.contains(forbidden), "{path}: {forbidden}");
         }
@@ -123,10 +171,19 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
     let TestServer { port, token, .. } = test_server();
     let host = format!("127.0.0.1:{port}");
     let body = run_request(&json!({})).to_string();
-    let own = [("Host", host.as_str()), ("Content-Type", "application/json")];
+    let own = [
+        ("Host", host.as_str()),
+        ("Content-Type", "application/json"),
+    ];
     let wrong = "0".repeat(token.len());
     let pages = ["", "campaigns", "explore.css", "explore.js", "nothing"];
-    for path in pages.into_iter().chain(["api/open", "api/run", "api/avoid", "api/save", "api/campaign"]) {
+    for path in pages.into_iter().chain([
+        "api/open",
+        "api/run",
+        "api/avoid",
+        "api/save",
+        "api/campaign",
+    ]) {
         for method in ["GET", "POST", "PUT", "OPTIONS"] {
             for address in [
                 format!("/{path}"),
@@ -145,18 +202,26 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
                 [own[0], own[1], ("Sec-Fetch-Site", "cross-site")],
                 [own[0], own[1], ("Sec-Fetch-Site", "same-site")],
             ] {
-                let (status, head, answer) = exchange(*port, &request(method, &address, &foreign, body.as_bytes()));
+                let (status, head, answer) =
+                    exchange(*port, &request(method, &address, &foreign, body.as_bytes()));
                 assert_eq!(status, 403, "{method} {address} {foreign:?}");
                 let error: Value = serde_json::from_slice(&answer).unwrap();
                 assert_eq!(error["error"]["kind"], "forbidden");
-                assert!(!head.to_ascii_lowercase().contains("access-control"), "{head}");
+                assert!(
+                    !head.to_ascii_lowercase().contains("access-control"),
+                    "{head}"
+                );
             }
         }
     }
     // A form of another page can send these content types without a preflight request.
     for kind in ["text/plain", "application/x-www-form-urlencoded"] {
-        let sent =
-            request("POST", &format!("/{token}/api/run"), &[("Host", &host), ("Content-Type", kind)], body.as_bytes());
+        let sent = request(
+            "POST",
+            &format!("/{token}/api/run"),
+            &[("Host", &host), ("Content-Type", kind)],
+            body.as_bytes(),
+        );
         assert_eq!(exchange(*port, &sent).0, 415);
     }
 }
@@ -174,17 +239,28 @@ fn fifty_clients_at_once_lose_nothing() {
                 assert_eq!(status, 200, "{answer}");
                 assert_eq!(answer["sliders"]["name"], name);
                 assert_eq!(answer["sliders"]["vehicles"][1]["speed_mps"], speed_mps);
-                (answer["runs"].clone(), answer["figures"].as_str().unwrap().len())
+                (
+                    answer["runs"].clone(),
+                    answer["figures"].as_str().unwrap().len(),
+                )
             })
             .collect::<Vec<_>>()
     };
     let answers: Vec<_> = std::thread::scope(|scope| {
-        let clients: Vec<_> = (0..50).map(|client| scope.spawn(move || ask(client))).collect();
-        clients.into_iter().map(|client| client.join().unwrap()).collect()
+        let clients: Vec<_> = (0..50)
+            .map(|client| scope.spawn(move || ask(client)))
+            .collect();
+        clients
+            .into_iter()
+            .map(|client| client.join().unwrap())
+            .collect()
     });
     for (client, of_client) in answers.iter().enumerate() {
         assert_eq!(of_client.len(), 4);
-        assert!(of_client.iter().all(|answer| answer == &of_client[0]), "client {client}");
+        assert!(
+            of_client.iter().all(|answer| answer == &of_client[0]),
+            "client {client}"
+        );
         assert_eq!(of_client[0].0[0]["controller"], "baseline");
     }
 }
@@ -193,10 +269,16 @@ fn fifty_clients_at_once_lose_nothing() {
 #[test]
 fn idle_connections_do_not_block_others() {
     let _alone = MANY_CONNECTIONS.lock();
-    let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap()).collect();
+    let idle: Vec<_> = (0..400)
+        .map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap())
+        .collect();
     let begun = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
-    assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
+    assert!(
+        begun.elapsed() < Duration::from_secs(10),
+        "{:?}",
+        begun.elapsed()
+    );
     drop(idle);
 }
 
@@ -227,10 +309,18 @@ fn read_response(stream: &mut TcpStream) -> String {
 fn slow_requests_keep_no_other_client_out() {
     let _alone = MANY_CONNECTIONS.lock();
     let timeout = Duration::from_secs(3600);
-    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(timeout));
+    let (port, token) = start(
+        Server::bind(0, ExploreConfig::default())
+            .unwrap()
+            .with_read_timeout(timeout),
+    );
     let mut bodies: Vec<_> = (0..130).map(|_| start_request(port, &token)).collect();
-    let heads: Vec<_> = (0..130).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
-    heads.iter().for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
+    let heads: Vec<_> = (0..130)
+        .map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap())
+        .collect();
+    heads
+        .iter()
+        .for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
     bodies.extend((0..130).map(|_| start_request(port, &token)));
     for _ in 0..3 {
         assert!(finish_request(&mut start_request(port, &token)).starts_with("HTTP/1.1 200"));
@@ -240,13 +330,22 @@ fn slow_requests_keep_no_other_client_out() {
 
 #[test]
 fn a_request_that_does_not_arrive_in_time_is_ended() {
-    let (port, token) =
-        start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
+    let (port, token) = start(
+        Server::bind(0, ExploreConfig::default())
+            .unwrap()
+            .with_read_timeout(Duration::from_millis(200)),
+    );
     let answer = read_response(&mut start_request(port, &token));
-    assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
+    assert!(
+        answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"),
+        "{answer}"
+    );
     let mut head = connect(port);
     head.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap();
-    assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
+    assert!(
+        !read_response(&mut head).contains("200 OK"),
+        "the connection ends"
+    );
 }
 
 #[test]
@@ -265,13 +364,55 @@ fn errors_name_their_field() {
     refused("run", &format!("\"{}\"", "x".repeat(2 << 20)), 413, "KiB");
     for (object, field, value, status, output) in [
         ("", "colour", json!(3), 400, "colour"),
-        ("/scenario/vehicles/0", "speed_mps", json!("fast"), 400, "scenario.vehicles[0].speed_mps"),
-        ("/scenario/vehicles/0", "speed_mps", json!(-1.0), 422, "scenario.vehicles[0].speed_mps"),
-        ("/edits", "friction", json!(7), 422, "scenario.environment.friction"),
-        ("/edits", "vehicles", json!([{ "vehicle": 9 }]), 422, "edits.vehicles[0].vehicle"),
-        ("/edits", "vehicles", json!([{ "vehicle": 0, "gap_m": 3.0 }]), 422, "no vehicle is ahead"),
-        ("/edits", "vehicles", json!([{ "vehicle": 1, "gap_m": -3.0 }]), 422, "overlaps"),
-        ("/edits", "lead", json!({ "from_s": [0.0], "accel_mps2": [-30.0] }), 422, "raise its max_brake_mps2"),
+        (
+            "/scenario/vehicles/0",
+            "speed_mps",
+            json!("fast"),
+            400,
+            "scenario.vehicles[0].speed_mps",
+        ),
+        (
+            "/scenario/vehicles/0",
+            "speed_mps",
+            json!(-1.0),
+            422,
+            "scenario.vehicles[0].speed_mps",
+        ),
+        (
+            "/edits",
+            "friction",
+            json!(7),
+            422,
+            "scenario.environment.friction",
+        ),
+        (
+            "/edits",
+            "vehicles",
+            json!([{ "vehicle": 9 }]),
+            422,
+            "edits.vehicles[0].vehicle",
+        ),
+        (
+            "/edits",
+            "vehicles",
+            json!([{ "vehicle": 0, "gap_m": 3.0 }]),
+            422,
+            "no vehicle is ahead",
+        ),
+        (
+            "/edits",
+            "vehicles",
+            json!([{ "vehicle": 1, "gap_m": -3.0 }]),
+            422,
+            "overlaps",
+        ),
+        (
+            "/edits",
+            "lead",
+            json!({ "from_s": [0.0], "accel_mps2": [-30.0] }),
+            422,
+            "raise its max_brake_mps2",
+        ),
         ("", "controllers", json!([]), 422, "1 to 4"),
         ("", "controllers", json!(vec!["idm"; 5]), 422, "1 to 4"),
         ("/scenario", "duration_s", json!(1e4), 422, "vehicle-steps"),
@@ -281,11 +422,19 @@ fn errors_name_their_field() {
         refused("run", &body.to_string(), status, output);
     }
     refused("open", r#"{"scenario": 99}"#, 422, "there are");
-    refused("open", r#"{"campaign": 0, "evaluation": 0}"#, 422, "there are");
+    refused(
+        "open",
+        r#"{"campaign": 0, "evaluation": 0}"#,
+        422,
+        "there are",
+    );
     refused("open", "{}", 422, "either");
     refused("campaign", r#"{"campaign": 0}"#, 422, "there are");
     let (status, answer) = post("nothing", b"{}");
-    assert_eq!((status, &answer["error"]["kind"]), (404, &json!("not-found")));
+    assert_eq!(
+        (status, &answer["error"]["kind"]),
+        (404, &json!("not-found"))
+    );
 }
 
 /// No name in a request opens a file or starts a process.
@@ -302,18 +451,29 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
         let mut body = run_request(&json!({}));
         body["controllers"] = json!([name]);
         let (status, answer) = post("run", body.to_string().as_bytes());
-        assert_eq!((status, &answer["error"]["field"]), (422, &json!("controllers[0]")), "{name}");
+        assert_eq!(
+            (status, &answer["error"]["field"]),
+            (422, &json!("controllers[0]")),
+            "{name}"
+        );
     }
     let mut body = run_request(&json!({}));
     body["scenario"]["vehicles"][2]["driver"] = json!({ "file": { "path": "/etc/passwd" } });
     for (what, body) in [
         ("avoid", json!({ "scenario": body["scenario"] })),
-        ("save", json!({ "what": { "scenario": body["scenario"] }, "controller": "idm" })),
+        (
+            "save",
+            json!({ "what": { "scenario": body["scenario"] }, "controller": "idm" }),
+        ),
         ("run", body),
     ] {
         let (status, answer) = post(what, body.to_string().as_bytes());
         let field = json!("scenario.vehicles[2].driver.file.path");
-        assert_eq!((status, &answer["error"]["field"]), (422, &field), "{answer}");
+        assert_eq!(
+            (status, &answer["error"]["field"]),
+            (422, &field),
+            "{answer}"
+        );
     }
     assert!(!collided.exists());
 }
@@ -331,7 +491,12 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     });
     let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
     assert_eq!(status, 200, "{drawn}");
-    assert_eq!(drawn["sliders"]["vehicles"][2]["gap_m"].as_f64().map(|gap| (gap * 1e6).round() / 1e6), Some(9.77));
+    assert_eq!(
+        drawn["sliders"]["vehicles"][2]["gap_m"]
+            .as_f64()
+            .map(|gap| (gap * 1e6).round() / 1e6),
+        Some(9.77)
+    );
     let save = json!({
         "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits },
         "controller": "baseline",
@@ -340,20 +505,38 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
     assert_eq!(saved["file_name"], "dragged.toml");
-    let scenario = file::from_toml(saved["toml"].as_str().unwrap(), Path::new("dragged.toml")).unwrap();
+    let scenario =
+        file::from_toml(saved["toml"].as_str().unwrap(), Path::new("dragged.toml")).unwrap();
     let baseline = ControllerSpec::from_name("baseline").unwrap();
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
-    let again = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
-    let contact_s = again.outcome.contact().expect("hard braking on a wet road").time_s;
+    let again = simulate(
+        &Run::new(&scenario, options).unwrap(),
+        RecordingLevel::Trace,
+    );
+    let contact_s = again
+        .outcome
+        .contact()
+        .expect("hard braking on a wet road")
+        .time_s;
     assert_eq!(drawn["runs"][0]["contact_time_s"].as_f64(), Some(contact_s));
-    assert!(saved["command"].as_str().unwrap().contains("--controller baseline --estimator truth"), "{saved}");
+    assert!(
+        saved["command"]
+            .as_str()
+            .unwrap()
+            .contains("--controller baseline --estimator truth"),
+        "{saved}"
+    );
 }
 
 #[test]
 fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
     let body = json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() });
     let (status, answer) = post("avoid", body.to_string().as_bytes());
-    assert_eq!((status, &answer["verdict"]), (200, &json!("avoidable")), "{answer}");
+    assert_eq!(
+        (status, &answer["verdict"]),
+        (200, &json!("avoidable")),
+        "{answer}"
+    );
     assert!(answer["escape"].as_str().unwrap().contains("<svg"));
 }
 

@@ -74,7 +74,9 @@ impl<R: Read + Seek> Fmu<R> {
     pub fn read(bytes: R) -> Result<Self, FmuError> {
         let mut archive = ZipArchive::new(bytes)?;
         if archive.len() > MAX_MEMBERS {
-            return Err(FmuError::Member(format!("it has more than {MAX_MEMBERS} members")));
+            return Err(FmuError::Member(format!(
+                "it has more than {MAX_MEMBERS} members"
+            )));
         }
         let mut text = String::new();
         let member = archive.by_name(DESCRIPTION).map_err(|error| match error {
@@ -82,18 +84,29 @@ impl<R: Read + Seek> Fmu<R> {
             other => other.into(),
         })?;
         let wrong = |error: io::Error| FmuError::Member(format!("{DESCRIPTION}: {error}"));
-        member.take(MAX_DESCRIPTION_BYTES + 1).read_to_string(&mut text).map_err(wrong)?;
+        member
+            .take(MAX_DESCRIPTION_BYTES + 1)
+            .read_to_string(&mut text)
+            .map_err(wrong)?;
         if text.len() as u64 > MAX_DESCRIPTION_BYTES {
-            return Err(FmuError::Member(format!("{DESCRIPTION} has more than {MAX_DESCRIPTION_BYTES} bytes")));
+            return Err(FmuError::Member(format!(
+                "{DESCRIPTION} has more than {MAX_DESCRIPTION_BYTES} bytes"
+            )));
         }
-        let fmu = Self { description: ModelDescription::from_xml(&text)?, archive };
+        let fmu = Self {
+            description: ModelDescription::from_xml(&text)?,
+            archive,
+        };
         let wanted = fmu.library_member();
         if fmu.archive.index_for_name(&wanted).is_none() {
             let is_one = |name: &String| name.starts_with("binaries/") && !name.ends_with('/');
             let mut found: Vec<String> = fmu.member_names().filter(is_one).collect();
             found.sort_unstable();
             found.truncate(8);
-            return Err(FmuError::Platform { wanted, found: found.join(", ") });
+            return Err(FmuError::Platform {
+                wanted,
+                found: found.join(", "),
+            });
         }
         Ok(fmu)
     }
@@ -119,17 +132,23 @@ impl<R: Read + Seek> Fmu<R> {
                 format!("{system}{}", usize::BITS)
             }
         };
-        format!("binaries/{folder}/{}.{extension}", self.description.model_identifier)
+        format!(
+            "binaries/{folder}/{}.{extension}",
+            self.description.model_identifier
+        )
     }
 
     /// True if the FMU has resource files, which its library may read.
     #[must_use]
     pub fn has_resources(&self) -> bool {
-        self.member_names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
+        self.member_names()
+            .any(|name| name.starts_with("resources/") && !name.ends_with('/'))
     }
 
     fn member_names(&self) -> impl Iterator<Item = String> {
-        self.archive.file_names().filter_map(|name| name.ok().map(std::borrow::Cow::into_owned))
+        self.archive
+            .file_names()
+            .filter_map(|name| name.ok().map(std::borrow::Cow::into_owned))
     }
 
     /// Unpacks the library's folder and the resources into an empty folder. Returns the path of the library.
@@ -138,16 +157,22 @@ impl<R: Read + Seek> Fmu<R> {
     /// [`FmuError`] if the archive is damaged or too large, or the folder cannot be written.
     pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
         let library = self.library_member();
-        let beside = library.rsplit_once('/').map_or("", |(beside, _)| beside).to_owned();
+        let beside = library
+            .rsplit_once('/')
+            .map_or("", |(beside, _)| beside)
+            .to_owned();
         let mut left = MAX_UNPACKED_BYTES;
         for index in 0..self.archive.len() {
             let mut member = self.archive.by_index(index)?;
             let name = member.name()?.into_owned();
-            if member.is_dir() || !(name.starts_with(&format!("{beside}/")) || name.starts_with("resources/")) {
+            if member.is_dir()
+                || !(name.starts_with(&format!("{beside}/")) || name.starts_with("resources/"))
+            {
                 continue;
             }
             let inside = member.enclosed_name().filter(|_| !member.is_symlink());
-            let inside = inside.ok_or_else(|| FmuError::Member(format!("{name:?} leads out of the archive")))?;
+            let inside = inside
+                .ok_or_else(|| FmuError::Member(format!("{name:?} leads out of the archive")))?;
             let path = folder.join(inside);
             if let Some(parent) = path.parent() {
                 std::fs::create_dir_all(parent)?;
@@ -155,7 +180,10 @@ impl<R: Read + Seek> Fmu<R> {
             let copied = io::copy(&mut (&mut member).take(left + 1), &mut File::create(path)?);
             let copied = copied.map_err(|error| FmuError::Member(format!("{name}: {error}")))?;
             left = left.checked_sub(copied).ok_or_else(|| {
-                FmuError::Member(format!("its members have more than {} MiB in all", MAX_UNPACKED_BYTES >> 20))
+                FmuError::Member(format!(
+                    "its members have more than {} MiB in all",
+                    MAX_UNPACKED_BYTES >> 20
+                ))
             })?;
         }
         std::fs::create_dir_all(folder.join("resources"))?;

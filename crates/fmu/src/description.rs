@@ -100,13 +100,17 @@ impl VariableType {
 #[non_exhaustive]
 pub enum InvalidDescription {
     /// The FMU follows another edition of the standard, or states none.
-    #[error("modelDescription.xml: FMI version {found:?} is not supported; crumple reads FMI 2.0 and 3.0")]
+    #[error(
+        "modelDescription.xml: FMI version {found:?} is not supported; crumple reads FMI 2.0 and 3.0"
+    )]
     Version {
         /// Value of `fmiVersion`.
         found: String,
     },
     /// The FMU supports only model exchange or scheduled execution.
-    #[error("does not support co-simulation, which crumple needs (modelDescription.xml has no element `CoSimulation`)")]
+    #[error(
+        "does not support co-simulation, which crumple needs (modelDescription.xml has no element `CoSimulation`)"
+    )]
     NoCoSimulation,
     /// The FMU needs a tool that crumple cannot start.
     #[error("cannot run without the tool that exported it (needsExecutionTool)")]
@@ -132,9 +136,15 @@ impl ModelDescription {
         let version = match found.split('.').next() {
             Some("2") => FmiVersion::Two,
             Some("3") => FmiVersion::Three,
-            _ => return Err(InvalidDescription::Version { found: found.to_owned() }),
+            _ => {
+                return Err(InvalidDescription::Version {
+                    found: found.to_owned(),
+                });
+            }
         };
-        let co_simulation = root.child("CoSimulation").ok_or(InvalidDescription::NoCoSimulation)?;
+        let co_simulation = root
+            .child("CoSimulation")
+            .ok_or(InvalidDescription::NoCoSimulation)?;
         if bool_attribute(co_simulation, "needsExecutionTool")? {
             return Err(InvalidDescription::NeedsTool);
         }
@@ -145,36 +155,54 @@ impl ModelDescription {
         let model_identifier = required_attribute(co_simulation, "modelIdentifier")?.to_owned();
         let is_identifier = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
-            return Err(error_at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
+            return Err(error_at(
+                co_simulation,
+                format!("modelIdentifier {model_identifier:?} is no identifier of C"),
+            ));
         }
-        let listed =
-            root.child("ModelVariables").ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
+        let listed = root
+            .child("ModelVariables")
+            .ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
         let declarations = Declarations::read(root, version)?;
         let mut variables: Vec<Variable> = Vec::new();
         for element in &listed.children {
             variables.extend(read_variable(element, version, &declarations)?);
             if variables.len() > MAX_VARIABLES {
-                return Err(error_at(element, format!("there are more than {MAX_VARIABLES} variables")));
+                return Err(error_at(
+                    element,
+                    format!("there are more than {MAX_VARIABLES} variables"),
+                ));
             }
         }
-        let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
+        let mut names: Vec<&str> = variables
+            .iter()
+            .map(|variable| variable.name.as_str())
+            .collect();
         names.sort_unstable();
         if let Some([name, _]) = names.array_windows().find(|[name, next]| name == next) {
-            return Err(error_at(listed, format!("there are two variables {name:?}")));
+            return Err(error_at(
+                listed,
+                format!("there are two variables {name:?}"),
+            ));
         }
         Ok(Self {
             version,
             model_name: required_attribute(root, "modelName")?.to_owned(),
             instantiation_token: required_attribute(root, token)?.to_owned(),
             model_identifier,
-            is_once_per_process: bool_attribute(co_simulation, "canBeInstantiatedOnlyOncePerProcess")?,
+            is_once_per_process: bool_attribute(
+                co_simulation,
+                "canBeInstantiatedOnlyOncePerProcess",
+            )?,
             variables,
         })
     }
 
     /// Yields the variables of a role.
     pub fn with_causality(&self, causality: Causality) -> impl Iterator<Item = &Variable> {
-        self.variables.iter().filter(move |variable| variable.causality == causality)
+        self.variables
+            .iter()
+            .filter(move |variable| variable.causality == causality)
     }
 }
 
@@ -185,10 +213,13 @@ fn read_variable(
     declarations: &Declarations<'_>,
 ) -> Result<Option<Variable>, InvalidDescription> {
     let typed = match version {
-        FmiVersion::Two => ["Real", "Integer", "Boolean"].into_iter().find_map(|name| element.child(name)),
+        FmiVersion::Two => ["Real", "Integer", "Boolean"]
+            .into_iter()
+            .find_map(|name| element.child(name)),
         FmiVersion::Three => {
             let is_scalar = element.child("Dimension").is_none();
-            Some(element).filter(|typed| is_scalar && ["Float64", "Int32", "Boolean"].contains(&typed.name))
+            Some(element)
+                .filter(|typed| is_scalar && ["Float64", "Int32", "Boolean"].contains(&typed.name))
         }
     };
     let Some(typed) = typed else { return Ok(None) };
@@ -204,15 +235,23 @@ fn read_variable(
         _ => return Ok(None),
     };
     let reference = required_attribute(element, "valueReference")?;
-    let reference =
-        reference.parse().map_err(|_| error_at(element, format!("valueReference {reference:?} is no whole number")))?;
+    let reference = reference.parse().map_err(|_| {
+        error_at(
+            element,
+            format!("valueReference {reference:?} is no whole number"),
+        )
+    })?;
     Ok(Some(Variable {
         name: required_attribute(element, "name")?.to_owned(),
         value_reference: reference,
         causality,
         kind,
         start: typed.attribute("start").map(str::to_owned),
-        unit: if kind == VariableType::Real { declarations.unit_of(typed)? } else { None },
+        unit: if kind == VariableType::Real {
+            declarations.unit_of(typed)?
+        } else {
+            None
+        },
         description: element.attribute("description").map(str::to_owned),
     }))
 }
@@ -221,8 +260,12 @@ fn read_variable(
 ///
 /// # Errors
 /// [`InvalidDescription`] if the element has no such attribute.
-pub(crate) fn required_attribute<'a>(of: &'a XmlElement, name: &str) -> Result<&'a str, InvalidDescription> {
-    of.attribute(name).ok_or_else(|| error_at(of, format!("`{}` has no attribute `{name}`", of.name)))
+pub(crate) fn required_attribute<'a>(
+    of: &'a XmlElement,
+    name: &str,
+) -> Result<&'a str, InvalidDescription> {
+    of.attribute(name)
+        .ok_or_else(|| error_at(of, format!("`{}` has no attribute `{name}`", of.name)))
 }
 
 /// Returns the value of a Boolean attribute, which is false by default.
@@ -233,12 +276,18 @@ pub(crate) fn bool_attribute(of: &XmlElement, name: &str) -> Result<bool, Invali
     match of.attribute(name) {
         None | Some("false" | "0") => Ok(false),
         Some("true" | "1") => Ok(true),
-        Some(other) => Err(error_at(of, format!("{name}: {other:?} is neither true nor false"))),
+        Some(other) => Err(error_at(
+            of,
+            format!("{name}: {other:?} is neither true nor false"),
+        )),
     }
 }
 
 pub(crate) fn error_at(element: &XmlElement, problem: impl Into<String>) -> InvalidDescription {
-    InvalidDescription::AtLine { line: element.line, problem: problem.into() }
+    InvalidDescription::AtLine {
+        line: element.line,
+        problem: problem.into(),
+    }
 }
 
 #[cfg(test)]

@@ -22,5 +22,7 @@ mod unit;
 mod xml;
 
 pub use archive::{Fmu, FmuError};
-pub use description::{Causality, FmiVersion, InvalidDescription, ModelDescription, Variable, VariableType};
+pub use description::{
+    Causality, FmiVersion, InvalidDescription, ModelDescription, Variable, VariableType,
+};
 pub use unit::{Conversion, DeclaredUnit, UnitDimension};

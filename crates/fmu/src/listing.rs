@@ -29,14 +29,29 @@ impl Causality {
 
 impl fmt::Display for ModelDescription {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{}, FMI {}, co-simulation", self.model_name, self.version.name())?;
-        self.variables.iter().try_for_each(|variable| writeln!(out, "{variable}"))
+        writeln!(
+            out,
+            "{}, FMI {}, co-simulation",
+            self.model_name,
+            self.version.name()
+        )?;
+        self.variables
+            .iter()
+            .try_for_each(|variable| writeln!(out, "{variable}"))
     }
 }
 
 impl fmt::Display for Variable {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { name, causality, kind, start, unit, description, .. } = self;
+        let Self {
+            name,
+            causality,
+            kind,
+            start,
+            unit,
+            description,
+            ..
+        } = self;
         let parts = [
             unit.as_ref().map(DeclaredUnit::to_string),
             (*kind != VariableType::Real).then(|| kind.name().to_owned()),

@@ -27,7 +27,9 @@ impl UnitDimension {
             "s" => Self::metres_seconds(0, 1),
             "1/s" | "s-1" => Self::metres_seconds(0, -1),
             "m/s" | "m.s-1" | "m*s-1" => Self::metres_seconds(1, -1),
-            "m/s2" | "m/s^2" | "m/s**2" | "m/s²" | "m.s-2" | "m*s-2" => Self::metres_seconds(1, -2),
+            "m/s2" | "m/s^2" | "m/s**2" | "m/s²" | "m.s-2" | "m*s-2" => {
+                Self::metres_seconds(1, -2)
+            }
             "kg" => Self([1, 0, 0, 0, 0, 0, 0, 0]),
             "K" => Self([0, 0, 0, 0, 1, 0, 0, 0]),
             "rad" => Self([0, 0, 0, 0, 0, 0, 0, 1]),
@@ -42,14 +44,22 @@ impl UnitDimension {
 impl fmt::Display for UnitDimension {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut separator = "";
-        for (name, exponent) in BASE_UNITS.iter().zip(self.0).filter(|(_, exponent)| *exponent != 0) {
+        for (name, exponent) in BASE_UNITS
+            .iter()
+            .zip(self.0)
+            .filter(|(_, exponent)| *exponent != 0)
+        {
             write!(out, "{separator}{name}")?;
             if exponent != 1 {
                 write!(out, "{exponent}")?;
             }
             separator = ".";
         }
-        if separator.is_empty() { out.write_str("1") } else { Ok(()) }
+        if separator.is_empty() {
+            out.write_str("1")
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -83,8 +93,15 @@ pub struct DeclaredUnit {
 
 impl DeclaredUnit {
     pub(crate) fn undefined(name: &str) -> Self {
-        let si = |dimension| Conversion { dimension, factor: 1.0, offset: 0.0 };
-        Self { name: name.to_owned(), conversion: UnitDimension::from_si_name(name).map(si) }
+        let si = |dimension| Conversion {
+            dimension,
+            factor: 1.0,
+            offset: 0.0,
+        };
+        Self {
+            name: name.to_owned(),
+            conversion: UnitDimension::from_si_name(name).map(si),
+        }
     }
 }
 
@@ -94,8 +111,16 @@ impl fmt::Display for DeclaredUnit {
         out.write_str(&self.name)?;
         match &self.conversion {
             None => out.write_str(" (not defined)"),
-            Some(Conversion { factor: 1.0, offset: 0.0, .. }) => Ok(()),
-            Some(Conversion { dimension, factor, offset }) => {
+            Some(Conversion {
+                factor: 1.0,
+                offset: 0.0,
+                ..
+            }) => Ok(()),
+            Some(Conversion {
+                dimension,
+                factor,
+                offset,
+            }) => {
                 write!(out, " (SI: {factor} x")?;
                 if *offset != 0.0 {
                     write!(out, " + {offset}")?;
@@ -113,13 +138,32 @@ mod tests {
     #[test]
     fn units_are_written_with_their_conversion() {
         let unit = |name: &str, dimension, factor, offset| {
-            DeclaredUnit { name: name.to_owned(), conversion: Some(Conversion { dimension, factor, offset }) }
-                .to_string()
+            DeclaredUnit {
+                name: name.to_owned(),
+                conversion: Some(Conversion {
+                    dimension,
+                    factor,
+                    offset,
+                }),
+            }
+            .to_string()
         };
-        assert_eq!(unit("m/s", UnitDimension::metres_seconds(1, -1), 1.0, 0.0), "m/s");
-        assert_eq!(unit("ft", UnitDimension::metres_seconds(1, 0), 0.3048, 0.0), "ft (SI: 0.3048 x m)");
-        assert_eq!(unit("degC", UnitDimension([0, 0, 0, 0, 1, 0, 0, 0]), 1.0, 273.15), "degC (SI: 1 x + 273.15 K)");
-        assert_eq!(DeclaredUnit::undefined("furlong").to_string(), "furlong (not defined)");
+        assert_eq!(
+            unit("m/s", UnitDimension::metres_seconds(1, -1), 1.0, 0.0),
+            "m/s"
+        );
+        assert_eq!(
+            unit("ft", UnitDimension::metres_seconds(1, 0), 0.3048, 0.0),
+            "ft (SI: 0.3048 x m)"
+        );
+        assert_eq!(
+            unit("degC", UnitDimension([0, 0, 0, 0, 1, 0, 0, 0]), 1.0, 273.15),
+            "degC (SI: 1 x + 273.15 K)"
+        );
+        assert_eq!(
+            DeclaredUnit::undefined("furlong").to_string(),
+            "furlong (not defined)"
+        );
         assert_eq!(UnitDimension::NONE.to_string(), "1");
         assert_eq!(UnitDimension::metres_seconds(1, -2).to_string(), "m.s-2");
         let si = DeclaredUnit::undefined("m/s²").conversion.unwrap();
@@ -128,8 +172,21 @@ mod tests {
 
     #[test]
     fn si_values_are_converted_by_factor_and_offset() {
-        let fahrenheit = Conversion { dimension: UnitDimension::NONE, factor: 5.0 / 9.0, offset: 459.67 * 5.0 / 9.0 };
+        let fahrenheit = Conversion {
+            dimension: UnitDimension::NONE,
+            factor: 5.0 / 9.0,
+            offset: 459.67 * 5.0 / 9.0,
+        };
         assert!((fahrenheit.from_si(273.15) - 32.0).abs() < 1e-9);
-        assert!((Conversion { offset: 0.0, ..fahrenheit }.from_si(10.0) - 18.0).abs() < 1e-9);
+        assert!(
+            (Conversion {
+                offset: 0.0,
+                ..fahrenheit
+            }
+            .from_si(10.0)
+                - 18.0)
+                .abs()
+                < 1e-9
+        );
     }
 }

@@ -63,7 +63,10 @@ pub(crate) struct XmlElement {
 
 impl XmlElement {
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
-        self.attributes.iter().find(|(other, _)| *other == name).map(|(_, value)| value.as_str())
+        self.attributes
+            .iter()
+            .find(|(other, _)| *other == name)
+            .map(|(_, value)| value.as_str())
     }
 
     pub(crate) fn child(&self, name: &str) -> Option<&XmlElement> {
@@ -77,14 +80,23 @@ impl XmlElement {
     /// another name.
     pub(crate) fn parse(text: &str) -> Result<Self, InvalidDescription> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let mut lines = LineCounter { text: text.as_bytes(), offset: 0, line: 1 };
+        let mut lines = LineCounter {
+            text: text.as_bytes(),
+            offset: 0,
+            line: 1,
+        };
         let mut reader = Reader::from_str(text);
-        let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
+        let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) =
+            (None, Vec::new(), 0);
         let mut kept_items = 0;
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
-            let line = lines.line_at(if event.is_err() { reader.error_position() } else { start });
+            let line = lines.line_at(if event.is_err() {
+                reader.error_position()
+            } else {
+                start
+            });
             let wrong = |problem: String| InvalidDescription::AtLine { line, problem };
             let is_outside = open.is_empty() && skipped == 0;
             let done = match event.map_err(|error| wrong(error.to_string()))? {
@@ -108,13 +120,23 @@ impl XmlElement {
                     None
                 }
                 Event::End(_) => open.pop(),
-                Event::DocType(_) => return Err(wrong("has a document type declaration".to_owned())),
+                Event::DocType(_) => {
+                    return Err(wrong("has a document type declaration".to_owned()));
+                }
                 Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
                 Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) if is_outside => {
-                    return Err(wrong("there is text outside of the root element".to_owned()));
+                    return Err(wrong(
+                        "there is text outside of the root element".to_owned(),
+                    ));
                 }
-                Event::Eof if !is_outside => return Err(wrong("the text ends within an element".to_owned())),
-                Event::Eof => return root.ok_or_else(|| wrong("there is no root element of a known name".to_owned())),
+                Event::Eof if !is_outside => {
+                    return Err(wrong("the text ends within an element".to_owned()));
+                }
+                Event::Eof => {
+                    return root.ok_or_else(|| {
+                        wrong("there is no root element of a known name".to_owned())
+                    });
+                }
                 _ => None,
             };
             if let Some(done) = done {
@@ -128,8 +150,14 @@ impl XmlElement {
 }
 
 /// Reads a start tag; none for an element that is not kept. Checks attributes in any case.
-fn read_start_tag(tag: &BytesStart<'_>, line: u32, kept_items: &mut usize) -> Result<Option<XmlElement>, String> {
-    let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
+fn read_start_tag(
+    tag: &BytesStart<'_>,
+    line: u32,
+    kept_items: &mut usize,
+) -> Result<Option<XmlElement>, String> {
+    let find = |names: &[&'static str], name: &[u8]| {
+        names.iter().copied().find(|known| known.as_bytes() == name)
+    };
     let mut attributes = Vec::new();
     for attribute in tag.attributes() {
         let attribute = attribute.map_err(|error| error.to_string())?;
@@ -140,12 +168,21 @@ fn read_start_tag(tag: &BytesStart<'_>, line: u32, kept_items: &mut usize) -> Re
             attributes.push((name, value.into_owned()));
         }
     }
-    let Some(name) = find(&ELEMENTS, tag.local_name().as_ref()) else { return Ok(None) };
+    let Some(name) = find(&ELEMENTS, tag.local_name().as_ref()) else {
+        return Ok(None);
+    };
     *kept_items += 1 + attributes.len();
     if *kept_items > MAX_ITEMS {
-        return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
+        return Err(format!(
+            "there are more than {MAX_ITEMS} elements and attributes"
+        ));
     }
-    Ok(Some(XmlElement { name, line, attributes, children: Vec::new() }))
+    Ok(Some(XmlElement {
+        name,
+        line,
+        attributes,
+        children: Vec::new(),
+    }))
 }
 
 struct LineCounter<'a> {
@@ -157,7 +194,9 @@ struct LineCounter<'a> {
 impl LineCounter<'_> {
     /// Returns the line at a byte offset, which must not decrease between calls.
     fn line_at(&mut self, offset: u64) -> u32 {
-        let offset = usize::try_from(offset).unwrap_or(usize::MAX).min(self.text.len());
+        let offset = usize::try_from(offset)
+            .unwrap_or(usize::MAX)
+            .min(self.text.len());
         let passed = self.text.get(self.offset..offset).unwrap_or_default();
         self.line += passed.iter().filter(|&&byte| byte == b'\n').count() as u32;
         self.offset = self.offset.max(offset);

@@ -9,7 +9,9 @@ use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{SimulationResult, Track};
 
-const GAP_BINS_M: [f64; 12] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0];
+const GAP_BINS_M: [f64; 12] = [
+    16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0,
+];
 const TTC_BINS_S: [f64; 8] = [8.0, 4.0, 2.0, 1.4, 1.0, 0.7, 0.4, 0.2];
 const IMPACT_BIN_MPS: f64 = 2.0;
 const IMPACT_BINS: usize = 24;
@@ -21,7 +23,8 @@ const ROLE_COUNT: usize = 3;
 const KIND_BINS: usize = 4096;
 
 /// Number of features.
-pub const FEATURE_COUNT: usize = VEHICLE_BINS * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS)
+pub const FEATURE_COUNT: usize = VEHICLE_BINS
+    * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS)
     + ROLE_COUNT * (VEHICLE_BINS + IMPACT_BINS)
     + 2 * KIND_BINS;
 
@@ -37,48 +40,98 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
     for vehicle in 0..VEHICLE_BINS {
         let summary = result.vehicles.get(vehicle);
         let min_gap_m = summary.and_then(|summary| summary.min_gap_m);
-        group(GAP_BINS_M.len() + 1, min_gap_m.map(|gap_m| below(&GAP_BINS_M, gap_m)));
+        group(
+            GAP_BINS_M.len() + 1,
+            min_gap_m.map(|gap_m| below(&GAP_BINS_M, gap_m)),
+        );
         let min_ttc_s = summary.and_then(|summary| summary.min_ttc_s);
-        group(TTC_BINS_S.len() + 1, min_ttc_s.map(|ttc_s| below(&TTC_BINS_S, ttc_s)));
-        let track = result.trace.as_ref().and_then(|trace| trace.vehicles.get(vehicle));
+        group(
+            TTC_BINS_S.len() + 1,
+            min_ttc_s.map(|ttc_s| below(&TTC_BINS_S, ttc_s)),
+        );
+        let track = result
+            .trace
+            .as_ref()
+            .and_then(|trace| trace.vehicles.get(vehicle));
         let limit_mps2 = test_case.scenario.usable_brake_mps2(vehicle);
-        let is_scripted =
-            test_case.scenario.vehicles().get(vehicle).is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
-        group(BRAKE_ONSET_BINS, track.filter(|_| !is_scripted).map(|track| full_braking_onsets(track, limit_mps2)));
+        let is_scripted = test_case
+            .scenario
+            .vehicles()
+            .get(vehicle)
+            .is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
+        group(
+            BRAKE_ONSET_BINS,
+            track
+                .filter(|_| !is_scripted)
+                .map(|track| full_braking_onsets(track, limit_mps2)),
+        );
     }
     let first = result.outcome.contact();
-    let of_role = |role| first.filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
-    for role in [ContactRole::Hits, ContactRole::HitFromBehind, ContactRole::Bystander] {
-        group(VEHICLE_BINS, of_role(role).map(|contact| contact.rear_vehicle));
-        group(IMPACT_BINS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize));
+    let of_role =
+        |role| first.filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
+    for role in [
+        ContactRole::Hits,
+        ContactRole::HitFromBehind,
+        ContactRole::Bystander,
+    ] {
+        group(
+            VEHICLE_BINS,
+            of_role(role).map(|contact| contact.rear_vehicle),
+        );
+        group(
+            IMPACT_BINS,
+            of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize),
+        );
     }
-    group(KIND_BINS, collision_kind(test_case, result).map(|kind| kind_bin(&kind)));
+    group(
+        KIND_BINS,
+        collision_kind(test_case, result).map(|kind| kind_bin(&kind)),
+    );
     found.extend(approach_kinds(test_case, result).map(|kind| start + kind_bin(&kind)));
     found
 }
 
 /// Describes how near each pair of vehicles came, and its drivers.
-fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a SimulationResult) -> impl Iterator<Item = String> + 'a {
+fn approach_kinds<'a>(
+    test_case: &'a TestCase,
+    result: &'a SimulationResult,
+) -> impl Iterator<Item = String> + 'a {
     let vehicles = test_case.scenario.vehicles();
-    let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
+    let pairs = vehicles
+        .windows(2)
+        .zip(result.vehicles.iter().skip(1))
+        .enumerate();
     pairs.filter_map(move |(index, (pair, summary))| {
-        let nearness = GAP_BINS_M.iter().filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step)).count();
+        let nearness = GAP_BINS_M
+            .iter()
+            .filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step))
+            .count();
         let [front, rear] = pair else { return None };
-        Some(format!("{index} of {}, {} and {}, {nearness}", vehicles.len(), front.driver.name(), rear.driver.name()))
+        Some(format!(
+            "{index} of {}, {} and {}, {nearness}",
+            vehicles.len(),
+            front.driver.name(),
+            rear.driver.name()
+        ))
     })
 }
 
 fn kind_bin(kind: &str) -> usize {
-    let hash = kind
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    let hash = kind.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
     (hash % KIND_BINS as u64) as usize
 }
 
 fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
     let full = |a: &f64| *a <= -0.95 * limit_mps2;
     let then = track.acceleration_mps2.iter().skip(1);
-    track.acceleration_mps2.iter().zip(then).filter(|(now, then)| !full(now) && full(then)).count()
+    track
+        .acceleration_mps2
+        .iter()
+        .zip(then)
+        .filter(|(now, then)| !full(now) && full(then))
+        .count()
 }
 
 /// Returns a name for the kind of collision: vehicles under test, roles, number of vehicles and impact speed.
@@ -87,7 +140,11 @@ fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
 pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) -> Option<String> {
     let contact = result.outcome.contact()?;
     let vehicles = test_case.scenario.vehicles();
-    let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());
+    let name = |index: usize| {
+        vehicles
+            .get(index)
+            .map_or("nobody", |vehicle| vehicle.driver.name())
+    };
     let verb = match ContactRole::new(contact, &test_case.scenario) {
         ContactRole::Hits => "hits",
         ContactRole::HitFromBehind => "hit-by",
@@ -98,6 +155,13 @@ pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) ->
         _ => (contact.front_vehicle, contact.rear_vehicle),
     };
     let speed_mps = (contact.impact_speed_mps / IMPACT_BIN_MPS).floor() * IMPACT_BIN_MPS;
-    let controller = Path::new(test_case.setup.controller.name()).file_stem().unwrap_or_default().to_string_lossy();
-    Some(format!("{controller}-{own}-of-{}-{verb}-{}-at-{speed_mps:02}-mps", vehicles.len(), name(other)))
+    let controller = Path::new(test_case.setup.controller.name())
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy();
+    Some(format!(
+        "{controller}-{own}-of-{}-{verb}-{}-at-{speed_mps:02}-mps",
+        vehicles.len(),
+        name(other)
+    ))
 }

@@ -37,7 +37,9 @@ pub enum CollisionSearchError {
     #[error(transparent)]
     Refused(#[from] RefusedController),
     /// The controller has a decision interval at which no scenario can run.
-    #[error("`{controller}` has a decision interval of {interval_s} s, which fits the step of no scenario: {reason}")]
+    #[error(
+        "`{controller}` has a decision interval of {interval_s} s, which fits the step of no scenario: {reason}"
+    )]
     Interval {
         /// Name of the controller.
         controller: String,
@@ -64,9 +66,15 @@ impl CollisionSearch {
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         collisions.map_or(Ok(()), fs::create_dir_all)?;
         Ok(Self {
-            controller: if controller == "any" { None } else { Some(find_controller(controller)?) },
+            controller: if controller == "any" {
+                None
+            } else {
+                Some(find_controller(controller)?)
+            },
             collisions: collisions.map(Path::to_owned),
-            seen_features: (0..behaviour::FEATURE_COUNT).map(|_| AtomicBool::new(false)).collect(),
+            seen_features: (0..behaviour::FEATURE_COUNT)
+                .map(|_| AtomicBool::new(false))
+                .collect(),
             input_count: AtomicUsize::new(0),
         })
     }
@@ -76,8 +84,9 @@ impl CollisionSearch {
     pub fn test_case(&self, bytes: &[u8]) -> TestCase {
         let mut test_case = TestCase::from_bytes(bytes);
         if let Some(controller) = &self.controller {
-            if let Some(Ok(scenario)) =
-                controller.interval_s().map(|interval_s| with_compatible_step(&test_case.scenario, interval_s))
+            if let Some(Ok(scenario)) = controller
+                .interval_s()
+                .map(|interval_s| with_compatible_step(&test_case.scenario, interval_s))
             {
                 test_case.scenario = scenario;
             }
@@ -96,21 +105,29 @@ impl CollisionSearch {
     pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
-        if let Err(RunError::Shield { .. } | RunError::MissingNeighbour { .. }) = Run::new(&test_case.scenario, options)
+        if let Err(RunError::Shield { .. } | RunError::MissingNeighbour { .. }) =
+            Run::new(&test_case.scenario, options)
         {
             return Ok(Vec::new());
         }
         let result = test_case.check_each(&RUN_ORACLES, &Crumple)?;
         test_case.setup.controller.ensure_trusted()?;
         let features = behaviour::extract_features(&test_case, &result);
-        let is_new =
-            |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
+        let is_new = |&feature: &usize| {
+            self.seen_features
+                .get(feature)
+                .is_some_and(|seen| !seen.swap(true, Ordering::Relaxed))
+        };
         // Counts without short-circuiting, so that every feature is marked as seen.
         let news = features.iter().filter(|feature| is_new(feature)).count();
         let input = self.input_count.fetch_add(1, Ordering::Relaxed);
         let is_due = news > 0 || input.is_multiple_of(FULL_CHECK_INTERVAL);
         if is_due && !test_case.setup.controller.is_process() {
-            let count = if input.is_multiple_of(AVOIDABILITY_INTERVAL) { ORACLES.len() } else { ORACLES.len() - 1 };
+            let count = if input.is_multiple_of(AVOIDABILITY_INTERVAL) {
+                ORACLES.len()
+            } else {
+                ORACLES.len() - 1
+            };
             test_case.check_each(&ORACLES[..count], &Crumple)?;
         }
         if let Some(collisions) = &self.collisions {
@@ -121,24 +138,46 @@ impl CollisionSearch {
 }
 
 /// Writes the scenario if a vehicle under test collided and no collision of this kind is there.
-fn write_collision(folder: &Path, test_case: &TestCase, result: &SimulationResult) -> io::Result<()> {
-    let Some(kind) = behaviour::collision_kind(test_case, result) else { return Ok(()) };
+fn write_collision(
+    folder: &Path,
+    test_case: &TestCase,
+    result: &SimulationResult,
+) -> io::Result<()> {
+    let Some(kind) = behaviour::collision_kind(test_case, result) else {
+        return Ok(());
+    };
     let path = folder.join(format!("{kind}.toml"));
     if path.exists() {
         return Ok(());
     }
-    let about = format!("Found by `cargo fuzz run scenario` under {}.", test_case.setup.controller.name());
-    let named = test_case.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
+    let about = format!(
+        "Found by `cargo fuzz run scenario` under {}.",
+        test_case.setup.controller.name()
+    );
+    let named = test_case
+        .scenario
+        .edited(|spec| (spec.name, spec.about) = (kind, about));
     let scenario = named.unwrap_or_else(|_| test_case.scenario.clone());
-    fs::write(&path, TestCase { scenario, setup: test_case.setup.clone() }.reproducer())
+    fs::write(
+        &path,
+        TestCase {
+            scenario,
+            setup: test_case.setup.clone(),
+        }
+        .reproducer(),
+    )
 }
 
 fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {
     let controller = TestedController::from_name(name)?;
     if let Some(interval_s) = controller.interval_s() {
-        with_compatible_step(&TestCase::from_bytes(&[]).scenario, interval_s).map_err(|reason| {
-            CollisionSearchError::Interval { controller: name.to_owned(), interval_s, reason: Box::new(reason) }
-        })?;
+        with_compatible_step(&TestCase::from_bytes(&[]).scenario, interval_s).map_err(
+            |reason| CollisionSearchError::Interval {
+                controller: name.to_owned(),
+                interval_s,
+                reason: Box::new(reason),
+            },
+        )?;
     }
     Ok(controller)
 }

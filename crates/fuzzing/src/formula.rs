@@ -1,7 +1,9 @@
 //! Generation of STL formulas from bytes.
 
 use crumple_testing::generator::Choices;
-use crumple_world::measure::stl::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
+use crumple_world::measure::stl::{
+    ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow,
+};
 
 const MAX_DEPTH: u32 = 3;
 
@@ -9,8 +11,17 @@ const MAX_DEPTH: u32 = 3;
 ///
 /// # Errors
 /// [`FormulaError`] if the name of a signal cannot be written in a formula.
-pub fn formula_from_bytes(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
-    FormulaReader { choices: Choices::new(bytes), names, step_s }.formula(MAX_DEPTH)
+pub fn formula_from_bytes(
+    bytes: &[u8],
+    names: &[&str],
+    step_s: f64,
+) -> Result<Formula, FormulaError> {
+    FormulaReader {
+        choices: Choices::new(bytes),
+        names,
+        step_s,
+    }
+    .formula(MAX_DEPTH)
 }
 
 struct FormulaReader<'a> {
@@ -21,7 +32,11 @@ struct FormulaReader<'a> {
 
 impl FormulaReader<'_> {
     fn formula(&mut self, depth: u32) -> Result<Formula, FormulaError> {
-        let kind = if depth == 0 { 0 } else { self.choices.byte() % 8 };
+        let kind = if depth == 0 {
+            0
+        } else {
+            self.choices.byte() % 8
+        };
         Ok(match kind {
             0 => Formula::Compare(self.comparison()?),
             1 => Formula::Not(self.boxed(depth)?),
@@ -39,8 +54,16 @@ impl FormulaReader<'_> {
     }
 
     fn comparison(&mut self) -> Result<LinearPredicate, FormulaError> {
-        let relations = [ComparisonOp::Above, ComparisonOp::AtLeast, ComparisonOp::Below, ComparisonOp::AtMost];
-        let relation = self.choices.choose(&relations).unwrap_or(ComparisonOp::Above);
+        let relations = [
+            ComparisonOp::Above,
+            ComparisonOp::AtLeast,
+            ComparisonOp::Below,
+            ComparisonOp::AtMost,
+        ];
+        let relation = self
+            .choices
+            .choose(&relations)
+            .unwrap_or(ComparisonOp::Above);
         let name = self.choices.choose(self.names).unwrap_or("x");
         let other = self.choices.choose(self.names).unwrap_or("x");
         let weight = self.choices.around(1.0, [-2.0, 2.0]);
@@ -48,7 +71,11 @@ impl FormulaReader<'_> {
         let bound = self.choices.around(0.0, [-30.0, 30.0]);
         let single = name == other || self.choices.chance(128);
         let terms = [(weight, name.to_owned()), (-1.0, other.to_owned())];
-        LinearPredicate::new(terms.into_iter().take(if single { 1 } else { 2 }), relation, bound)
+        LinearPredicate::new(
+            terms.into_iter().take(if single { 1 } else { 2 }),
+            relation,
+            bound,
+        )
     }
 
     fn window(&mut self) -> Result<TimeWindow, FormulaError> {

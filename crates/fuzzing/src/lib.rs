@@ -59,7 +59,10 @@ impl TestCase {
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
-        Self { scenario: read_scenario(&mut from), setup: RunSetup::read(&mut from) }
+        Self {
+            scenario: read_scenario(&mut from),
+            setup: RunSetup::read(&mut from),
+        }
     }
 
     /// Reads a test case with lane changes; their bytes follow those of [`TestCase::from_bytes`].
@@ -67,7 +70,10 @@ impl TestCase {
     pub fn from_bytes_with_lanes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
         let (scenario, setup) = (read_scenario(&mut from), RunSetup::read(&mut from));
-        Self { scenario: with_lane_changes(scenario, &mut from), setup }
+        Self {
+            scenario: with_lane_changes(scenario, &mut from),
+            setup,
+        }
     }
 
     /// Checks all oracles and returns the simulated run.
@@ -82,7 +88,11 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn check_each(&self, oracles: &[OracleFn], system: &dyn System) -> Result<SimulationResult, Violation> {
+    pub(crate) fn check_each(
+        &self,
+        oracles: &[OracleFn],
+        system: &dyn System,
+    ) -> Result<SimulationResult, Violation> {
         let question = OracleContext::new(self, system)?;
         for &oracle in oracles {
             question.check(oracle)?;

@@ -29,9 +29,13 @@ fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
     let mut rest = bytes;
     while let [which, how, high, low, behind @ ..] = rest {
         rest = behind;
-        let Some(name) = names.get(usize::from(*which) % names.len().max(1)) else { break };
+        let Some(name) = names.get(usize::from(*which) % names.len().max(1)) else {
+            break;
+        };
         let place = usize::from(u16::from_be_bytes([*high, *low]));
-        let Some(file) = contents.get_mut(*name) else { continue };
+        let Some(file) = contents.get_mut(*name) else {
+            continue;
+        };
         match how % 6 {
             0 => {
                 let length = file.len().max(1);
@@ -67,7 +71,10 @@ fn small_campaign() -> Option<Campaign> {
         method: Method::Uniform,
         budget: 6,
         seed: 3,
-        ..Campaign::new(NamedController::find("match-leader", Path::new("")).ok()?, space)
+        ..Campaign::new(
+            NamedController::find("match-leader", Path::new("")).ok()?,
+            space,
+        )
     })
 }
 
@@ -114,8 +121,13 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
                 half_done.get_or_init(|| read_folder(folder.path()).ok());
             }
         });
-        small_campaign()?.run(folder.path(), CampaignOptions::default(), &look).ok()?;
-        Some(CampaignSnapshots { half_done: half_done.into_inner()??, complete: read_folder(folder.path()).ok()? })
+        small_campaign()?
+            .run(folder.path(), CampaignOptions::default(), &look)
+            .ok()?;
+        Some(CampaignSnapshots {
+            half_done: half_done.into_inner()??,
+            complete: read_folder(folder.path()).ok()?,
+        })
     };
     GENUINE.get_or_init(make).as_ref()
 }
@@ -138,15 +150,28 @@ pub(super) fn find_wrong_acceptance(bytes: &[u8]) -> io::Result<Option<String>> 
     let folder = tempfile::tempdir()?;
     write_folder(folder.path(), &contents)?;
     let examined = examine(folder.path());
-    let is_whole = |found: &FolderExamination| found.is_complete && found.files.iter().all(|(_, state)| state.is_ok());
+    let is_whole = |found: &FolderExamination| {
+        found.is_complete && found.files.iter().all(|(_, state)| state.is_ok())
+    };
     if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
-        return Ok(Some(format!("the examination is wrong about complete and undamaged files: {examined:?}")));
+        return Ok(Some(format!(
+            "the examination is wrong about complete and undamaged files: {examined:?}"
+        )));
     }
-    match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
-        Ok(_) if read_folder(folder.path())? != genuine.complete => {
-            Ok(Some("a campaign resumed from foreign files, with another result".to_owned()))
+    match campaign.run(
+        folder.path(),
+        CampaignOptions {
+            resume: true,
+            ..Default::default()
+        },
+        &Quiet,
+    ) {
+        Ok(_) if read_folder(folder.path())? != genuine.complete => Ok(Some(
+            "a campaign resumed from foreign files, with another result".to_owned(),
+        )),
+        Err(error) if contents == *base => {
+            Ok(Some(format!("the original folder is refused: {error}")))
         }
-        Err(error) if contents == *base => Ok(Some(format!("the original folder is refused: {error}"))),
         _ => Ok(None),
     }
 }

@@ -8,7 +8,9 @@ use arbitrary::Unstructured;
 
 use crumple_core::digest::sha256;
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
-use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
+use crumple_world::control::{
+    AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{
     AfterContact, ControllerKind, NamedController, RefusedController, RunOptions, UnknownController,
@@ -80,12 +82,16 @@ impl RunSetup {
                 0..192 => TestedController::BuiltIn(controller_from_bytes(kind, settings)),
                 192.. => TestedController::FullObservation(interval_steps),
             },
-            estimator: choices.choose(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
+            estimator: choices
+                .choose(&[EstimatorKind::Kalman, EstimatorKind::Truth])
+                .unwrap_or_default(),
             substeps: match choices.byte() {
                 0..192 => 1,
                 more @ 192.. => 2 + u32::from(more) % 6,
             },
-            after_contact: choices.choose(&[AfterContact::Stop, AfterContact::Continue]).unwrap_or_default(),
+            after_contact: choices
+                .choose(&[AfterContact::Stop, AfterContact::Continue])
+                .unwrap_or_default(),
         }
     }
 
@@ -122,11 +128,21 @@ impl RunSetup {
             TestedController::Named(ControllerByName(found)) => found.kind.clone(),
             TestedController::FullObservation(steps) => {
                 let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
-                Arc::new(FullObservationController { interval_s, last_mps2: 0.0 }).into()
+                Arc::new(FullObservationController {
+                    interval_s,
+                    last_mps2: 0.0,
+                })
+                .into()
             }
         };
-        let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
-        if self.substeps == 1 { options } else { options.with_dt_s(step_s / f64::from(self.substeps)) }
+        let options = RunOptions::new(controller)
+            .with_estimator(self.estimator)
+            .with_after_contact(self.after_contact);
+        if self.substeps == 1 {
+            options
+        } else {
+            options.with_dt_s(step_s / f64::from(self.substeps))
+        }
     }
 }
 
@@ -155,13 +171,19 @@ impl TestedController {
 
     /// Fails if a process contradicted itself or can no longer be started.
     pub(crate) fn ensure_trusted(&self) -> Result<(), RefusedController> {
-        if let Self::Named(ControllerByName(found)) = self { found.ensure_trusted() } else { Ok(()) }
+        if let Self::Named(ControllerByName(found)) = self {
+            found.ensure_trusted()
+        } else {
+            Ok(())
+        }
     }
 
     /// True if the controller runs in a separate process, also behind a shield.
     #[must_use]
     pub(crate) fn is_process(&self) -> bool {
-        let Self::Named(ControllerByName(found)) = self else { return false };
+        let Self::Named(ControllerByName(found)) = self else {
+            return false;
+        };
         matches!(found.kind.unshielded(), ControllerKind::Process(_))
     }
 
@@ -191,18 +213,28 @@ impl ControllerSource for FullObservationController {
     }
 
     fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-        Ok(Box::new(Self { interval_s: self.interval_s, last_mps2: 0.0 }))
+        Ok(Box::new(Self {
+            interval_s: self.interval_s,
+            last_mps2: 0.0,
+        }))
     }
 }
 
 impl Controller for FullObservationController {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let ahead =
-            seen.ahead.map_or(0.5, |n| 0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2);
-        let behind =
-            seen.behind.map_or(0.0, |n| 0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2);
-        self.last_mps2 = 0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
+        let ahead = seen.ahead.map_or(0.5, |n| {
+            0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2
+        });
+        let behind = seen.behind.map_or(0.0, |n| {
+            0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2
+        });
+        self.last_mps2 =
+            0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
         // Sometimes NaN, which ends the run.
-        Ok(if seen.speed_mps > 30.0 { f64::NAN } else { self.last_mps2 })
+        Ok(if seen.speed_mps > 30.0 {
+            f64::NAN
+        } else {
+            self.last_mps2
+        })
     }
 }

@@ -10,7 +10,8 @@ use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
+    self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult,
+    Stepper,
 };
 
 /// The parts of the program that oracles check. Every method defaults to crumple's implementation. A test of an oracle
@@ -27,13 +28,24 @@ pub trait System {
     }
 
     /// Passes the observation of every vehicle at every step to `each`, until it returns false.
-    fn for_each_observation(&self, run: &Run, each: &mut dyn FnMut(&ObservationSample<'_>) -> bool) {
+    fn for_each_observation(
+        &self,
+        run: &Run,
+        each: &mut dyn FnMut(&ObservationSample<'_>) -> bool,
+    ) {
         let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
-                let Some(seen) = stepper.observe(vehicle) else { continue };
+                let Some(seen) = stepper.observe(vehicle) else {
+                    continue;
+                };
                 let time_s = stepper.step_count() as f64 * run.scenario().spec().step_s;
-                if !each(&ObservationSample { vehicle, time_s, observation: seen, motion: stepper.motion() }) {
+                if !each(&ObservationSample {
+                    vehicle,
+                    time_s,
+                    observation: seen,
+                    motion: stepper.motion(),
+                }) {
                     return;
                 }
             }
@@ -52,14 +64,25 @@ pub trait System {
 
     /// Computes the best avoidance in a scenario; `None` if the scenario is not supported.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
-        avoid(scenario, AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() }).ok()
+        avoid(
+            scenario,
+            AvoidOptions {
+                effort: SearchEffort::Decide,
+                ..AvoidOptions::default()
+            },
+        )
+        .ok()
     }
 
     /// Writes a scenario to a file format and reads it again.
     ///
     /// # Errors
     /// [`FileError`] if the written text cannot be read.
-    fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
+    fn file_round_trip(
+        &self,
+        scenario: &Scenario,
+        format: ScenarioFormat,
+    ) -> Result<Scenario, FileError> {
         format.read(&format.to_text(scenario))
     }
 
@@ -67,7 +90,11 @@ pub trait System {
     ///
     /// # Errors
     /// [`MonitorError`], see [`Formula::robustness`].
-    fn robustness_over_time(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
+    fn robustness_over_time(
+        &self,
+        formula: &Formula,
+        signals: &SampledSignals<'_>,
+    ) -> Result<Vec<f64>, MonitorError> {
         formula.robustness_over_time(signals)
     }
 
@@ -75,7 +102,11 @@ pub trait System {
     ///
     /// # Errors
     /// [`MonitorError`], see [`Formula::is_satisfied`].
-    fn is_satisfied(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
+    fn is_satisfied(
+        &self,
+        formula: &Formula,
+        signals: &SampledSignals<'_>,
+    ) -> Result<bool, MonitorError> {
         formula.is_satisfied(signals)
     }
 

@@ -10,8 +10,8 @@ use crumple_verify::{Certificate, WorkLimit, check_with};
 use super::oracle::motion_is_physical;
 use super::run_folder;
 use super::{
-    Crumple, Invariant, LANE_ORACLES, ORACLES, OracleContext, OracleOutcome, RunSetup, ScenarioFormat, System,
-    TestCase, Violation,
+    Crumple, Invariant, LANE_ORACLES, ORACLES, OracleContext, OracleOutcome, RunSetup,
+    ScenarioFormat, System, TestCase, Violation,
 };
 use crumple_exchange::openscenario::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_exchange::recording::map::RecordingMap;
@@ -64,7 +64,9 @@ pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// The first [`Violation`] found.
 pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
-    TestCase::from_bytes_with_lanes(bytes).check_each(&LANE_ORACLES, &Crumple).map(drop)
+    TestCase::from_bytes_with_lanes(bytes)
+        .check_each(&LANE_ORACLES, &Crumple)
+        .map(drop)
 }
 
 /// Counts the oracles that a test case does not leave undecided.
@@ -74,8 +76,14 @@ pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
 pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
     let test_case = TestCase::from_bytes(bytes);
     let question = OracleContext::new(&test_case, &Crumple)?;
-    let answers = ORACLES.into_iter().map(|oracle| question.check(oracle)).collect::<Result<Vec<_>, _>>()?;
-    Ok(answers.into_iter().filter(|answer| *answer != OracleOutcome::Undecided).count())
+    let answers = ORACLES
+        .into_iter()
+        .map(|oracle| question.check(oracle))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(answers
+        .into_iter()
+        .filter(|answer| *answer != OracleOutcome::Undecided)
+        .count())
 }
 
 /// Checks that a text is a scenario file or is refused with an existing line, and that a scenario survives a round trip
@@ -84,7 +92,9 @@ pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
 /// # Errors
 /// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Files`], or that of the run.
 pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
-    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    let Ok(text) = std::str::from_utf8(bytes) else {
+        return Ok(());
+    };
     for format in ScenarioFormat::ALL {
         match format.read(text) {
             Ok(scenario) => check_accepted_scenario(&scenario, format)?,
@@ -92,7 +102,12 @@ pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
                 let message = error.to_string();
                 let line = error_line(&message);
                 let lines = 1 + text.matches('\n').count();
-                ensure(line.is_some_and(|line| (1..=lines).contains(&line)), Invariant::Reading, text, || message)?;
+                ensure(
+                    line.is_some_and(|line| (1..=lines).contains(&line)),
+                    Invariant::Reading,
+                    text,
+                    || message,
+                )?;
             }
         }
     }
@@ -102,7 +117,9 @@ pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
 /// Returns the line that an error of [`ScenarioFormat::read`] names: `file:line: …`.
 #[must_use]
 pub fn error_line(message: &str) -> Option<usize> {
-    let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
+    let rest = message
+        .strip_prefix("f.toml:")
+        .or(message.strip_prefix("f.json:"))?;
     rest.split_once(": ")?.0.parse().ok()
 }
 
@@ -110,11 +127,19 @@ fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Resul
     let text = format.to_text(scenario);
     let back = Crumple.file_round_trip(scenario, format);
     let same = back.as_ref().is_ok_and(|back| back == scenario);
-    ensure(same, Invariant::Files, &text, || format!("{format:?}: it reads back as {back:?}"))?;
+    ensure(same, Invariant::Files, &text, || {
+        format!("{format:?}: it reads back as {back:?}")
+    })?;
     if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MAX_VEHICLE_STEPS {
-        let test_case = TestCase { scenario: scenario.clone(), setup: RunSetup::with_true_state() };
+        let test_case = TestCase {
+            scenario: scenario.clone(),
+            setup: RunSetup::with_true_state(),
+        };
         let options = test_case.setup.options(scenario.spec().step_s);
-        if !matches!(Run::new(scenario, options), Err(RunError::DecisionInterval { .. })) {
+        if !matches!(
+            Run::new(scenario, options),
+            Err(RunError::DecisionInterval { .. })
+        ) {
             test_case.check(motion_is_physical, &Crumple)?;
         }
     }
@@ -126,18 +151,28 @@ fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Resul
 /// # Errors
 /// A [`Violation`] of [`Invariant::Reading`].
 pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
-    let Ok(policy) = Policy::from_bytes(bytes) else { return Ok(()) };
+    let Ok(policy) = Policy::from_bytes(bytes) else {
+        return Ok(());
+    };
     let header = format!("{:?}", policy.header());
     let written = policy.to_bytes().ok();
-    let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
+    let back = written
+        .as_ref()
+        .and_then(|written| Policy::from_bytes(written).ok());
     let same = back.as_ref() == Some(&policy);
-    ensure(same, Invariant::Reading, &header, || "it differs from what was written".to_owned())?;
-    let short = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok());
+    ensure(same, Invariant::Reading, &header, || {
+        "it differs from what was written".to_owned()
+    })?;
+    let short = built_in_scenario("paper-1")
+        .and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok());
     let Some(short) = short else { return Ok(()) };
     // The decision interval of a policy may not be a multiple of the step of this scenario.
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
         let result = simulate(&run, RecordingLevel::Summary);
-        let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
+        let moved = result
+            .vehicles
+            .iter()
+            .all(|vehicle| vehicle.max_brake_mps2.is_finite());
         ensure(moved, Invariant::Reading, &header, || {
             format!("its state leaves the allowed range: {:?}", result.vehicles)
         })?;
@@ -151,30 +186,52 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// A [`Violation`] of [`Invariant::Reading`].
 pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
-    for (format, read) in [("ONNX", NetworkFile::from_onnx(bytes)), ("a zip", NetworkFile::from_sb3(bytes))] {
+    for (format, read) in [
+        ("ONNX", NetworkFile::from_onnx(bytes)),
+        ("a zip", NetworkFile::from_sb3(bytes)),
+    ] {
         let file = match read {
             Ok(file) => file,
             Err(refused) => {
                 let is_said = !refused.to_string().is_empty();
-                ensure(is_said, Invariant::Reading, "", || format!("{format} is refused without a reason"))?;
+                ensure(is_said, Invariant::Reading, "", || {
+                    format!("{format} is refused without a reason")
+                })?;
                 continue;
             }
         };
         let (network, seen) = (&file.network, [-4.0_f32, 0.0, 1.5]);
         let shape = network.shape();
         // A network whose outputs may overflow is refused as a controller.
-        let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else { continue };
+        let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else {
+            continue;
+        };
         let mut space = Workspace::default();
-        let rows: Vec<f32> = seen.iter().flat_map(|&value| vec![value; network.inputs()]).collect();
+        let rows: Vec<f32> = seen
+            .iter()
+            .flat_map(|&value| vec![value; network.inputs()])
+            .collect();
         let together = network.forward(&rows, seen.len(), &mut space).to_vec();
-        for (row, answers) in rows.chunks(network.inputs()).zip(together.chunks(network.outputs())) {
+        for (row, answers) in rows
+            .chunks(network.inputs())
+            .zip(together.chunks(network.outputs()))
+        {
             let alone = network.forward(row, 1, &mut space);
-            let same = alone.iter().zip(answers).all(|(alone, among)| alone.to_bits() == among.to_bits());
-            ensure(same, Invariant::Reading, &shape, || format!("{alone:?} alone, {answers:?} among others"))?;
-            for (answer, [low, high]) in answers.iter().map(|&answer| f64::from(answer)).zip(&ranges) {
+            let same = alone
+                .iter()
+                .zip(answers)
+                .all(|(alone, among)| alone.to_bits() == among.to_bits());
+            ensure(same, Invariant::Reading, &shape, || {
+                format!("{alone:?} alone, {answers:?} among others")
+            })?;
+            for (answer, [low, high]) in
+                answers.iter().map(|&answer| f64::from(answer)).zip(&ranges)
+            {
                 let slack = 1e-3 * (1.0 + low.abs().max(high.abs()));
                 let is_there = (low - slack..=high + slack).contains(&answer);
-                ensure(is_there, Invariant::Reading, &shape, || format!("{answer} is not within {low} to {high}"))?;
+                ensure(is_there, Invariant::Reading, &shape, || {
+                    format!("{answer} is not within {low} to {high}")
+                })?;
             }
         }
     }
@@ -188,21 +245,34 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
 pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
     // As an archive, and as the model description within one.
     let read = [
-        Fmu::read(Cursor::new(bytes)).map(|fmu| fmu.description().clone()).map_err(|error| error.to_string()),
-        ModelDescription::from_xml(&String::from_utf8_lossy(bytes)).map_err(|error| error.to_string()),
+        Fmu::read(Cursor::new(bytes))
+            .map(|fmu| fmu.description().clone())
+            .map_err(|error| error.to_string()),
+        ModelDescription::from_xml(&String::from_utf8_lossy(bytes))
+            .map_err(|error| error.to_string()),
     ];
     for read in read {
         match read {
-            Ok(ModelDescription { variables, model_identifier, .. }) => {
-                let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
+            Ok(ModelDescription {
+                variables,
+                model_identifier,
+                ..
+            }) => {
+                let mut names: Vec<&str> = variables
+                    .iter()
+                    .map(|variable| variable.name.as_str())
+                    .collect();
                 names.sort_unstable();
                 names.dedup();
-                let is_one = names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
-                ensure(is_one, Invariant::Reading, &model_identifier, || format!("{names:?} are incomplete"))?;
+                let is_one =
+                    names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
+                ensure(is_one, Invariant::Reading, &model_identifier, || {
+                    format!("{names:?} are incomplete")
+                })?;
             }
-            Err(refused) => {
-                ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a reason".to_owned())?
-            }
+            Err(refused) => ensure(!refused.is_empty(), Invariant::Reading, "", || {
+                "refused without a reason".to_owned()
+            })?,
         }
     }
     Ok(())
@@ -213,17 +283,30 @@ pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// A [`Violation`] of [`Invariant::Certificates`].
 pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
-    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
-    let Ok(read) = Certificate::from_json(text) else { return Ok(()) };
+    let Ok(text) = std::str::from_utf8(bytes) else {
+        return Ok(());
+    };
+    let Ok(read) = Certificate::from_json(text) else {
+        return Ok(());
+    };
     let written = serde_json::to_string(&read).unwrap_or_default();
     let again = Certificate::from_json(&written).ok();
     let same = again.as_ref() == Some(&read);
-    ensure(same, Invariant::Certificates, text, || format!("it reads back as {again:?}"))?;
-    let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
+    ensure(same, Invariant::Certificates, text, || {
+        format!("it reads back as {again:?}")
+    })?;
+    let check = |certificate: &Certificate| {
+        check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT)
+    };
     let (output, said_again) = (check(&read), again.as_ref().map(check));
     // Compared as text, because a reason may contain NaN.
-    let (output, said_again) = (format!("{output:?}"), format!("{:?}", said_again.unwrap_or_else(|| output.clone())));
-    ensure(output == said_again, Invariant::Certificates, text, || format!("first {output}, then {said_again}"))
+    let (output, said_again) = (
+        format!("{output:?}"),
+        format!("{:?}", said_again.unwrap_or_else(|| output.clone())),
+    );
+    ensure(output == said_again, Invariant::Certificates, text, || {
+        format!("first {output}, then {said_again}")
+    })
 }
 
 /// A map that reads the columns of car-following events as positions of numbered vehicles.
@@ -244,8 +327,12 @@ layout.tracks.length.metres = 2.0
 /// A [`Violation`] of [`Invariant::Reading`].
 pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     let tracks = RecordingMap::from_toml(TRACKS_MAP, Path::new("tracks.toml"));
-    ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
-    [None, tracks.ok()].iter().try_for_each(|map| check_recording(bytes, map.as_ref()))
+    ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || {
+        format!("{tracks:?}")
+    })?;
+    [None, tracks.ok()]
+        .iter()
+        .try_for_each(|map| check_recording(bytes, map.as_ref()))
 }
 
 /// Map for the signals of the seeds of [`binary_recording`].
@@ -263,7 +350,9 @@ layout.pairs.leader_speed = { column = "lead_mps" }
 /// A [`Violation`] of [`Invariant::Reading`].
 pub fn binary_recording(bytes: &[u8]) -> Result<(), Violation> {
     let map = RecordingMap::from_toml(BINARY_MAP, Path::new("binary.toml"));
-    ensure(map.is_ok(), Invariant::Reading, BINARY_MAP, || format!("{map:?}"))?;
+    ensure(map.is_ok(), Invariant::Reading, BINARY_MAP, || {
+        format!("{map:?}")
+    })?;
     check_recording(bytes, map.as_ref().ok())
 }
 
@@ -276,7 +365,9 @@ pub fn dbc_file(bytes: &[u8]) -> Result<(), Violation> {
         Ok(dbc) => {
             let frames = Cursor::new(FRAMES);
             let signals = SignalSet::read(frames, Some(&dbc), &|name| !name.contains('.'));
-            ensure(signals.is_ok(), Invariant::Reading, "", || format!("frames are refused: {signals:?}"))
+            ensure(signals.is_ok(), Invariant::Reading, "", || {
+                format!("frames are refused: {signals:?}")
+            })
         }
         Err(error) => {
             let message = error.to_string();
@@ -296,23 +387,34 @@ fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Viola
             return ensure(!message.contains('\n'), Invariant::Reading, "", || message);
         }
     };
-    for (number, episode) in
-        find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate()
+    for (number, episode) in find_episodes(&recording, MinBrake::default(), LeaderSelection::Any)
+        .episodes
+        .iter()
+        .enumerate()
     {
-        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
+        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else {
+            continue;
+        };
         let text = to_toml(&scenario).unwrap_or_default();
         let back = from_toml(&text, Path::new("f.toml"));
         let same = back.as_ref().is_ok_and(|back| *back == scenario);
-        ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
+        ensure(same, Invariant::Files, &text, || {
+            format!("it reads back as {back:?}")
+        })?;
     }
     for dropped in &recording.dropped {
         let is_said = !dropped.to_string().is_empty();
-        ensure(is_said, Invariant::Reading, "", || "a row or column is dropped without a note".to_owned())?;
+        ensure(is_said, Invariant::Reading, "", || {
+            "a row or column is dropped without a note".to_owned()
+        })?;
     }
     let seen = recording::preview(&recording);
-    let is_even =
-        seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
-    ensure(is_even, Invariant::Reading, "", || "speeds are out of order".to_owned())?;
+    let is_even = seen.is_none_or(|seen| {
+        seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]
+    });
+    ensure(is_even, Invariant::Reading, "", || {
+        "speeds are out of order".to_owned()
+    })?;
     Ok(())
 }
 
@@ -329,16 +431,26 @@ const ROAD: &[u8] = br#"<OpenDRIVE><road id="1" length="4000" junction="-1"><pla
 /// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Files`].
 pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
     let text = String::from_utf8_lossy(bytes);
-    let variations = ParameterDistributionFile::from_bytes(bytes).and_then(|found| found.variations());
-    let imported = OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
+    let variations =
+        ParameterDistributionFile::from_bytes(bytes).and_then(|found| found.variations());
+    let imported =
+        OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
     if let Ok(imported) = &imported {
         let written = to_toml(&imported.scenario).unwrap_or_default();
         let back = from_toml(&written, Path::new("f.toml"));
         let same = back.as_ref().is_ok_and(|back| *back == imported.scenario);
-        ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
+        ensure(same, Invariant::Files, &text, || {
+            format!("it reads back as {back:?}")
+        })?;
     }
-    for message in [variations.err(), imported.err()].into_iter().flatten().map(|error| error.to_string()) {
-        let place = message.strip_prefix("f.xosc:").or(message.strip_prefix("d.xosc:"));
+    for message in [variations.err(), imported.err()]
+        .into_iter()
+        .flatten()
+        .map(|error| error.to_string())
+    {
+        let place = message
+            .strip_prefix("f.xosc:")
+            .or(message.strip_prefix("d.xosc:"));
         let line = place.and_then(|rest| rest.split_once(": ")?.0.parse::<usize>().ok());
         let lines = 1 + text.matches('\n').count();
         let is_there = line.is_none_or(|line| (1..=lines).contains(&line)) && !message.is_empty();
@@ -353,13 +465,17 @@ pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Monitor`].
 pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
-    let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
+    let Ok(text) = std::str::from_utf8(bytes) else {
+        return Ok(());
+    };
     let formula: Formula = match text.parse() {
         Ok(formula) => formula,
         Err(crumple_world::measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
             let is_there = columns.contains(&column);
-            return ensure(is_there, Invariant::Reading, text, || format!("column {column}: {problem}"));
+            return ensure(is_there, Invariant::Reading, text, || {
+                format!("column {column}: {problem}")
+            });
         }
     };
     let printed = formula.to_string();
@@ -368,25 +484,38 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
         back => {
             let same = back.as_ref() == Ok(&formula);
-            ensure(same, Invariant::Reading, text, || format!("{printed} reads back as {back:?}"))?;
+            ensure(same, Invariant::Reading, text, || {
+                format!("{printed} reads back as {back:?}")
+            })?;
         }
     }
-    let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };
+    let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else {
+        return Ok(());
+    };
     for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
         // Small integers, so that margins of exactly zero are common.
-        let samples: Vec<f64> = (0..SAMPLES).map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0).collect();
+        let samples: Vec<f64> = (0..SAMPLES)
+            .map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0)
+            .collect();
         if signals.insert(name.to_owned(), samples).is_err() {
             return Ok(());
         }
     }
-    let (Ok(robustness), Ok(defined)) = (formula.robustness(&signals), naive_robustness(&formula, &signals, 0)) else {
+    let (Ok(robustness), Ok(defined)) = (
+        formula.robustness(&signals),
+        naive_robustness(&formula, &signals, 0),
+    ) else {
         return Ok(());
     };
     let same = robustness == defined;
-    ensure(same, Invariant::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
+    ensure(same, Invariant::Monitor, text, || {
+        format!("robustness {robustness}, defined as {defined}")
+    })?;
     let satisfied = formula.is_satisfied(&signals);
     let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
-    ensure(sign, Invariant::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
+    ensure(sign, Invariant::Monitor, text, || {
+        format!("robustness {robustness}, satisfied {satisfied:?}")
+    })
 }
 
 /// Checks that a changed campaign folder is accepted as complete only if it is the genuine one, and that a resumed
@@ -402,6 +531,19 @@ pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
     }
 }
 
-fn ensure(holds: bool, invariant: Invariant, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
-    if holds { Ok(()) } else { Err(Violation { invariant, finding: finding(), reproducer: input.to_owned() }) }
+fn ensure(
+    holds: bool,
+    invariant: Invariant,
+    input: &str,
+    finding: impl FnOnce() -> String,
+) -> Result<(), Violation> {
+    if holds {
+        Ok(())
+    } else {
+        Err(Violation {
+            invariant,
+            finding: finding(),
+            reproducer: input.to_owned(),
+        })
+    }
 }

@@ -91,7 +91,10 @@ impl Violation {
     ///
     /// # Panics
     /// Always.
-    #[expect(clippy::panic, reason = "this is what fuzzers and test suites listen to")]
+    #[expect(
+        clippy::panic,
+        reason = "this is what fuzzers and test suites listen to"
+    )]
     pub fn panic(self) -> ! {
         panic!("{self}")
     }
@@ -104,7 +107,9 @@ impl TestCase {
         let Self { scenario, setup } = self;
         let name = setup.controller.name();
         let as_named = match &setup.controller {
-            TestedController::BuiltIn(spec) => ControllerSpec::from_name(name).as_ref() == Some(spec),
+            TestedController::BuiltIn(spec) => {
+                ControllerSpec::from_name(name).as_ref() == Some(spec)
+            }
             TestedController::Named(_) => true,
             TestedController::FullObservation(_) => false,
         };
@@ -112,28 +117,40 @@ impl TestCase {
         let mut how = Vec::new();
         if as_named {
             how.push(format!("--controller {}", ShellWord(name)));
-        } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
+        } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) =
+            (&setup.controller, setup.estimator)
+        {
             // Controllers of a scenario observe the true state, so they can replace a controller under test that does.
             let put = |driver: &mut Driver| {
                 if *driver == Driver::UnderTest {
                     *driver = Driver::Controller(spec.clone());
                 }
             };
-            let filled = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| put(&mut v.driver)));
+            let filled =
+                scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| put(&mut v.driver)));
             scenario = filled.unwrap_or(scenario);
         } else {
-            how.push(format!("--controller ... (under test: {:?})", setup.controller));
+            how.push(format!(
+                "--controller ... (under test: {:?})",
+                setup.controller
+            ));
         }
         if setup.estimator != EstimatorKind::default() {
             how.push(format!("--estimator {}", setup.estimator.name()));
         }
         if setup.substeps > 1 {
-            how.push(format!("--dt {}", scenario.spec().step_s / f64::from(setup.substeps)));
+            how.push(format!(
+                "--dt {}",
+                scenario.spec().step_s / f64::from(setup.substeps)
+            ));
         }
         if setup.after_contact == AfterContact::Continue {
             how.push("--after-collision continue".to_owned());
         }
         let text = to_toml(&scenario).unwrap_or_default();
-        format!("# crumple simulate THIS-FILE.toml {}\n{text}", how.join(" "))
+        format!(
+            "# crumple simulate THIS-FILE.toml {}\n{text}",
+            how.join(" ")
+        )
     }
 }

@@ -45,7 +45,11 @@ impl QuadraticProgram {
     /// Creates a program without rows and cost.
     #[must_use]
     pub fn new(variables: usize) -> Self {
-        Self { variables, cost: vec![0.0; variables], ..Self::default() }
+        Self {
+            variables,
+            cost: vec![0.0; variables],
+            ..Self::default()
+        }
     }
 
     /// Adds to the linear cost.
@@ -97,20 +101,35 @@ impl QuadraticProgram {
         let curvature = CscMatrix::new_from_triplets(n, n, i, j, v);
         let bound = [&self.equalities.bound[..], &self.inequalities.bound].concat();
         let cones = [ZeroConeT(equalities), NonnegativeConeT(rows - equalities)];
-        let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(100).presolve_enable(false).build();
-        let Ok(settings) = settings else { return QuadraticSolution::SolverFailed("settings".to_owned()) };
-        let mut solver = match DefaultSolver::new(&curvature, &self.cost, &matrix, &bound, &cones, settings) {
-            Ok(solver) => solver,
-            Err(error) => return QuadraticSolution::SolverFailed(error.to_string()),
+        let settings = DefaultSettingsBuilder::default()
+            .verbose(false)
+            .max_iter(100)
+            .presolve_enable(false)
+            .build();
+        let Ok(settings) = settings else {
+            return QuadraticSolution::SolverFailed("settings".to_owned());
         };
+        let mut solver =
+            match DefaultSolver::new(&curvature, &self.cost, &matrix, &bound, &cones, settings) {
+                Ok(solver) => solver,
+                Err(error) => return QuadraticSolution::SolverFailed(error.to_string()),
+            };
         solver.solve();
         let solution = &solver.solution;
-        let multipliers = || solution.z.iter().skip(equalities).map(|z| z.max(0.0)).collect();
+        let multipliers = || {
+            solution
+                .z
+                .iter()
+                .skip(equalities)
+                .map(|z| z.max(0.0))
+                .collect()
+        };
         match solution.status {
             // The caller checks solutions that are almost solved.
-            SolverStatus::Solved | SolverStatus::AlmostSolved => {
-                QuadraticSolution::Optimal { point: solution.x.clone(), multipliers: multipliers() }
-            }
+            SolverStatus::Solved | SolverStatus::AlmostSolved => QuadraticSolution::Optimal {
+                point: solution.x.clone(),
+                multipliers: multipliers(),
+            },
             SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
                 QuadraticSolution::Infeasible(multipliers())
             }
@@ -143,8 +162,17 @@ mod tests {
         cone.add_squared_cost(&[(1, 1.0)], 1.0);
         cone.add_equality(&[(0, 1.0), (1, 1.0)], 2.0);
         cone.add_inequality(&[(0, -1.0)], -1.5);
-        let QuadraticSolution::Optimal { point: at, multipliers } = cone.solve() else { panic!("solvable") };
-        assert!((at[0] - 1.5).abs() < 1e-6 && (at[1] - 0.5).abs() < 1e-6, "{at:?}");
+        let QuadraticSolution::Optimal {
+            point: at,
+            multipliers,
+        } = cone.solve()
+        else {
+            panic!("solvable")
+        };
+        assert!(
+            (at[0] - 1.5).abs() < 1e-6 && (at[1] - 0.5).abs() < 1e-6,
+            "{at:?}"
+        );
         assert!((multipliers[0] - 2.0).abs() < 1e-5, "{multipliers:?}");
         cone.add_inequality(&[(0, 1.0)], 1.0);
         assert!(matches!(cone.solve(), QuadraticSolution::Infeasible(_)));

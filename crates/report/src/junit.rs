@@ -45,7 +45,10 @@ pub(crate) struct JunitSuite {
 /// Renders suites as XML. Control characters are shown as escapes.
 pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
     let [skipped, failures, errors] = count_statuses(suites.iter().flat_map(|suite| &suite.cases));
-    let (name, tests) = (escape(name), suites.iter().map(|suite| suite.cases.len()).sum::<usize>());
+    let (name, tests) = (
+        escape(name),
+        suites.iter().map(|suite| suite.cases.len()).sum::<usize>(),
+    );
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"{name}\" tests=\"{tests}\" \
          skipped=\"{skipped}\" failures=\"{failures}\" errors=\"{errors}\">\n"
@@ -57,16 +60,27 @@ pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
 
 /// Counts the skipped cases, the failures and the errors.
 fn count_statuses<'a>(cases: impl Iterator<Item = &'a JunitCase> + Clone) -> [usize; 3] {
-    [JunitStatus::Skipped, JunitStatus::Failed, JunitStatus::Error]
-        .map(|status| cases.clone().filter(|case| case.status == status).count())
+    [
+        JunitStatus::Skipped,
+        JunitStatus::Failed,
+        JunitStatus::Error,
+    ]
+    .map(|status| cases.clone().filter(|case| case.status == status).count())
 }
 
 impl JunitSuite {
     fn write(&self, out: &mut String) -> fmt::Result {
         let [skipped, failures, errors] = count_statuses(self.cases.iter());
         let (name, tests) = (escape(&self.name), self.cases.len());
-        let close = if self.cases.is_empty() && self.properties.is_empty() { "/" } else { "" };
-        write!(out, r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" "#)?;
+        let close = if self.cases.is_empty() && self.properties.is_empty() {
+            "/"
+        } else {
+            ""
+        };
+        write!(
+            out,
+            r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" "#
+        )?;
         writeln!(out, r#"errors="{errors}" failures="{failures}"{close}>"#)?;
         if !close.is_empty() {
             return Ok(());
@@ -74,7 +88,12 @@ impl JunitSuite {
         if !self.properties.is_empty() {
             writeln!(out, "        <properties>")?;
             for (name, value) in &self.properties {
-                writeln!(out, r#"            <property name="{}" value="{}"/>"#, escape(name), escape(value))?;
+                writeln!(
+                    out,
+                    r#"            <property name="{}" value="{}"/>"#,
+                    escape(name),
+                    escape(value)
+                )?;
             }
             writeln!(out, "        </properties>")?;
         }
@@ -87,10 +106,21 @@ impl JunitCase {
     fn write(&self, out: &mut String) -> fmt::Result {
         writeln!(out, r#"        <testcase name="{}">"#, escape(&self.name))?;
         if let Some(element) = self.status.element() {
-            let message = self.message.as_ref().map(|message| format!(r#" message="{}""#, escape(message)));
-            writeln!(out, "            <{element}{}/>", message.unwrap_or_default())?;
+            let message = self
+                .message
+                .as_ref()
+                .map(|message| format!(r#" message="{}""#, escape(message)));
+            writeln!(
+                out,
+                "            <{element}{}/>",
+                message.unwrap_or_default()
+            )?;
         }
-        writeln!(out, "            <system-out>{}</system-out>", escape(&self.output))?;
+        writeln!(
+            out,
+            "            <system-out>{}</system-out>",
+            escape(&self.output)
+        )?;
         writeln!(out, "        </testcase>")
     }
 }

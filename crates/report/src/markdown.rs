@@ -25,7 +25,9 @@ impl Inline {
     }
 
     pub(crate) fn strong(text: &str) -> Self {
-        Self { text: format!("**{}**", Self::prose(text.trim()).text) }
+        Self {
+            text: format!("**{}**", Self::prose(text.trim()).text),
+        }
     }
 
     pub(crate) fn and_prose(mut self, text: &str) -> Self {
@@ -100,20 +102,35 @@ impl Markdown {
 
     /// Writes a list, unless it is empty.
     pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
-        let lines: String = entries.into_iter().map(|entry| format!("- {}\n", entry.into().text)).collect();
+        let lines: String = entries
+            .into_iter()
+            .map(|entry| format!("- {}\n", entry.into().text))
+            .collect();
         if !lines.is_empty() {
             self.push_block(&lines);
         }
     }
 
     /// Writes a table. `columns` has the Markdown alignment of each column.
-    pub(crate) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+    pub(crate) fn table(
+        &mut self,
+        header: &[String],
+        columns: &[&str],
+        rows: impl Iterator<Item = Vec<String>>,
+    ) {
         let line = |cells: &[String]| {
-            let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).to_table_cell()).collect();
+            let cells: Vec<_> = cells
+                .iter()
+                .map(|cell| Inline::prose(cell).to_table_cell())
+                .collect();
             format!("| {} |\n", cells.join(" | "))
         };
         let rows: String = rows.map(|row| line(&row)).collect();
-        self.push_block(&format!("{}| {} |\n{rows}", line(header), columns.join(" | ")));
+        self.push_block(&format!(
+            "{}| {} |\n{rows}",
+            line(header),
+            columns.join(" | ")
+        ));
     }
 
     pub(crate) fn append(&mut self, other: &Self) {
@@ -192,8 +209,16 @@ mod tests {
         for name in names {
             text.heading(3, &format!("Space {name}"));
             text.paragraph(name.as_str());
-            text.paragraph(Inline::strong(&format!("x {name} x")).and_prose(name).and_code(name));
-            text.table(names, &vec!["---"; names.len()], [names.to_vec(), names.to_vec()].into_iter());
+            text.paragraph(
+                Inline::strong(&format!("x {name} x"))
+                    .and_prose(name)
+                    .and_code(name),
+            );
+            text.table(
+                names,
+                &vec!["---"; names.len()],
+                [names.to_vec(), names.to_vec()].into_iter(),
+            );
             text.list(names.iter().map(String::as_str));
             text.paragraph("behind");
         }

@@ -1,8 +1,9 @@
 //! No-break spaces between numbers and units.
 
 /// Units that reports write after a number or in parentheses.
-const UNITS: [&str; 15] =
-    ["m/s²", "m/s³", "m²/s³", "m/s", "km/h", "m", "km", "kg", "s", "ms", "h", "min", "%", "MB", "Hz"];
+const UNITS: [&str; 15] = [
+    "m/s²", "m/s³", "m²/s³", "m/s", "km/h", "m", "km", "kg", "s", "ms", "h", "min", "%", "MB", "Hz",
+];
 
 /// Elements whose text stays unchanged: commands are copied, and figures do not wrap.
 const VERBATIM_ELEMENTS: [&str; 4] = ["code", "script", "style", "svg"];
@@ -13,9 +14,15 @@ pub(crate) fn insert_nbsp_before_units(page: &str) -> String {
     let (mut joined, mut rest) = (String::with_capacity(page.len()), page);
     while let Some((text, tag)) = rest.find('<').map(|start| rest.split_at(start)) {
         push_with_nbsp(text, &mut joined);
-        let element = VERBATIM_ELEMENTS.iter().find(|name| tag[1..].starts_with(**name));
-        let end = element.and_then(|name| tag.find(&format!("</{name}>"))).unwrap_or(0);
-        let end = tag[end..].find('>').map_or(tag.len(), |close| end + close + 1);
+        let element = VERBATIM_ELEMENTS
+            .iter()
+            .find(|name| tag[1..].starts_with(**name));
+        let end = element
+            .and_then(|name| tag.find(&format!("</{name}>")))
+            .unwrap_or(0);
+        let end = tag[end..]
+            .find('>')
+            .map_or(tag.len(), |close| end + close + 1);
         joined.push_str(&tag[..end]);
         rest = &tag[end..];
     }
@@ -26,10 +33,16 @@ pub(crate) fn insert_nbsp_before_units(page: &str) -> String {
 fn push_with_nbsp(text: &str, joined: &mut String) {
     let mut before = "";
     for (index, word) in text.split(' ').enumerate() {
-        let unit = word.trim_end_matches([',', '.', ';', ':', ')']).trim_start_matches('(');
+        let unit = word
+            .trim_end_matches([',', '.', ';', ':', ')'])
+            .trim_start_matches('(');
         let is_attached = before.ends_with(|c: char| c.is_ascii_digit()) || word.starts_with('(');
         if index > 0 {
-            joined.push(if is_attached && UNITS.contains(&unit) { '\u{a0}' } else { ' ' });
+            joined.push(if is_attached && UNITS.contains(&unit) {
+                '\u{a0}'
+            } else {
+                ' '
+            });
         }
         joined.push_str(word);
         before = word;

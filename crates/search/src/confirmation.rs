@@ -9,7 +9,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crumple_core::interval::RateInterval;
-use crumple_world::control::{Controller, ControllerFailure, ControllerKind, ControllerSource, Ego};
+use crumple_world::control::{
+    Controller, ControllerFailure, ControllerKind, ControllerSource, Ego,
+};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::{PlantKind, Scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -41,16 +43,23 @@ impl ReplayShare {
         let add = |[count, replays]: [u64; 2], result| [count + u64::from(result), replays + 1];
         let [count, replays] = results.into_iter().fold([0, 0], add);
         let interval = RateInterval::clopper_pearson(count, replays, CONFIDENCE);
-        (replays > 0).then_some(Self { count, replays, interval })
+        (replays > 0).then_some(Self {
+            count,
+            replays,
+            interval,
+        })
     }
 
     /// Describes the share, with a noun phrase for what is counted.
     #[must_use]
     pub fn describe(&self, what: &str) -> String {
         let share = self.count as f64 / self.replays as f64;
-        let [share, low, high] = [share, self.interval.lower, self.interval.upper].map(|share| 100.0 * share);
+        let [share, low, high] =
+            [share, self.interval.lower, self.interval.upper].map(|share| 100.0 * share);
         let Self { count, replays, .. } = self;
-        format!("{count} of {replays} {what} ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)")
+        format!(
+            "{count} of {replays} {what} ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)"
+        )
     }
 }
 
@@ -66,12 +75,21 @@ pub fn escape_survives(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> O
     let with_plant = scenario.with_plant(CONFIRMING_PLANT).ok()?;
     // An escape is the motion of a vehicle whose driver knows the future, so that it has no delay.
     let immediate = with_plant.edited(|spec| {
-        for vehicle in spec.vehicles.iter_mut().skip(first).take(acceleration_mps2.len()) {
+        for vehicle in spec
+            .vehicles
+            .iter_mut()
+            .skip(first)
+            .take(acceleration_mps2.len())
+        {
             (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
         }
     });
-    let playback = DemandPlayback { first, demand_mps2: acceleration_mps2.to_vec() };
-    let options = RunOptions::new(ControllerKind::Custom(Arc::new(playback))).with_estimator(EstimatorKind::Truth);
+    let playback = DemandPlayback {
+        first,
+        demand_mps2: acceleration_mps2.to_vec(),
+    };
+    let options = RunOptions::new(ControllerKind::Custom(Arc::new(playback)))
+        .with_estimator(EstimatorKind::Truth);
     let run = Run::new(&immediate.ok()?, options).ok()?;
     Some(simulate(&run, RecordingLevel::Summary).outcome == Outcome::NoCollision)
 }
@@ -89,9 +107,16 @@ impl ControllerSource for DemandPlayback {
     }
 
     fn start(&self, ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-        let own = ego.vehicle.checked_sub(self.first).and_then(|place| self.demand_mps2.get(place));
+        let own = ego
+            .vehicle
+            .checked_sub(self.first)
+            .and_then(|place| self.demand_mps2.get(place));
         let demand_mps2 = own.cloned().unwrap_or_default().into_iter();
-        Ok(Box::new(DemandSequence { demand_mps2, speed_mps: None, step_s: ego.step_s }))
+        Ok(Box::new(DemandSequence {
+            demand_mps2,
+            speed_mps: None,
+            step_s: ego.step_s,
+        }))
     }
 }
 

@@ -28,7 +28,10 @@ pub struct DiskError {
 impl DiskError {
     /// Returns a function that adds a path to an error of the operating system.
     pub fn at(path: &Path) -> impl Fn(io::Error) -> Self + Copy + '_ {
-        |source| Self { path: path.to_owned(), source }
+        |source| Self {
+            path: path.to_owned(),
+            source,
+        }
     }
 }
 
@@ -51,15 +54,22 @@ impl StagedFiles {
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
         if self.staged.contains_key(path) {
             let doubled = "two results would have this path: give the scenarios different names";
-            return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, doubled)));
+            return Err(DiskError::at(path)(io::Error::new(
+                io::ErrorKind::AlreadyExists,
+                doubled,
+            )));
         }
-        let temp_path = self.write_temporary(path, contents.as_ref()).map_err(|error| {
-            // Only the kind: the error itself would name a temporary file that the caller does not know.
-            DiskError::at(path)(match error.kind() {
-                io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
-                kind => kind.into(),
-            })
-        })?;
+        let temp_path = self
+            .write_temporary(path, contents.as_ref())
+            .map_err(|error| {
+                // Only the kind: the error itself would name a temporary file that the caller does not know.
+                DiskError::at(path)(match error.kind() {
+                    io::ErrorKind::NotFound => {
+                        io::Error::new(io::ErrorKind::NotFound, "there is no such folder")
+                    }
+                    kind => kind.into(),
+                })
+            })?;
         self.staged.insert(path.to_owned(), temp_path);
         Ok(())
     }
@@ -92,7 +102,8 @@ impl StagedFiles {
         // parallel, because each call waits for the disk.
         self.staged.par_iter().try_for_each(|(path, temp_path)| {
             let file = fs::File::options().write(true).open(temp_path);
-            file.and_then(|file| file.sync_all()).map_err(DiskError::at(path))
+            file.and_then(|file| file.sync_all())
+                .map_err(DiskError::at(path))
         })?;
         for (path, temp_path) in self.staged {
             fs::rename(&temp_path, &path).map_err(DiskError::at(&path))?;
@@ -101,7 +112,9 @@ impl StagedFiles {
         }
         // Deletes the locks, before the folders are synced.
         let folders: Vec<_> = self.locks.into_keys().collect();
-        folders.par_iter().try_for_each(|folder| sync_folder(folder))
+        folders
+            .par_iter()
+            .try_for_each(|folder| sync_folder(folder))
     }
 }
 
@@ -120,10 +133,14 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
 /// # Errors
 /// [`DiskError`] if it cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
-    let Some(file) = none_if_missing(regular_file::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
+    let Some(file) = none_if_missing(regular_file::open(path)).map_err(DiskError::at(path))? else {
+        return Ok(None);
+    };
     let mut bytes = Vec::new();
     match file.take(most.saturating_add(1)).read_to_end(&mut bytes) {
-        Ok(count) if count as u64 > most => Err(DiskError::at(path)(io::ErrorKind::FileTooLarge.into())),
+        Ok(count) if count as u64 > most => {
+            Err(DiskError::at(path)(io::ErrorKind::FileTooLarge.into()))
+        }
         Ok(_) => Ok(Some(bytes)),
         Err(source) => Err(DiskError::at(path)(source)),
     }
@@ -136,7 +153,10 @@ pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
 pub fn remove(paths: &[impl AsRef<Path>]) -> Result<(), DiskError> {
     let mut folders = BTreeSet::new();
     for path in paths.iter().map(AsRef::as_ref) {
-        if none_if_missing(fs::remove_file(path)).map_err(DiskError::at(path))?.is_some() {
+        if none_if_missing(fs::remove_file(path))
+            .map_err(DiskError::at(path))?
+            .is_some()
+        {
             folders.insert(parent_folder(path));
         }
     }
@@ -160,7 +180,10 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
                 true => "is a link that does not lead to a folder",
                 false => "exists and is not a folder",
             };
-            return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, problem)));
+            return Err(DiskError::at(path)(io::Error::new(
+                io::ErrorKind::AlreadyExists,
+                problem,
+            )));
         }
         made => made.map_err(DiskError::at(path))?,
     }
@@ -176,13 +199,17 @@ pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
 }
 
 fn parent_folder(path: &Path) -> &Path {
-    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    path.parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 /// Syncs the names in a folder to disk. Has no effect on systems that cannot open folders as files.
 pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     #[cfg(unix)]
-    fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(DiskError::at(folder))?;
+    fs::File::open(folder)
+        .and_then(|folder| folder.sync_all())
+        .map_err(DiskError::at(folder))?;
     Ok(())
 }
 

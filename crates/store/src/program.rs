@@ -37,7 +37,9 @@ pub fn identity() -> Result<&'static str, DiskError> {
     }
     let path = match LIBRARY.get() {
         Some(library) => library.clone(),
-        None => std::env::current_exe().map_err(DiskError::at(Path::new("the running executable")))?,
+        None => {
+            std::env::current_exe().map_err(DiskError::at(Path::new("the running executable")))?
+        }
     };
     let mut executable = File::open(&path).map_err(DiskError::at(&path))?;
     let mut hash = Sha256::default();

@@ -188,15 +188,28 @@ fn describe_alternative(other: Option<&ParameterKind>) -> String {
 type CheckResult = Result<(), InvalidSuite>;
 
 fn ensure(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> CheckResult {
-    if condition { Ok(()) } else { Err(invalid(field, problem)) }
+    if condition {
+        Ok(())
+    } else {
+        Err(invalid(field, problem))
+    }
 }
 
 fn invalid(field: impl Into<String>, problem: SuiteProblem) -> InvalidSuite {
-    InvalidSuite { field: field.into(), problem }
+    InvalidSuite {
+        field: field.into(),
+        problem,
+    }
 }
 
 pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
-    ensure(spec.version == SUITE_VERSION, "version", SuiteProblem::Version { found: spec.version })?;
+    ensure(
+        spec.version == SUITE_VERSION,
+        "version",
+        SuiteProblem::Version {
+            found: spec.version,
+        },
+    )?;
     check_name(&spec.name, "name")?;
     for (field, found) in [
         ("about", &spec.about),
@@ -206,9 +219,14 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
     ] {
         check_text(found, field)?;
     }
-    for (field, list) in [("outside", &spec.not_modelled), ("left_out", &spec.omitted_parameters)] {
+    for (field, list) in [
+        ("outside", &spec.not_modelled),
+        ("left_out", &spec.omitted_parameters),
+    ] {
         check_length(list.len(), 0, 100, field)?;
-        list.iter().enumerate().try_for_each(|(index, found)| check_text(found, format!("{field}[{index}]")))?;
+        list.iter()
+            .enumerate()
+            .try_for_each(|(index, found)| check_text(found, format!("{field}[{index}]")))?;
     }
     check_length(spec.clauses.len(), 1, 100, "clauses")?;
     let (mut names, mut points) = (Vec::new(), 0);
@@ -220,7 +238,11 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
         for (index, test) in clause.tests.iter().enumerate() {
             let place = format!("{place}.tests[{index}]");
             check_name(&test.name, format!("{place}.name"))?;
-            ensure(!names.contains(&&test.name), format!("{place}.name"), SuiteProblem::DuplicateName)?;
+            ensure(
+                !names.contains(&&test.name),
+                format!("{place}.name"),
+                SuiteProblem::DuplicateName,
+            )?;
             names.push(&test.name);
             points += check_test(test, &place, points)?;
         }
@@ -243,28 +265,53 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
         _ => return Err(invalid(place, SuiteProblem::LeadOrRefusal)),
     };
     check_parameters(test, lead, place)?;
-    if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
+    if let Some(ImpactLimit {
+        value, unit, note, ..
+    }) = &test.impact_at_most
+    {
         let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
         let is_speed = ParameterKind::OwnSpeed.allowed_units().contains(&found);
         ensure(is_speed, at("unit"), SuiteProblem::ImpactUnit { found })?;
         // Rounded to nine digits, so that the maximum is exactly 360 km/h.
         let max = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
-        let problem = SuiteProblem::ImpactOutOfRange { max, unit: *unit, found: *value };
+        let problem = SuiteProblem::ImpactOutOfRange {
+            max,
+            unit: *unit,
+            found: *value,
+        };
         ensure(*value > 0.0 && *value <= max, at("value"), problem)?;
-        ensure(note.is_empty() || check_text(note, "").is_ok(), at("note"), SuiteProblem::Text)?;
+        ensure(
+            note.is_empty() || check_text(note, "").is_ok(),
+            at("note"),
+            SuiteProblem::Text,
+        )?;
     }
     let found = before.saturating_add(test.point_count());
-    ensure(found <= MAX_POINTS, format!("{place}.figures"), SuiteProblem::TooMany { found })?;
+    ensure(
+        found <= MAX_POINTS,
+        format!("{place}.figures"),
+        SuiteProblem::TooMany { found },
+    )?;
     let grid = test.grid();
-    grid.iter().try_for_each(|point| check_point(test, lead, point, &format!("{place}.figures")))?;
+    grid.iter()
+        .try_for_each(|point| check_point(test, lead, point, &format!("{place}.figures")))?;
     for (index, &parameter) in test.ranges.iter().enumerate() {
         let field = format!("{place}.ranges[{index}]");
-        let has_range = test.find_parameter(parameter).is_some_and(|(_, figure)| figure.values.len() > 1);
+        let has_range = test
+            .find_parameter(parameter)
+            .is_some_and(|(_, figure)| figure.values.len() > 1);
         ensure(has_range, &field, SuiteProblem::NoValueRange { parameter })?;
-        ensure(!test.ranges[..index].contains(&parameter), field, SuiteProblem::DuplicateRange)?;
+        ensure(
+            !test.ranges[..index].contains(&parameter),
+            field,
+            SuiteProblem::DuplicateRange,
+        )?;
     }
-    for (at, (parameter, figure)) in
-        test.parameters.iter().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0)
+    for (at, (parameter, figure)) in test
+        .parameters
+        .iter()
+        .enumerate()
+        .filter(|(_, (_, figure))| figure.tolerance > 0.0)
     {
         let field = format!("{place}.figures.{}.tolerance", parameter.name());
         for point in &grid {
@@ -278,14 +325,33 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     for (index, margin) in test.margins.iter().enumerate() {
         let field = format!("{place}.margins[{index}]");
         let Some((at, stated)) = test.find_parameter(margin.parameter) else {
-            return Err(invalid(format!("{field}.push"), SuiteProblem::Misplaced { lead: lead.name() }));
+            return Err(invalid(
+                format!("{field}.push"),
+                SuiteProblem::Misplaced { lead: lead.name() },
+            ));
         };
-        check_value(margin.parameter, margin.to, stated.unit, &format!("{field}.to"))?;
+        check_value(
+            margin.parameter,
+            margin.to,
+            stated.unit,
+            &format!("{field}.to"),
+        )?;
         let is_within = stated.values.iter().any(|&value| value >= margin.to)
             && stated.values.iter().any(|&value| value <= margin.to);
-        ensure(!is_within, format!("{field}.to"), SuiteProblem::NotBeyondGrid { parameter: margin.parameter })?;
+        ensure(
+            !is_within,
+            format!("{field}.to"),
+            SuiteProblem::NotBeyondGrid {
+                parameter: margin.parameter,
+            },
+        )?;
         for point in &grid {
-            check_point(test, lead, &with_value(point, at, margin.to), &format!("{field}.to"))?;
+            check_point(
+                test,
+                lead,
+                &with_value(point, at, margin.to),
+                &format!("{field}.to"),
+            )?;
         }
     }
     Ok(grid.len())
@@ -295,17 +361,26 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
     let field = |parameter: ParameterKind| format!("{place}.figures.{}", parameter.name());
     for (parameter, found) in test.parameters.iter() {
         let is_needed = lead.parameters().concat().contains(&parameter);
-        ensure(is_needed, field(parameter), SuiteProblem::Misplaced { lead: lead.name() })?;
+        ensure(
+            is_needed,
+            field(parameter),
+            SuiteProblem::Misplaced { lead: lead.name() },
+        )?;
         check_parameter(parameter, found, &field(parameter))?;
     }
     for needed in lead.parameters() {
-        let mut stated = needed.iter().filter(|parameter| test.parameters.get(**parameter).is_some());
+        let mut stated = needed
+            .iter()
+            .filter(|parameter| test.parameters.get(**parameter).is_some());
         match (stated.next(), stated.next(), needed) {
             (Some(&other), Some(&twice), _) => {
                 return Err(invalid(field(twice), SuiteProblem::AlreadyStated { other }));
             }
             (None, _, [first, others @ ..]) => {
-                let missing = SuiteProblem::Missing { lead: lead.name(), alternative: others.first().copied() };
+                let missing = SuiteProblem::Missing {
+                    lead: lead.name(),
+                    alternative: others.first().copied(),
+                };
                 return Err(invalid(field(*first), missing));
             }
             _ => {}
@@ -316,54 +391,116 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
 
 fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) -> CheckResult {
     if lead.requires_slower_lead() {
-        let is_slower =
-            test.si_value(point, ParameterKind::LeadSpeed) + 0.1 <= test.si_value(point, ParameterKind::OwnSpeed);
+        let is_slower = test.si_value(point, ParameterKind::LeadSpeed) + 0.1
+            <= test.si_value(point, ParameterKind::OwnSpeed);
         ensure(is_slower, field, SuiteProblem::NotSlower)?;
     }
     let point_in_words = || test.describe_point(point);
-    test.scenario("point", "", point)
-        .map(drop)
-        .map_err(|why| invalid(field, SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
+    test.scenario("point", "", point).map(drop).map_err(|why| {
+        invalid(
+            field,
+            SuiteProblem::Scenario {
+                point: point_in_words(),
+                why: why.into(),
+            },
+        )
+    })
 }
 
 fn check_parameter(parameter: ParameterKind, figure: &TestParameter, field: &str) -> CheckResult {
     let at = |name: &str| format!("{field}.{name}");
     let found = figure.unit;
-    ensure(parameter.allowed_units().contains(&found), at("unit"), SuiteProblem::Unit { parameter, found })?;
+    ensure(
+        parameter.allowed_units().contains(&found),
+        at("unit"),
+        SuiteProblem::Unit { parameter, found },
+    )?;
     check_length(figure.values.len(), 1, 100, at("values"))?;
     for (index, &found) in figure.values.iter().enumerate() {
-        check_value(parameter, found, figure.unit, &format!("{field}.values[{index}]"))?;
+        check_value(
+            parameter,
+            found,
+            figure.unit,
+            &format!("{field}.values[{index}]"),
+        )?;
     }
     for (pair, index) in figure.values.windows(2).zip(1..) {
         if let &[before, found] = pair {
             let field = format!("{field}.values[{index}]");
-            ensure(before < found, field, SuiteProblem::NotIncreasing { before, found })?;
+            ensure(
+                before < found,
+                field,
+                SuiteProblem::NotIncreasing { before, found },
+            )?;
         }
     }
-    let TestParameter { values, tolerance, .. } = figure;
-    ensure(*tolerance >= 0.0 && tolerance.is_finite(), at("tolerance"), SuiteProblem::Tolerance { found: *tolerance })?;
-    for end in values.iter().take(1).map(|first| first - tolerance).chain(values.last().map(|last| last + tolerance)) {
+    let TestParameter {
+        values, tolerance, ..
+    } = figure;
+    ensure(
+        *tolerance >= 0.0 && tolerance.is_finite(),
+        at("tolerance"),
+        SuiteProblem::Tolerance { found: *tolerance },
+    )?;
+    for end in values
+        .iter()
+        .take(1)
+        .map(|first| first - tolerance)
+        .chain(values.last().map(|last| last + tolerance))
+    {
         check_value(parameter, end, figure.unit, &at("tolerance"))?;
     }
-    if figure.note.is_empty() { Ok(()) } else { check_text(&figure.note, at("note")) }
+    if figure.note.is_empty() {
+        Ok(())
+    } else {
+        check_text(&figure.note, at("note"))
+    }
 }
 
-fn check_value(parameter: ParameterKind, found: f64, unit: ParameterUnit, field: &str) -> CheckResult {
+fn check_value(
+    parameter: ParameterKind,
+    found: f64,
+    unit: ParameterUnit,
+    field: &str,
+) -> CheckResult {
     // Rounded to nine digits, so that 0.5 m/s is exactly 1.8 km/h.
-    let range = parameter.range().map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
-    ensure((range[0]..=range[1]).contains(&found), field, SuiteProblem::OutOfRange { range, unit, found })
+    let range = parameter
+        .range()
+        .map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
+    ensure(
+        (range[0]..=range[1]).contains(&found),
+        field,
+        SuiteProblem::OutOfRange { range, unit, found },
+    )
 }
 
 fn check_name(found: &str, field: impl Into<String>) -> CheckResult {
-    let is_plain = |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
-    ensure((1..=60).contains(&found.len()) && found.bytes().all(is_plain), field, SuiteProblem::Name)
+    let is_plain =
+        |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
+    ensure(
+        (1..=60).contains(&found.len()) && found.bytes().all(is_plain),
+        field,
+        SuiteProblem::Name,
+    )
 }
 
 fn check_text(found: &str, field: impl Into<String>) -> CheckResult {
     let is_short = (1..=2000).contains(&found.chars().count());
-    ensure(is_short && !found.chars().any(char::is_control), field, SuiteProblem::Text)
+    ensure(
+        is_short && !found.chars().any(char::is_control),
+        field,
+        SuiteProblem::Text,
+    )
 }
 
 fn check_length(found: usize, least: usize, most: usize, field: impl Into<String>) -> CheckResult {
-    ensure((least..=most).contains(&found), field, SuiteProblem::Length { min: least, max: most, found })
+    ensure(
+        (least..=most).contains(&found),
+        field,
+        SuiteProblem::Length {
+            min: least,
+            max: most,
+            found,
+        },
+    )
 }

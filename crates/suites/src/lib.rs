@@ -20,9 +20,13 @@ use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
 pub use margin::{Margin, MarginEnd, SweepFailure};
-pub use parameter::{ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParameter, TestParameters};
+pub use parameter::{
+    ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParameter, TestParameters,
+};
 pub use prevention::{Prevention, ReferenceRun};
-pub use result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
+pub use result::{
+    ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict,
+};
 pub use run::{SuiteRunError, run};
 pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};
 pub use worst_in_tolerance::WorstInTolerance;
@@ -63,14 +67,21 @@ impl TestSuite {
         let spec = file::parse_toml(text, path)?;
         Self::new(spec).map_err(|InvalidSuite { field, problem }| {
             let line = file::line_in_toml(text, &field);
-            SuiteError::Invalid { path: path.to_owned(), line, field, problem: problem.into() }
+            SuiteError::Invalid {
+                path: path.to_owned(),
+                line,
+                field,
+                problem: problem.into(),
+            }
         })
     }
 
     /// Returns the shipped suite of this name; `None` for an unknown name.
     #[must_use]
     pub fn shipped(name: &str) -> Option<Result<Self, SuiteError>> {
-        let (name, text) = SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name)?;
+        let (name, text) = SHIPPED_SUITES
+            .iter()
+            .find(|(shipped, _)| *shipped == name)?;
         Some(Self::from_toml(text, Path::new(name)))
     }
 
@@ -84,8 +95,14 @@ impl TestSuite {
 /// Names and texts of all shipped suites.
 pub const SHIPPED_SUITES: [(&str, &str); 6] = [
     ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
-    ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
-    ("euro-ncap-2026", include_str!("shipped/euro-ncap-2026.toml")),
+    (
+        "euro-ncap-2023",
+        include_str!("shipped/euro-ncap-2023.toml"),
+    ),
+    (
+        "euro-ncap-2026",
+        include_str!("shipped/euro-ncap-2026.toml"),
+    ),
     ("un-r152", include_str!("shipped/un-r152.toml")),
     ("un-r157", include_str!("shipped/un-r157.toml")),
     ("afgbv-cut-in", include_str!("shipped/afgbv-cut-in.toml")),

@@ -92,15 +92,22 @@ impl Sweep<'_> {
 }
 
 /// Finds the margins of a test: one per direction and combination of the other parameters.
-pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &ControllerSetup<'_>) -> Vec<Margin> {
+pub(super) fn find_margins(
+    test: &TestSpec,
+    criterion: Criterion,
+    driven: &ControllerSetup<'_>,
+) -> Vec<Margin> {
     let lines = sweeps(test);
     let ends: Vec<(usize, f64)> = (0..lines.len())
         .flat_map(|line| (0..=SWEEP_PARTS).map(move |part| (line, part)))
         .map(|(line, part)| (line, lines[line].value(part)))
         .collect();
     let at_ends = evaluate(&lines, &ends, criterion, driven);
-    let mut margin_ends: Vec<MarginEnd> =
-        at_ends.chunks(SWEEP_PARTS + 1).zip(&lines).map(|(found, line)| grid_end(line, found)).collect();
+    let mut margin_ends: Vec<MarginEnd> = at_ends
+        .chunks(SWEEP_PARTS + 1)
+        .zip(&lines)
+        .map(|(found, line)| grid_end(line, found))
+        .collect();
     for _ in 0..BISECTIONS {
         bisect(&mut margin_ends, &lines, criterion, driven);
     }
@@ -109,7 +116,9 @@ pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &Contr
         unit: line.unit,
         from: line.from,
         to: line.to,
-        fixed_parameters: line.test.describe_point_without(&line.base, Some(line.position)),
+        fixed_parameters: line
+            .test
+            .describe_point_without(&line.base, Some(line.position)),
         end,
     };
     lines.iter().zip(margin_ends).map(margin).collect()
@@ -118,18 +127,36 @@ pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &Contr
 fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
     let mut lines: Vec<Sweep<'_>> = Vec::new();
     for margin in &test.margins {
-        let Some((at, figure)) = test.find_parameter(margin.parameter) else { continue };
-        let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else { continue };
+        let Some((at, figure)) = test.find_parameter(margin.parameter) else {
+            continue;
+        };
+        let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else {
+            continue;
+        };
         let from = if margin.to > last { last } else { first };
-        let bases = test.grid().into_iter().filter(|point| point.get(at) == Some(&from));
+        let bases = test
+            .grid()
+            .into_iter()
+            .filter(|point| point.get(at) == Some(&from));
         let (push, unit, to) = (margin.parameter, figure.unit, margin.to);
-        lines.extend(bases.map(|base| Sweep { test, base, position: at, parameter: push, unit, from, to }));
+        lines.extend(bases.map(|base| Sweep {
+            test,
+            base,
+            position: at,
+            parameter: push,
+            unit,
+            from,
+            to,
+        }));
     }
     lines
 }
 
 fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
-    let first = found.iter().zip(0..).find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
+    let first = found
+        .iter()
+        .zip(0..)
+        .find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
     match first {
         None => MarginEnd::Holds { parts: SWEEP_PARTS },
         Some((0, beyond)) => MarginEnd::None { failure: beyond },
@@ -143,15 +170,30 @@ fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
     }
 }
 
-fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criterion, driven: &ControllerSetup<'_>) {
+fn bisect(
+    margin_ends: &mut [MarginEnd],
+    lines: &[Sweep<'_>],
+    criterion: Criterion,
+    driven: &ControllerSetup<'_>,
+) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
-        MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
+        MarginEnd::Boundary {
+            passes_at,
+            fails_at,
+            ..
+        } => Some((line, 0.5 * (passes_at + fails_at))),
         MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
     };
     let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
     let at_middles = evaluate(lines, &middles, criterion, driven);
     for ((line, middle), found) in middles.into_iter().zip(at_middles) {
-        let Some(MarginEnd::Boundary { passes_at, fails_at, failure: beyond, .. }) = margin_ends.get_mut(line) else {
+        let Some(MarginEnd::Boundary {
+            passes_at,
+            fails_at,
+            failure: beyond,
+            ..
+        }) = margin_ends.get_mut(line)
+        else {
             continue;
         };
         match found {
@@ -169,12 +211,18 @@ fn evaluate(
 ) -> Vec<SweepOutcome> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Sweep<'_> = lines.get(line)?;
-        line.test.scenario("margin", "", &with_value(&line.base, line.position, value)).ok()
+        line.test
+            .scenario("margin", "", &with_value(&line.base, line.position, value))
+            .ok()
     };
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
     let mut seen = driven.run_scenarios(criterion, &valid).into_iter();
-    let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
+    let found = |is_valid: bool| match is_valid
+        .then(|| seen.next())
+        .flatten()
+        .map(|seen| seen.verdict)
+    {
         Some(TestVerdict::Passed) => Ok(()),
         Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),
         Some(_) => Err(SweepFailure::Fails),

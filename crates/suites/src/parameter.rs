@@ -70,7 +70,10 @@ pub enum Origin {
 /// Values of one parameter. The grid of a test combines those of all its parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, expecting = "a figure: a table of values, unit and origin")]
+#[serde(
+    deny_unknown_fields,
+    expecting = "a figure: a table of values, unit and origin"
+)]
 pub struct TestParameter {
     /// Values, increasing; 1 to 100 of them.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
@@ -91,7 +94,10 @@ pub struct TestParameter {
 /// Largest impact speed that passes a test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, expecting = "an impact speed: a table of value, unit and origin")]
+#[serde(
+    deny_unknown_fields,
+    expecting = "an impact speed: a table of value, unit and origin"
+)]
 pub struct ImpactLimit {
     /// Impact speed.
     pub value: f64,
@@ -189,7 +195,9 @@ impl ParameterKind {
     pub(crate) fn allowed_units(self) -> &'static [ParameterUnit] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => &[ParameterUnit::Kmph, ParameterUnit::Mps],
-            Self::ClosingTime | Self::TimeGap | Self::Ramp | Self::GhostTime => &[ParameterUnit::Second],
+            Self::ClosingTime | Self::TimeGap | Self::Ramp | Self::GhostTime => {
+                &[ParameterUnit::Second]
+            }
             Self::Gap => &[ParameterUnit::Metre],
             Self::Deceleration => &[ParameterUnit::Mps2, ParameterUnit::Gravity],
         }
@@ -263,6 +271,8 @@ impl TestParameters {
 
     /// Iterates over the stated parameters, in the order of [`ParameterKind::ALL`].
     pub fn iter(&self) -> impl Iterator<Item = (ParameterKind, &TestParameter)> {
-        ParameterKind::ALL.into_iter().filter_map(|parameter| Some((parameter, self.get(parameter)?)))
+        ParameterKind::ALL
+            .into_iter()
+            .filter_map(|parameter| Some((parameter, self.get(parameter)?)))
     }
 }

@@ -49,19 +49,44 @@ pub(super) fn assess_preventability(
     known: &mut PreventabilityCache,
 ) -> Vec<Preventability> {
     let name = |scenario: &Scenario| scenario.spec().name.clone();
-    let new: Vec<Scenario> =
-        scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
+    let new: Vec<Scenario> = scenarios
+        .iter()
+        .filter(|scenario| !known.contains_key(&name(scenario)))
+        .map(|&one| one.clone())
+        .collect();
     let references = run_references(criterion, &new);
     for (index, scenario) in new.iter().enumerate() {
-        let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
-        known.insert(name(scenario), Preventability { references, classification: AvoidabilityAnalysis::default() });
+        let references = references
+            .iter()
+            .filter_map(|all| all.get(index).cloned())
+            .collect();
+        known.insert(
+            name(scenario),
+            Preventability {
+                references,
+                classification: AvoidabilityAnalysis::default(),
+            },
+        );
     }
     let is_open = |scenario: &&&Scenario| {
-        known.get(&name(scenario)).is_some_and(|known| known.classification.avoidability == Avoidability::NotAsked)
+        known
+            .get(&name(scenario))
+            .is_some_and(|known| known.classification.avoidability == Avoidability::NotAsked)
     };
-    let asked: Vec<_> = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS).filter(is_open).collect();
-    let answers: Vec<_> =
-        asked.par_iter().map(|scenario| (name(scenario), AvoidabilityAnalysis::classify_contact(scenario))).collect();
+    let asked: Vec<_> = scenarios
+        .iter()
+        .take(MAX_AVOIDABILITY_CHECKS)
+        .filter(is_open)
+        .collect();
+    let answers: Vec<_> = asked
+        .par_iter()
+        .map(|scenario| {
+            (
+                name(scenario),
+                AvoidabilityAnalysis::classify_contact(scenario),
+            )
+        })
+        .collect();
     for (name, answer) in answers {
         if let Some(known) = known.get_mut(&name) {
             known.classification = answer;
@@ -69,29 +94,42 @@ pub(super) fn assess_preventability(
     }
     // Drop answers that were computed for another controller: a result must not depend on which controllers run
     // together.
-    let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
-        let mut prevented = known.get(&name(scenario))?.clone();
-        if index >= MAX_AVOIDABILITY_CHECKS {
-            prevented.classification = AvoidabilityAnalysis::default();
-        }
-        Some(prevented)
-    });
+    let told = scenarios
+        .iter()
+        .enumerate()
+        .filter_map(|(index, scenario)| {
+            let mut prevented = known.get(&name(scenario))?.clone();
+            if index >= MAX_AVOIDABILITY_CHECKS {
+                prevented.classification = AvoidabilityAnalysis::default();
+            }
+            Some(prevented)
+        });
     told.collect()
 }
 
 fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
-    let drivers = ControllerSpec::all().into_iter().filter(|spec| spec.role() == Role::Reference);
+    let drivers = ControllerSpec::all()
+        .into_iter()
+        .filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {
         let driver = spec.name();
         let controller = ControllerKind::from(spec);
-        let seen = ControllerSetup { controller: &controller, estimator: EstimatorKind::Truth }
-            .run_scenarios(criterion, scenarios);
+        let seen = ControllerSetup {
+            controller: &controller,
+            estimator: EstimatorKind::Truth,
+        }
+        .run_scenarios(criterion, scenarios);
         let prevention = |seen: super::run::RunResult| match seen.verdict {
             TestVerdict::Passed => Prevention::Prevents,
             _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
             _ => Prevention::DoesNotReact,
         };
-        seen.into_iter().map(|seen| ReferenceRun { driver: driver.to_owned(), prevention: prevention(seen) }).collect()
+        seen.into_iter()
+            .map(|seen| ReferenceRun {
+                driver: driver.to_owned(),
+                prevention: prevention(seen),
+            })
+            .collect()
     });
     runs.collect()
 }

@@ -12,7 +12,8 @@ use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 
 /// Statement that goes with every result.
-pub const DISCLAIMER: &str = "Modelled on the document, for point masses in one lane. This is no certification.";
+pub const DISCLAIMER: &str =
+    "Modelled on the document, for point masses in one lane. This is no certification.";
 
 /// Result of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -159,21 +160,29 @@ impl ControllerResult {
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let mut all = None;
-        self.failed_points.iter().for_each(|failed| FailedControllerRuns::merge(&mut all, failed.verdict.unanswered()));
+        self.failed_points
+            .iter()
+            .for_each(|failed| FailedControllerRuns::merge(&mut all, failed.verdict.unanswered()));
         all
     }
 
     /// Iterates over all failures: those of the grid, and the worst within the ranges.
     pub fn failures(&self) -> impl Iterator<Item = &FailedPoint> {
-        self.failed_points
-            .iter()
-            .chain(self.worst_in_tolerance.as_ref().and_then(|within| within.failed_point.as_ref()))
+        self.failed_points.iter().chain(
+            self.worst_in_tolerance
+                .as_ref()
+                .and_then(|within| within.failed_point.as_ref()),
+        )
     }
 
     /// True if all points of the grid passed and no failure was found within the ranges.
     #[must_use]
     pub fn is_passed(&self) -> bool {
-        self.verdict.is_passed() && self.worst_in_tolerance.as_ref().is_none_or(|within| !within.verdict.is_failure())
+        self.verdict.is_passed()
+            && self
+                .worst_in_tolerance
+                .as_ref()
+                .is_none_or(|within| !within.verdict.is_failure())
     }
 }
 
@@ -187,14 +196,22 @@ impl TestVerdict {
     /// True if the test was run and did not pass.
     #[must_use]
     pub fn is_failure(&self) -> bool {
-        matches!(self, Self::Failed { .. } | Self::Braked { .. } | Self::ControllerFailed { .. })
+        matches!(
+            self,
+            Self::Failed { .. } | Self::Braked { .. } | Self::ControllerFailed { .. }
+        )
     }
 
     /// Returns the time and the reason of a controller failure; `None` if the controller answered.
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {
-        let Self::ControllerFailed { time_s, reason } = self else { return None };
-        Some(FailedControllerRuns { runs: 1, because: format!("at {time_s:.2} s, {reason}") })
+        let Self::ControllerFailed { time_s, reason } = self else {
+            return None;
+        };
+        Some(FailedControllerRuns {
+            runs: 1,
+            because: format!("at {time_s:.2} s, {reason}"),
+        })
     }
 
     /// True if the test could not be run.
@@ -207,7 +224,9 @@ impl TestVerdict {
     #[must_use]
     pub fn impact_speed_mps(&self) -> f64 {
         match self {
-            Self::Failed { impact_speed_mps, .. } => *impact_speed_mps,
+            Self::Failed {
+                impact_speed_mps, ..
+            } => *impact_speed_mps,
             _ => 0.0,
         }
     }
@@ -227,8 +246,13 @@ impl TestVerdict {
     /// Returns the worst verdict, the first of equals; `None` without verdicts.
     pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
         let worse = |worst: &'v Self, next: &'v Self| {
-            let ((class, speed), (next_class, next_speed)) = (worst.severity_key(), next.severity_key());
-            if (next_class, next_speed.total_cmp(&speed)) > (class, std::cmp::Ordering::Equal) { next } else { worst }
+            let ((class, speed), (next_class, next_speed)) =
+                (worst.severity_key(), next.severity_key());
+            if (next_class, next_speed.total_cmp(&speed)) > (class, std::cmp::Ordering::Equal) {
+                next
+            } else {
+                worst
+            }
         };
         all.reduce(worse)
     }
@@ -237,6 +261,8 @@ impl TestVerdict {
 impl SuiteResult {
     /// Iterates over all tests, each with its clause.
     pub fn tests(&self) -> impl Iterator<Item = (&ClauseResult, &TestResult)> {
-        self.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)))
+        self.clauses
+            .iter()
+            .flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)))
     }
 }

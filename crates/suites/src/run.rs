@@ -6,14 +6,16 @@ use crumple_world::control::STANDARD_GRAVITY_MPS2;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult,
-    Trace, simulate_batch,
+    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions,
+    SimulationResult, Trace, simulate_batch,
 };
 
 use super::TestSuite;
 use super::margin::find_margins;
 use super::prevention::{Preventability, assess_preventability};
-use super::result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
+use super::result::{
+    ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict,
+};
 use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
 use crumple_search::confirmation::CONFIRMING_PLANT;
@@ -43,7 +45,8 @@ pub(super) struct Criterion {
 
 impl Criterion {
     fn passes(self, impact_speed_mps: f64) -> bool {
-        self.impact_at_most_mps.is_some_and(|most| impact_speed_mps <= most)
+        self.impact_at_most_mps
+            .is_some_and(|most| impact_speed_mps <= most)
     }
 }
 
@@ -61,7 +64,11 @@ pub(super) struct RunResult {
 
 impl RunResult {
     fn refused(reason: String) -> Self {
-        Self { verdict: TestVerdict::Refused { reason }, min_gap_m: None, max_brake_mps2: 0.0 }
+        Self {
+            verdict: TestVerdict::Refused { reason },
+            min_gap_m: None,
+            max_brake_mps2: 0.0,
+        }
     }
 }
 
@@ -79,7 +86,11 @@ pub fn run(
     let (mut tested, mut known) = (Vec::new(), PreventabilityCache::new());
     for clause in &spec.clauses {
         for test in &clause.tests {
-            let grid = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.summary))?;
+            let grid = TestGrid::new(
+                &spec.name,
+                test,
+                format!("{}: {}", clause.clause, clause.summary),
+            )?;
             for controller in controllers {
                 tested.push(grid.run(controller, estimator, &mut known));
                 controller.ensure_trusted()?;
@@ -135,14 +146,25 @@ struct TestGrid<'t> {
 
 impl<'t> TestGrid<'t> {
     fn new(suite: &str, test: &'t TestSpec, about: String) -> Result<Self, InvalidField> {
-        let grid = if test.lead.is_some() { test.grid() } else { Vec::new() };
+        let grid = if test.lead.is_some() {
+            test.grid()
+        } else {
+            Vec::new()
+        };
         let name = format!("{suite}-{}", test.name);
         let named = |(point, number): (&Vec<f64>, usize)| {
             let about = format!("{about} ({}.) {DISCLAIMER}", test.describe_point(point));
             test.scenario(&format!("{name}-{number:03}"), &about, point)
         };
         let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
-        Ok(Self { name, about: format!("{about} {DISCLAIMER}"), test, criterion: test.criterion(), grid, scenarios })
+        Ok(Self {
+            name,
+            about: format!("{about} {DISCLAIMER}"),
+            test,
+            criterion: test.criterion(),
+            grid,
+            scenarios,
+        })
     }
 
     fn run(
@@ -151,12 +173,16 @@ impl<'t> TestGrid<'t> {
         estimator: EstimatorKind,
         known: &mut PreventabilityCache,
     ) -> ControllerResult {
-        let driven = ControllerSetup { controller: &controller.kind, estimator };
+        let driven = ControllerSetup {
+            controller: &controller.kind,
+            estimator,
+        };
         let seen = match (self.criterion, &self.test.refusal_reason) {
             (Some(criterion), _) => driven.run_scenarios(criterion, &self.scenarios),
             (None, reason) => vec![RunResult::refused(reason.clone().unwrap_or_default())],
         };
-        let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
+        let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict))
+            .unwrap_or(&TestVerdict::Passed);
         let gaps = seen.iter().filter_map(|seen| seen.min_gap_m);
         ControllerResult {
             controller: controller.name.clone(),
@@ -164,7 +190,10 @@ impl<'t> TestGrid<'t> {
             points: self.grid.len(),
             passed_points: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
             min_gap_m: gaps.reduce(f64::min),
-            margins: self.criterion.map(|criterion| find_margins(self.test, criterion, &driven)).unwrap_or_default(),
+            margins: self
+                .criterion
+                .map(|criterion| find_margins(self.test, criterion, &driven))
+                .unwrap_or_default(),
             worst_in_tolerance: self.worst_in_tolerance(&driven, known),
             failed_points: self.failed_points(&self.grid, &self.scenarios, &seen, (&driven, known)),
         }
@@ -175,11 +204,31 @@ impl<'t> TestGrid<'t> {
         driven: &ControllerSetup<'_>,
         known: &mut PreventabilityCache,
     ) -> Option<WorstInTolerance> {
-        let WorstPoint { point, scenario, result, points_run, failures, unanswered } =
-            find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
-        let (verdict, min_gap_m, words) = (result.verdict.clone(), result.min_gap_m, self.test.describe_point(&point));
-        let failed_point = self.failed_points(&[point], &[scenario], &[result], (driven, known)).pop();
-        Some(WorstInTolerance { point: words, verdict, min_gap_m, points_run, failures, unanswered, failed_point })
+        let WorstPoint {
+            point,
+            scenario,
+            result,
+            points_run,
+            failures,
+            unanswered,
+        } = find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
+        let (verdict, min_gap_m, words) = (
+            result.verdict.clone(),
+            result.min_gap_m,
+            self.test.describe_point(&point),
+        );
+        let failed_point = self
+            .failed_points(&[point], &[scenario], &[result], (driven, known))
+            .pop();
+        Some(WorstInTolerance {
+            point: words,
+            verdict,
+            min_gap_m,
+            points_run,
+            failures,
+            unanswered,
+            failed_point,
+        })
     }
 
     fn failed_points(
@@ -195,14 +244,23 @@ impl<'t> TestGrid<'t> {
         let collides = |seen: &RunResult| matches!(seen.verdict, TestVerdict::Failed { .. });
         let touching = failed.iter().filter(|(_, seen)| collides(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
-        let prevented =
-            self.criterion.map(|criterion| assess_preventability(criterion, &scenarios, known)).unwrap_or_default();
+        let prevented = self
+            .criterion
+            .map(|criterion| assess_preventability(criterion, &scenarios, known))
+            .unwrap_or_default();
         let mut prevented = prevented.into_iter();
         let failing = failed.iter().map(|((_, scenario), _)| *scenario);
         let mut replays = self.replay_with_multi_body(driven, failing).into_iter();
-        let nobody = || Preventability { references: Vec::new(), classification: AvoidabilityAnalysis::default() };
+        let nobody = || Preventability {
+            references: Vec::new(),
+            classification: AvoidabilityAnalysis::default(),
+        };
         let with = failed.into_iter().map(|one| {
-            let prevented = if collides(one.1) { prevented.next() } else { None };
+            let prevented = if collides(one.1) {
+                prevented.next()
+            } else {
+                None
+            };
             (one, prevented.unwrap_or_else(nobody))
         });
         let told = with.map(|(((point, scenario), seen), prevented)| FailedPoint {
@@ -227,8 +285,12 @@ impl TestGrid<'_> {
         driven: &ControllerSetup<'_>,
         scenarios: impl Iterator<Item = &'s Scenario>,
     ) -> Vec<Option<bool>> {
-        let with_plant: Result<Vec<_>, _> = scenarios.map(|scenario| scenario.with_plant(CONFIRMING_PLANT)).collect();
-        let (Ok(with_plant), Some(criterion)) = (with_plant, self.criterion) else { return Vec::new() };
+        let with_plant: Result<Vec<_>, _> = scenarios
+            .map(|scenario| scenario.with_plant(CONFIRMING_PLANT))
+            .collect();
+        let (Ok(with_plant), Some(criterion)) = (with_plant, self.criterion) else {
+            return Vec::new();
+        };
         let seen = driven.run_scenarios(criterion, &with_plant).into_iter();
         seen.map(|seen| match seen.verdict {
             TestVerdict::Refused { .. } => None,
@@ -239,23 +301,40 @@ impl TestGrid<'_> {
 }
 
 impl ControllerSetup<'_> {
-    pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<RunResult> {
+    pub(super) fn run_scenarios(
+        &self,
+        criterion: Criterion,
+        scenarios: &[Scenario],
+    ) -> Vec<RunResult> {
         if criterion.lead == LeadManeuver::Ghost && self.estimator == EstimatorKind::Truth {
-            let reason = "the estimator `truth` ignores the sensors, so that no ghost object is observed";
+            let reason =
+                "the estimator `truth` ignores the sensors, so that no ghost object is observed";
             return vec![RunResult::refused(reason.to_owned()); scenarios.len()];
         }
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
-        let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
+        let prepared: Vec<_> = scenarios
+            .iter()
+            .map(|scenario| Run::new(scenario, options.clone()))
+            .collect();
         let mut refused = Vec::new();
         let mut runs = Vec::new();
         for run in prepared {
-            refused.push(run.as_ref().err().map(|error| RunResult::refused(error.to_string())));
+            refused.push(
+                run.as_ref()
+                    .err()
+                    .map(|error| RunResult::refused(error.to_string())),
+            );
             runs.extend(run.ok());
         }
-        let mut seen =
-            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judge(criterion, &simulated)).into_iter();
+        let mut seen = simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| {
+            judge(criterion, &simulated)
+        })
+        .into_iter();
         let unseen = || RunResult::refused("was not run".to_owned());
-        refused.into_iter().map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen)).collect()
+        refused
+            .into_iter()
+            .map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen))
+            .collect()
     }
 }
 
@@ -267,19 +346,28 @@ fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
     let max_brake_mps2 = own.map_or(0.0, |own| own.max_brake_mps2);
     let verdict = match &simulated.outcome {
         Outcome::Collision(contact)
-            if end_s.is_none_or(|end_s| contact.time_s <= end_s) && !criterion.passes(contact.impact_speed_mps) =>
+            if end_s.is_none_or(|end_s| contact.time_s <= end_s)
+                && !criterion.passes(contact.impact_speed_mps) =>
         {
-            TestVerdict::Failed { time_s: contact.time_s, impact_speed_mps: contact.impact_speed_mps }
+            TestVerdict::Failed {
+                time_s: contact.time_s,
+                impact_speed_mps: contact.impact_speed_mps,
+            }
         }
-        Outcome::ControllerFailed(failed) => {
-            TestVerdict::ControllerFailed { time_s: failed.time_s, reason: failed.failure.to_string() }
-        }
+        Outcome::ControllerFailed(failed) => TestVerdict::ControllerFailed {
+            time_s: failed.time_s,
+            reason: failed.failure.to_string(),
+        },
         _ if lead == LeadManeuver::Ghost && max_brake_mps2 >= MIN_FALSE_BRAKE_MPS2 => {
             TestVerdict::Braked { max_brake_mps2 }
         }
         Outcome::NoCollision | Outcome::Collision(_) => TestVerdict::Passed,
     };
-    RunResult { verdict, min_gap_m: own.and_then(|own| own.min_gap_m), max_brake_mps2 }
+    RunResult {
+        verdict,
+        min_gap_m: own.and_then(|own| own.min_gap_m),
+        max_brake_mps2,
+    }
 }
 
 /// Returns the time at which the test ends; later collisions do not count.
@@ -292,8 +380,14 @@ fn test_end_s(lead: LeadManeuver, trace: &Trace) -> Option<f64> {
     let pairs = trace.pairs(lead.under_test_index());
     let pair = pairs.last()?;
     let over = |sample: usize| {
-        let speeds = pair.front.speed_mps.get(sample).zip(pair.rear.speed_mps.get(sample));
+        let speeds = pair
+            .front
+            .speed_mps
+            .get(sample)
+            .zip(pair.rear.speed_mps.get(sample));
         speeds.is_some_and(|(&ahead_mps, &own_mps)| is_over(ahead_mps, own_mps))
     };
-    pair.gaps_m().find(|(sample, _)| over(*sample)).and_then(|(sample, _)| pair.time_s.get(sample).copied())
+    pair.gaps_m()
+        .find(|(sample, _)| over(*sample))
+        .and_then(|(sample, _)| pair.time_s.get(sample).copied())
 }

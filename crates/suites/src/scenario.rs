@@ -1,8 +1,8 @@
 //! Conversion of a point of a test to a scenario.
 
 use crumple_world::scenario::{
-    Brake, Driver, Environment, GhostObject, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION,
-    Scenario, ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, GhostObject, InvalidField, LaneChange, LeadProfile, RampBrake,
+    SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec,
 };
 
 use super::parameter::ParameterKind;
@@ -31,18 +31,32 @@ const VEHICLE_CLASS: VehicleClass = VehicleClass::Light;
 impl TestSpec {
     /// Returns the value of a parameter at a point, in SI units; 0 if it is not stated.
     pub(super) fn si_value(&self, point: &[f64], parameter: ParameterKind) -> f64 {
-        let value = |(place, figure): (usize, &super::TestParameter)| Some(point.get(place)? * figure.unit.si_factor());
-        self.find_parameter(parameter).and_then(value).unwrap_or(0.0)
+        let value = |(place, figure): (usize, &super::TestParameter)| {
+            Some(point.get(place)? * figure.unit.si_factor())
+        };
+        self.find_parameter(parameter)
+            .and_then(value)
+            .unwrap_or(0.0)
     }
 
     /// Returns the scenario of a point.
     ///
     /// # Errors
     /// [`InvalidField`] if the point makes no scenario; never for the grid of a valid suite.
-    pub fn scenario(&self, name: &str, about: &str, point: &[f64]) -> Result<Scenario, InvalidField> {
+    pub fn scenario(
+        &self,
+        name: &str,
+        about: &str,
+        point: &[f64],
+    ) -> Result<Scenario, InvalidField> {
         let own_mps = self.si_value(point, ParameterKind::OwnSpeed);
         let (mut vehicles, meets_s) = self.vehicles_ahead(point, own_mps);
-        vehicles.push(VehicleSpec::new(VEHICLE_CLASS, 0.0, own_mps, Driver::UnderTest));
+        vehicles.push(VehicleSpec::new(
+            VEHICLE_CLASS,
+            0.0,
+            own_mps,
+            Driver::UnderTest,
+        ));
         Scenario::new(ScenarioSpec {
             version: SCENARIO_VERSION,
             name: name.to_owned(),
@@ -51,7 +65,10 @@ impl TestSpec {
             step_s: STEP_S,
             seed: 0,
             environment: Environment::default(),
-            sensors: Sensors { faults: self.sensor_faults(point, own_mps), ..Sensors::default() },
+            sensors: Sensors {
+                faults: self.sensor_faults(point, own_mps),
+                ..Sensors::default()
+            },
             vehicles,
         })
     }
@@ -64,7 +81,10 @@ impl TestSpec {
             gap_m: si(ParameterKind::ClosingTime) * own_mps,
             speed_mps: 0.0,
         });
-        SensorFaults { ghost, ..SensorFaults::default() }
+        SensorFaults {
+            ghost,
+            ..SensorFaults::default()
+        }
     }
 
     fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
@@ -78,13 +98,19 @@ impl TestSpec {
     /// braking or at which a braking leader stands.
     fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
         let si = |parameter| self.si_value(point, parameter);
-        let steady = |gap_m: f64, speed_mps: f64| scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed);
+        let steady = |gap_m: f64, speed_mps: f64| {
+            scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed)
+        };
         let closing_s = si(ParameterKind::ClosingTime);
         match self.lead {
             Some(LeadManeuver::Decelerating) => {
-                let (rate_mps2, ramp_s) = (si(ParameterKind::Deceleration), si(ParameterKind::Ramp));
-                let mut lead =
-                    scripted_vehicle(self.gap_m(point, own_mps), own_mps, braking_profile(rate_mps2, ramp_s));
+                let (rate_mps2, ramp_s) =
+                    (si(ParameterKind::Deceleration), si(ParameterKind::Ramp));
+                let mut lead = scripted_vehicle(
+                    self.gap_m(point, own_mps),
+                    own_mps,
+                    braking_profile(rate_mps2, ramp_s),
+                );
                 if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
                     lead.max_brake_mps2 = Some(rate_mps2);
                 }
@@ -94,31 +120,58 @@ impl TestSpec {
                 let lead_mps = si(ParameterKind::LeadSpeed);
                 let mut lead = steady(closing_s * (own_mps - lead_mps), lead_mps);
                 lead.enters = Some(LaneChange::At(ONSET_S));
-                (vec![steady(lead.position_m + DUMMY_LEAD_GAP_M, own_mps), lead], closing_s)
+                (
+                    vec![steady(lead.position_m + DUMMY_LEAD_GAP_M, own_mps), lead],
+                    closing_s,
+                )
             }
             Some(LeadManeuver::CutOut) => {
                 let mut lead = steady(self.gap_m(point, own_mps), own_mps);
                 lead.leaves = Some(LaneChange::At(CUT_OUT_S));
                 let meets_s = CUT_OUT_S + closing_s;
-                (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
+                (
+                    vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead],
+                    meets_s,
+                )
             }
             Some(LeadManeuver::Slower) => {
                 let lead_mps = si(ParameterKind::LeadSpeed);
-                (vec![steady(closing_s * (own_mps - lead_mps), lead_mps)], closing_s)
+                (
+                    vec![steady(closing_s * (own_mps - lead_mps), lead_mps)],
+                    closing_s,
+                )
             }
-            Some(LeadManeuver::Ghost) => (vec![steady(DUMMY_LEAD_GAP_M, own_mps)], GHOST_ONSET_S + closing_s),
-            Some(LeadManeuver::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
+            Some(LeadManeuver::Ghost) => (
+                vec![steady(DUMMY_LEAD_GAP_M, own_mps)],
+                GHOST_ONSET_S + closing_s,
+            ),
+            Some(LeadManeuver::Stopped) | None => {
+                (vec![steady(closing_s * own_mps, 0.0)], closing_s)
+            }
         }
     }
 }
 
 fn scripted_vehicle(gap_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
-    VehicleSpec::new(VEHICLE_CLASS, gap_m + VEHICLE_CLASS.length_m(), speed_mps, Driver::Profile(profile))
+    VehicleSpec::new(
+        VEHICLE_CLASS,
+        gap_m + VEHICLE_CLASS.length_m(),
+        speed_mps,
+        Driver::Profile(profile),
+    )
 }
 
 fn braking_profile(rate_mps2: f64, ramp_s: f64) -> LeadProfile {
     match ramp_s > 0.0 {
-        true => LeadProfile::RampBrake(RampBrake { onset_s: ONSET_S, rate_mps2, ramp_s, release_s: 0.0 }),
-        false => LeadProfile::Brake(Brake { onset_s: ONSET_S, rate_mps2 }),
+        true => LeadProfile::RampBrake(RampBrake {
+            onset_s: ONSET_S,
+            rate_mps2,
+            ramp_s,
+            release_s: 0.0,
+        }),
+        false => LeadProfile::Brake(Brake {
+            onset_s: ONSET_S,
+            rate_mps2,
+        }),
     }
 }

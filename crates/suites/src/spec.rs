@@ -9,7 +9,10 @@ use super::run::Criterion;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a suite: a table of fields")]
-#[cfg_attr(feature = "schema", schemars(rename = "Suite", title = "crumple suite, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "Suite", title = "crumple suite, version 1")
+)]
 pub struct SuiteSpec {
     /// Version of the file format: 1.
     pub version: u32,
@@ -114,7 +117,10 @@ pub enum LeadManeuver {
 /// Direction in which a test is made harder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
+#[serde(
+    deny_unknown_fields,
+    expecting = "a direction: a table of `push` and `to`"
+)]
 pub struct MarginSweep {
     /// Parameter that is varied. The first value is the value of the grid nearest to `to`.
     #[serde(rename = "push")]
@@ -127,7 +133,9 @@ impl LeadManeuver {
     /// Returns the parameters that the manoeuvre needs. An entry with two parameters means that either is enough.
     #[must_use]
     pub(crate) fn parameters(self) -> &'static [&'static [ParameterKind]] {
-        use ParameterKind::{ClosingTime, Deceleration, Gap, GhostTime, LeadSpeed, OwnSpeed, Ramp, TimeGap};
+        use ParameterKind::{
+            ClosingTime, Deceleration, Gap, GhostTime, LeadSpeed, OwnSpeed, Ramp, TimeGap,
+        };
         match self {
             Self::Stopped => &[&[OwnSpeed], &[ClosingTime]],
             Self::Slower | Self::CutIn => &[&[OwnSpeed], &[LeadSpeed], &[ClosingTime]],
@@ -167,33 +175,52 @@ impl TestSpec {
     #[must_use]
     pub(crate) fn is_as_stated(&self) -> bool {
         let figures = self.parameters.iter().map(|(_, figure)| figure.origin);
-        figures.chain(self.impact_at_most.iter().map(|limit| limit.origin)).all(|origin| origin != Origin::Chosen)
+        figures
+            .chain(self.impact_at_most.iter().map(|limit| limit.origin))
+            .all(|origin| origin != Origin::Chosen)
     }
 
     pub(super) fn criterion(&self) -> Option<Criterion> {
-        let impact_at_most_mps = self.impact_at_most.as_ref().map(|limit| limit.value * limit.unit.si_factor());
-        Some(Criterion { lead: self.lead?, impact_at_most_mps })
+        let impact_at_most_mps = self
+            .impact_at_most
+            .as_ref()
+            .map(|limit| limit.value * limit.unit.si_factor());
+        Some(Criterion {
+            lead: self.lead?,
+            impact_at_most_mps,
+        })
     }
 
     /// Returns all combinations of the values, in the units of the parameters; the last parameter varies fastest.
     #[must_use]
     pub fn grid(&self) -> Vec<Vec<f64>> {
-        self.parameters.iter().fold(vec![Vec::new()], |points, (_, figure)| {
-            let extended = |point: &Vec<f64>| {
-                let each = |&value: &f64| point.iter().copied().chain([value]).collect();
-                figure.values.iter().map(each).collect::<Vec<_>>()
-            };
-            points.iter().flat_map(extended).collect()
-        })
+        self.parameters
+            .iter()
+            .fold(vec![Vec::new()], |points, (_, figure)| {
+                let extended = |point: &Vec<f64>| {
+                    let each = |&value: &f64| point.iter().copied().chain([value]).collect();
+                    figure.values.iter().map(each).collect::<Vec<_>>()
+                };
+                points.iter().flat_map(extended).collect()
+            })
     }
 
     pub(super) fn point_count(&self) -> usize {
-        self.parameters.iter().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
+        self.parameters
+            .iter()
+            .fold(1, |points: usize, (_, figure)| {
+                points.saturating_mul(figure.values.len())
+            })
     }
 
-    pub(super) fn find_parameter(&self, parameter: ParameterKind) -> Option<(usize, &TestParameter)> {
+    pub(super) fn find_parameter(
+        &self,
+        parameter: ParameterKind,
+    ) -> Option<(usize, &TestParameter)> {
         let mut stated = self.parameters.iter().enumerate();
-        stated.find(|(_, (found, _))| *found == parameter).map(|(place, (_, figure))| (place, figure))
+        stated
+            .find(|(_, (found, _))| *found == parameter)
+            .map(|(place, (_, figure))| (place, figure))
     }
 
     /// Describes a point, as in `own speed 50 km/h, gap 12 m`.
@@ -203,13 +230,23 @@ impl TestSpec {
     }
 
     pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
-        let each = self.parameters.iter().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
-        let words =
-            each.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.label(), figure.unit));
+        let each = self
+            .parameters
+            .iter()
+            .zip(point)
+            .enumerate()
+            .filter(|(place, _)| Some(*place) != without);
+        let words = each.map(|(_, ((parameter, figure), value))| {
+            format!("{} {value} {}", parameter.label(), figure.unit)
+        });
         words.collect::<Vec<_>>().join(", ")
     }
 }
 
 pub(super) fn with_value(point: &[f64], place: usize, value: f64) -> Vec<f64> {
-    point.iter().enumerate().map(|(at, &old)| if at == place { value } else { old }).collect()
+    point
+        .iter()
+        .enumerate()
+        .map(|(at, &old)| if at == place { value } else { old })
+        .collect()
 }

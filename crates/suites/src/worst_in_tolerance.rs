@@ -59,7 +59,9 @@ struct SearchRange<'t> {
 
 impl SearchRange<'_> {
     fn ends(&self, point: &[f64]) -> Option<[f64; 2]> {
-        let TestParameter { values, tolerance, .. } = self.figure;
+        let TestParameter {
+            values, tolerance, ..
+        } = self.figure;
         let [first, last] = match self.spans_grid {
             true => [*values.first()?, *values.last()?],
             false => [*point.get(self.position)?; 2],
@@ -75,7 +77,10 @@ fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
         figure,
         spans_grid: test.ranges.contains(&parameter),
     };
-    stated.map(range).filter(|range| range.spans_grid || range.figure.tolerance > 0.0).collect()
+    stated
+        .map(range)
+        .filter(|range| range.spans_grid || range.figure.tolerance > 0.0)
+        .collect()
 }
 
 /// Finds the worst point within the ranges and tolerances of a test; `None` without them. The samples depend on the
@@ -111,7 +116,11 @@ pub(super) fn find_worst(
     });
     search.evaluate(drawn.collect());
     for round in 1..=REFINEMENTS {
-        let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else {
+        let Some((home, centre)) = search
+            .worst
+            .as_ref()
+            .map(|(home, worst)| (*home, worst.point.clone()))
+        else {
             break;
         };
         let width = 0.25 * 0.5_f64.powi(round);
@@ -124,8 +133,19 @@ pub(super) fn find_worst(
         });
         search.evaluate(near.collect());
     }
-    let WorstPointSearch { points_run: tried, failures, unanswered, worst, .. } = search;
-    worst.map(|(_, worst)| WorstPoint { points_run: tried, failures, unanswered, ..worst })
+    let WorstPointSearch {
+        points_run: tried,
+        failures,
+        unanswered,
+        worst,
+        ..
+    } = search;
+    worst.map(|(_, worst)| WorstPoint {
+        points_run: tried,
+        failures,
+        unanswered,
+        ..worst
+    })
 }
 
 /// A point of the grid, and a point near it.
@@ -146,18 +166,41 @@ struct WorstPointSearch<'t> {
 impl<'t> WorstPointSearch<'t> {
     fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
         let made = points.into_iter().filter_map(|(home, point)| {
-            let name = format!("{}-within-{}", self.name, sha256(self.test.describe_point(&point)).get(..8)?);
+            let name = format!(
+                "{}-within-{}",
+                self.name,
+                sha256(self.test.describe_point(&point)).get(..8)?
+            );
             let about = format!("{} ({}.)", self.about, self.test.describe_point(&point));
-            Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
+            Some((
+                self.test.scenario(&name, &about, &point).ok()?,
+                (home, point),
+            ))
         });
         let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = made.unzip();
         let seen = self.driven.run_scenarios(self.criterion, &scenarios);
-        self.points_run += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
+        self.points_run += seen
+            .iter()
+            .filter(|seen| !seen.verdict.is_refusal())
+            .count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
-        seen.iter().for_each(|seen| FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered()));
+        seen.iter().for_each(|seen| {
+            FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered())
+        });
         for (((home, point), scenario), result) in points.into_iter().zip(scenarios).zip(seen) {
-            if self.worst.as_ref().is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result)) {
-                let worst = WorstPoint { point, scenario, result, points_run: 0, failures: 0, unanswered: None };
+            if self
+                .worst
+                .as_ref()
+                .is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result))
+            {
+                let worst = WorstPoint {
+                    point,
+                    scenario,
+                    result,
+                    points_run: 0,
+                    failures: 0,
+                    unanswered: None,
+                };
                 self.worst = Some((home, worst));
             }
         }
@@ -173,7 +216,8 @@ fn perturb(
 ) -> Vec<f64> {
     let mut point = from.to_vec();
     for range in ranges {
-        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.position)) {
+        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.position))
+        {
             *value = round_to_thousandth(draw([low, high], *value)).clamp(low, high);
         }
     }
@@ -191,6 +235,8 @@ fn severity_key(seen: &RunResult) -> (u8, f64) {
         TestVerdict::Passed => (1, -seen.min_gap_m.unwrap_or(f64::INFINITY)),
         TestVerdict::ControllerFailed { .. } => (2, 0.0),
         TestVerdict::Braked { max_brake_mps2 } => (3, *max_brake_mps2),
-        TestVerdict::Failed { impact_speed_mps, .. } => (4, *impact_speed_mps),
+        TestVerdict::Failed {
+            impact_speed_mps, ..
+        } => (4, *impact_speed_mps),
     }
 }

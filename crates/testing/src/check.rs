@@ -52,14 +52,21 @@ pub struct ControllerCheck {
 /// assert!(brake.run().unwrap_err().to_string().contains("no unnecessary braking"));
 /// ```
 pub fn check(controller: impl Into<ControllerKind>) -> ControllerCheck {
-    let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
+    let folder = env::var_os("CARGO_MANIFEST_DIR")
+        .map(PathBuf::from)
+        .unwrap_or_default();
     ControllerCheck {
-        controller: ControllerUnderTest { kind: controller.into(), estimator: EstimatorKind::default() },
+        controller: ControllerUnderTest {
+            kind: controller.into(),
+            estimator: EstimatorKind::default(),
+        },
         scenarios: Ok(Scenarios::any()),
         properties: Vec::new(),
         cases: DEFAULT_CASES,
         seed: 0,
-        corpus: folder.join("crumple-corpus").join(test_name().replace("::", "-")),
+        corpus: folder
+            .join("crumple-corpus")
+            .join(test_name().replace("::", "-")),
     }
 }
 
@@ -122,12 +129,17 @@ impl ControllerCheck {
     /// For a [`CheckError`], after shrinking; the scenario is in the corpus.
     #[expect(clippy::panic, reason = "fuzzers report panics")]
     pub fn assert_input(&self, bytes: &[u8]) {
-        let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
+        let scenarios = self
+            .scenarios
+            .as_ref()
+            .unwrap_or_else(|error| panic!("{error}"));
         // libFuzzer's hook ends the program at the first panic of a controller, before shrinking.
         let hook = panic::take_hook();
         panic::set_hook(Box::new(|_| ()));
         let failure = self.properties().into_iter().find_map(|property| {
-            let PropertyVerdict::Violated(finding) = self.evaluate(&property, &scenarios.read(bytes)) else {
+            let PropertyVerdict::Violated(finding) =
+                self.evaluate(&property, &scenarios.read(bytes))
+            else {
                 return None;
             };
             let count = "an input of a fuzzer violates it".to_owned();
@@ -142,7 +154,11 @@ impl ControllerCheck {
     }
 
     fn properties(&self) -> Vec<Property> {
-        if self.properties.is_empty() { vec![Property::no_avoidable_collision()] } else { self.properties.clone() }
+        if self.properties.is_empty() {
+            vec![Property::no_avoidable_collision()]
+        } else {
+            self.properties.clone()
+        }
     }
 
     /// Evaluates the scenarios of the corpus and then random ones.
@@ -156,10 +172,17 @@ impl ControllerCheck {
         let scenarios = std::mem::replace(&mut self.scenarios, Ok(Scenarios::any()))?;
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
         let known = replayed.as_deref().unwrap_or(&self.corpus);
-        let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
+        let known = if known.exists() || replayed.is_some() {
+            load_all(known)?
+        } else {
+            Vec::new()
+        };
         self.cases = if replayed.is_some() { 0 } else { self.cases };
         self.check_known(&properties, &known)?;
-        let mut summary = CheckSummary { evaluated: 0, not_applicable: 0 };
+        let mut summary = CheckSummary {
+            evaluated: 0,
+            not_applicable: 0,
+        };
         for property in &properties {
             summary.not_applicable += self.check_random(property, &scenarios)?;
             summary.evaluated += self.cases as usize;
@@ -168,32 +191,56 @@ impl ControllerCheck {
     }
 
     /// Evaluates the scenarios of the corpus. Without random scenarios, one of them must test each property.
-    fn check_known(&self, properties: &[Property], known: &[(PathBuf, Scenario)]) -> Result<(), CheckError> {
+    fn check_known(
+        &self,
+        properties: &[Property],
+        known: &[(PathBuf, Scenario)],
+    ) -> Result<(), CheckError> {
         let mut reasons = vec![Some("there are no scenarios".to_owned()); properties.len()];
         for (file, scenario) in known {
             for (property, reason) in properties.iter().zip(&mut reasons) {
                 match self.evaluate(property, scenario) {
                     PropertyVerdict::Holds => *reason = None,
-                    PropertyVerdict::NotApplicable(why) => *reason = reason.is_some().then_some(why),
+                    PropertyVerdict::NotApplicable(why) => {
+                        *reason = reason.is_some().then_some(why)
+                    }
                     PropertyVerdict::Violated(finding) => {
-                        let shrunk = ShrunkScenario { scenario: scenario.clone(), changes: Vec::new() };
+                        let shrunk = ShrunkScenario {
+                            scenario: scenario.clone(),
+                            changes: Vec::new(),
+                        };
                         let count = "a scenario of the corpus".to_owned();
-                        return Err(Box::new(self.failure(property, finding, shrunk, file.clone(), count)).into());
+                        return Err(Box::new(self.failure(
+                            property,
+                            finding,
+                            shrunk,
+                            file.clone(),
+                            count,
+                        ))
+                        .into());
                     }
                 }
             }
         }
-        let untested = properties.iter().zip(reasons).find_map(|(property, reason)| Some((property, reason?)));
+        let untested = properties
+            .iter()
+            .zip(reasons)
+            .find_map(|(property, reason)| Some((property, reason?)));
         match untested {
-            Some((property, reason)) if self.cases == 0 => {
-                Err(CheckError::NotTested { property: property.name().to_owned(), reason })
-            }
+            Some((property, reason)) if self.cases == 0 => Err(CheckError::NotTested {
+                property: property.name().to_owned(),
+                reason,
+            }),
             _ => Ok(()),
         }
     }
 
     /// Evaluates random scenarios and returns the number of those that do not test the property.
-    fn check_random(&self, property: &Property, scenarios: &Scenarios) -> Result<usize, CheckError> {
+    fn check_random(
+        &self,
+        property: &Property,
+        scenarios: &Scenarios,
+    ) -> Result<usize, CheckError> {
         let (mut not_applicable, mut last_reason) = (0, String::new());
         for from in (0..self.cases).step_by(BATCH_CASES as usize) {
             let to = self.cases.min(from.saturating_add(BATCH_CASES));
@@ -219,11 +266,16 @@ impl ControllerCheck {
             }
             if let Some((finding, bytes)) = first {
                 let count = format!("{failing} of {to} cases violate it (seed {})", self.seed);
-                return Err(self.shrink_and_write(property, finding, scenarios, &bytes, count)?.into());
+                return Err(self
+                    .shrink_and_write(property, finding, scenarios, &bytes, count)?
+                    .into());
             }
         }
         if not_applicable > 0 && not_applicable == self.cases as usize {
-            return Err(CheckError::NotTested { property: property.name().to_owned(), reason: last_reason });
+            return Err(CheckError::NotTested {
+                property: property.name().to_owned(),
+                reason: last_reason,
+            });
         }
         Ok(not_applicable)
     }
@@ -243,26 +295,51 @@ impl ControllerCheck {
         let mut simulated = 0;
         let mut shrunk = shrink(scenarios, bytes, &mut |scenario| {
             simulated += 1;
-            matches!(self.evaluate(property, scenario), PropertyVerdict::Violated(_))
+            matches!(
+                self.evaluate(property, scenario),
+                PropertyVerdict::Violated(_)
+            )
         });
         shrunk.scenario = self.controller.adapt(&shrunk.scenario);
         let PropertyVerdict::Violated(finding) = self.evaluate(property, &shrunk.scenario) else {
-            let finding = format!("{first_finding}; this does not recur: the controller is not deterministic");
-            return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), count)));
+            let finding = format!(
+                "{first_finding}; this does not recur: the controller is not deterministic"
+            );
+            return Ok(Box::new(self.failure(
+                property,
+                finding,
+                shrunk,
+                PathBuf::new(),
+                count,
+            )));
         };
         let text = to_toml(&shrunk.scenario).unwrap_or_default();
-        let slug = property.name().replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
-        let name = format!("{}-{}", slug.get(..40).unwrap_or(&slug), sha256(&text).get(..8).unwrap_or_default());
+        let slug = property
+            .name()
+            .replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+        let name = format!(
+            "{}-{}",
+            slug.get(..40).unwrap_or(&slug),
+            sha256(&text).get(..8).unwrap_or_default()
+        );
         let file = self.corpus.join(name).with_extension("toml");
         let count = format!("{count}; shrunk by {simulated} evaluations");
         let write = || {
             fs::create_dir_all(&self.corpus)?;
             let curves = self.controller.curves(&shrunk.scenario);
-            fs::write(file.with_extension("svg"), drawing::to_svg(&curves, shrunk.scenario.spec().duration_s))?;
+            fs::write(
+                file.with_extension("svg"),
+                drawing::to_svg(&curves, shrunk.scenario.spec().duration_s),
+            )?;
             fs::write(&file, text)
         };
-        write().map_err(|source| CheckError::Write { path: self.corpus.clone(), source })?;
-        Ok(Box::new(self.failure(property, finding, shrunk, file, count)))
+        write().map_err(|source| CheckError::Write {
+            path: self.corpus.clone(),
+            source,
+        })?;
+        Ok(Box::new(
+            self.failure(property, finding, shrunk, file, count),
+        ))
     }
 
     fn failure(
@@ -290,8 +367,13 @@ impl ControllerCheck {
 
     fn replay_commands(&self, file: &Path) -> Vec<String> {
         let file = file.to_string_lossy();
-        let package = env::var("CARGO_PKG_NAME").map_or_else(|_| String::new(), |name| format!(" -p {name}"));
-        let test = format!("{REPLAY}={} cargo test{package} {} -- --exact", ShellWord(&file), test_name());
+        let package =
+            env::var("CARGO_PKG_NAME").map_or_else(|_| String::new(), |name| format!(" -p {name}"));
+        let test = format!(
+            "{REPLAY}={} cargo test{package} {} -- --exact",
+            ShellWord(&file),
+            test_name()
+        );
         let name = match &self.controller.kind {
             ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
             other => other.file().map(|path| path.to_string_lossy().into_owned()),
@@ -299,7 +381,10 @@ impl ControllerCheck {
         let simulate = |name: String| {
             let estimator = self.controller.estimator.name();
             let controller = ShellWord(&name);
-            format!("crumple simulate {} --controller {controller} --estimator {estimator}", ShellWord(&file))
+            format!(
+                "crumple simulate {} --controller {controller} --estimator {estimator}",
+                ShellWord(&file)
+            )
         };
         std::iter::once(test).chain(name.map(simulate)).collect()
     }
@@ -307,9 +392,14 @@ impl ControllerCheck {
 
 /// Returns the number in an environment variable; `None` without the variable.
 fn number_in<T: std::str::FromStr>(variable: &'static str) -> Result<Option<T>, CheckError> {
-    let Some(value) = env::var_os(variable) else { return Ok(None) };
+    let Some(value) = env::var_os(variable) else {
+        return Ok(None);
+    };
     let value = value.to_string_lossy().into_owned();
-    value.parse().map(Some).map_err(|_| CheckError::Variable { variable, value })
+    value
+        .parse()
+        .map(Some)
+        .map_err(|_| CheckError::Variable { variable, value })
 }
 
 /// Returns the path of the running test: test programs name its thread after it.

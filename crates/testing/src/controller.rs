@@ -6,7 +6,9 @@ use crumple_world::control::ControllerKind;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
+use crumple_world::sim::{
+    AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
+};
 
 use super::drawing;
 use super::generator::with_compatible_step;
@@ -25,7 +27,11 @@ impl ControllerUnderTest {
     ///
     /// # Errors
     /// [`SpecificationError`] if the controller cannot drive in this scenario, or a formula does not fit it.
-    pub fn evaluate(&self, spec: &Specification, scenario: &Scenario) -> Result<RunVerdict, SpecificationError> {
+    pub fn evaluate(
+        &self,
+        spec: &Specification,
+        scenario: &Scenario,
+    ) -> Result<RunVerdict, SpecificationError> {
         spec.evaluate_scenario(scenario, self.options())
     }
 
@@ -34,7 +40,10 @@ impl ControllerUnderTest {
     /// # Errors
     /// [`RunError`] if the controller cannot drive in this scenario.
     pub fn simulate(&self, scenario: &Scenario) -> Result<SimulationResult, RunError> {
-        let run = Run::new(scenario, self.options().with_after_contact(AfterContact::Stop))?;
+        let run = Run::new(
+            scenario,
+            self.options().with_after_contact(AfterContact::Stop),
+        )?;
         Ok(simulate(&run, RecordingLevel::Trace))
     }
 
@@ -46,14 +55,20 @@ impl ControllerUnderTest {
 
     pub(super) fn curves(&self, scenario: &Scenario) -> Vec<drawing::Curve> {
         let run = catch_unwind(AssertUnwindSafe(|| self.simulate(scenario)));
-        let trace = run.ok().and_then(Result::ok).and_then(|result| result.trace);
+        let trace = run
+            .ok()
+            .and_then(Result::ok)
+            .and_then(|result| result.trace);
         trace.map_or_else(Vec::new, |trace| drawing::curves(scenario, &trace))
     }
 
     /// Returns the scenario with a step that suits the controller's decision interval.
     #[must_use]
     pub fn adapt(&self, scenario: &Scenario) -> Scenario {
-        let adapted = self.kind.interval_s().and_then(|at_s| with_compatible_step(scenario, at_s).ok());
+        let adapted = self
+            .kind
+            .interval_s()
+            .and_then(|at_s| with_compatible_step(scenario, at_s).ok());
         adapted.unwrap_or_else(|| scenario.clone())
     }
 

@@ -19,31 +19,54 @@ pub(super) struct Curve {
 
 /// Returns gap and speed of each vehicle under test.
 pub(super) fn curves(scenario: &Scenario, trace: &Trace) -> Vec<Curve> {
-    let under_test = trace.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
+    let under_test = trace
+        .vehicles
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| scenario.is_under_test(*index));
     let of_vehicle = |(index, track): (usize, &crumple_world::sim::Track)| {
         let gaps_m: Vec<f64> = trace.gaps_m(index).into_iter().flatten().collect();
-        let gap = Curve { name: format!("gap ahead of vehicle {index}, m"), values: gaps_m };
-        [gap, Curve { name: format!("speed of vehicle {index}, m/s"), values: track.speed_mps.clone() }]
+        let gap = Curve {
+            name: format!("gap ahead of vehicle {index}, m"),
+            values: gaps_m,
+        };
+        [
+            gap,
+            Curve {
+                name: format!("speed of vehicle {index}, m/s"),
+                values: track.speed_mps.clone(),
+            },
+        ]
     };
-    under_test.flat_map(of_vehicle).filter(|curve| !curve.values.is_empty()).collect()
+    under_test
+        .flat_map(of_vehicle)
+        .filter(|curve| !curve.values.is_empty())
+        .collect()
 }
 
 impl Curve {
     fn max(&self) -> f64 {
-        self.values.iter().copied().fold(f64::MIN_POSITIVE, f64::max)
+        self.values
+            .iter()
+            .copied()
+            .fold(f64::MIN_POSITIVE, f64::max)
     }
 
     /// Returns the values of as many samples, each as a share of the largest.
     fn shares(&self, samples: usize) -> impl Iterator<Item = f64> {
         let (last, max) = (self.values.len() - 1, self.max());
-        (0..samples).map(move |sample| (self.values[sample * last / (samples - 1)] / max).clamp(0.0, 1.0))
+        (0..samples)
+            .map(move |sample| (self.values[sample * last / (samples - 1)] / max).clamp(0.0, 1.0))
     }
 }
 
 /// Draws each curve as a line of bars.
 pub(super) fn to_text(curves: &[Curve]) -> String {
     let line = |curve: &Curve| {
-        let bars: String = curve.shares(COLUMNS).map(|share| BARS[(share * 7.0).round() as usize]).collect();
+        let bars: String = curve
+            .shares(COLUMNS)
+            .map(|share| BARS[(share * 7.0).round() as usize])
+            .collect();
         format!("  {bars} {}, at most {:.1}\n", curve.name, curve.max())
     };
     curves.iter().map(line).collect()
@@ -52,7 +75,10 @@ pub(super) fn to_text(curves: &[Curve]) -> String {
 /// Draws each curve in a panel of its own.
 pub(super) fn to_svg(curves: &[Curve], duration_s: f64) -> String {
     let [width, height] = PANEL;
-    let [total_width, total_height] = [width + 2.0 * MARGIN, (height + MARGIN) * curves.len() as f64 + MARGIN];
+    let [total_width, total_height] = [
+        width + 2.0 * MARGIN,
+        (height + MARGIN) * curves.len() as f64 + MARGIN,
+    ];
     let mut svg = format!(
         "<svg xmlns='http://www.w3.org/2000/svg' width='{total_width}' height='{total_height}' \
          font-family='sans-serif' font-size='12'>\n"

@@ -89,7 +89,16 @@ pub struct PropertyFailure {
 
 impl PropertyFailure {
     fn to_text(&self) -> String {
-        let Self { property, finding, count, file, changes, replay, drawing, .. } = self;
+        let Self {
+            property,
+            finding,
+            count,
+            file,
+            changes,
+            replay,
+            drawing,
+            ..
+        } = self;
         let mut text = format!("property violated: {property}\n  {finding}\n  {count}\n");
         if file.as_os_str().is_empty() {
             return text;

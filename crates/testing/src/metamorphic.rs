@@ -34,16 +34,25 @@ impl MetamorphicRelation {
     pub fn partner(self, scenario: &Scenario) -> Option<Scenario> {
         match self {
             Self::LargerGap { by_m } => {
-                let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
+                let first =
+                    (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
                 let nearer = scenario.edited(|spec| {
-                    spec.vehicles.iter_mut().take(first).for_each(|ahead| ahead.position_m -= by_m);
+                    spec.vehicles
+                        .iter_mut()
+                        .take(first)
+                        .for_each(|ahead| ahead.position_m -= by_m);
                 });
                 (first > 0).then_some(nearer.ok()?)
             }
-            Self::MoreFriction { by } => scenario.edited(|spec| spec.environment.friction -= by).ok(),
+            Self::MoreFriction { by } => {
+                scenario.edited(|spec| spec.environment.friction -= by).ok()
+            }
             Self::EarlierReaction { by_s } => {
                 let delay = |spec: &mut ScenarioSpec| {
-                    let under_test = spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == Driver::UnderTest);
+                    let under_test = spec
+                        .vehicles
+                        .iter_mut()
+                        .filter(|vehicle| vehicle.driver == Driver::UnderTest);
                     under_test.for_each(|vehicle| vehicle.reaction_delay_s += by_s);
                 };
                 scenario.edited(delay).ok()
@@ -79,18 +88,45 @@ mod tests {
     #[test]
     fn partners_differ_only_as_the_relation_requires() {
         let scenario = built_in_scenario("paper-1").unwrap();
-        let nearer = MetamorphicRelation::LargerGap { by_m: 2.0 }.partner(&scenario).unwrap();
-        let positions = |scenario: &Scenario| scenario.vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
+        let nearer = MetamorphicRelation::LargerGap { by_m: 2.0 }
+            .partner(&scenario)
+            .unwrap();
+        let positions = |scenario: &Scenario| {
+            scenario
+                .vehicles()
+                .iter()
+                .map(|v| v.position_m)
+                .collect::<Vec<_>>()
+        };
         let (own, partner) = (positions(&scenario), positions(&nearer));
         assert_eq!(own[0] - 2.0, partner[0]);
         assert_eq!(own[1..], partner[1..]);
-        let slippery = MetamorphicRelation::MoreFriction { by: 0.25 }.partner(&scenario).unwrap();
-        assert_eq!(slippery.spec().environment.friction, scenario.spec().environment.friction - 0.25);
-        let later = MetamorphicRelation::EarlierReaction { by_s: 0.2 }.partner(&scenario).unwrap();
-        let delays: Vec<_> = later.vehicles().iter().map(|vehicle| vehicle.reaction_delay_s).collect();
+        let slippery = MetamorphicRelation::MoreFriction { by: 0.25 }
+            .partner(&scenario)
+            .unwrap();
+        assert_eq!(
+            slippery.spec().environment.friction,
+            scenario.spec().environment.friction - 0.25
+        );
+        let later = MetamorphicRelation::EarlierReaction { by_s: 0.2 }
+            .partner(&scenario)
+            .unwrap();
+        let delays: Vec<_> = later
+            .vehicles()
+            .iter()
+            .map(|vehicle| vehicle.reaction_delay_s)
+            .collect();
         assert_eq!(delays, [0.0, 0.2, 0.0]);
         // An invalid scenario is no partner.
-        assert!(MetamorphicRelation::LargerGap { by_m: 1e3 }.partner(&scenario).is_none());
-        assert!(MetamorphicRelation::MoreFriction { by: 0.999 }.partner(&scenario).is_none());
+        assert!(
+            MetamorphicRelation::LargerGap { by_m: 1e3 }
+                .partner(&scenario)
+                .is_none()
+        );
+        assert!(
+            MetamorphicRelation::MoreFriction { by: 0.999 }
+                .partner(&scenario)
+                .is_none()
+        );
     }
 }

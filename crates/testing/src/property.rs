@@ -9,7 +9,8 @@ use crumple_core::digits::format_rounded;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::control::ControllerKind;
 use crumple_world::measure::{
-    DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification, peak_jerk_mps3,
+    DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification,
+    peak_jerk_mps3,
 };
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RunError, SimulationResult};
@@ -27,7 +28,9 @@ pub enum PropertyVerdict {
     Violated(String),
 }
 
-type VerdictFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError> + Send + Sync;
+type VerdictFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+    + Send
+    + Sync;
 
 /// A property that a controller must have in every scenario.
 ///
@@ -68,25 +71,38 @@ impl Property {
     /// ```
     pub fn new(
         name: impl Into<String>,
-        evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+        evaluate: impl Fn(
+            &ControllerUnderTest,
+            &Scenario,
+        ) -> Result<PropertyVerdict, SpecificationError>
         + Send
         + Sync
         + 'static,
     ) -> Self {
-        Self { name: name.into().replace(char::is_control, " "), evaluate: Arc::new(evaluate) }
+        Self {
+            name: name.into().replace(char::is_control, " "),
+            evaluate: Arc::new(evaluate),
+        }
     }
 
     /// Creates a property that does not apply to scenarios for which the controller or the property is not made.
     fn with_preconditions(
         name: impl Into<String>,
-        evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+        evaluate: impl Fn(
+            &ControllerUnderTest,
+            &Scenario,
+        ) -> Result<PropertyVerdict, SpecificationError>
         + Send
         + Sync
         + 'static,
     ) -> Self {
-        Self::new(name, move |controller, scenario| match evaluate(controller, scenario) {
-            Err(error) if is_unmet_precondition(&error) => Ok(PropertyVerdict::NotApplicable(error.to_string())),
-            other => other,
+        Self::new(name, move |controller, scenario| {
+            match evaluate(controller, scenario) {
+                Err(error) if is_unmet_precondition(&error) => {
+                    Ok(PropertyVerdict::NotApplicable(error.to_string()))
+                }
+                other => other,
+            }
         })
     }
 
@@ -99,13 +115,19 @@ impl Property {
                 return Ok(from_run(controller, scenario, &verdict));
             }
             let avoidability = Avoidability::classify_contact(scenario);
-            Ok(match (avoidability.is_avoidable(), avoidability.describe().unwrap_or_default()) {
-                (Some(true), reason) => {
-                    PropertyVerdict::Violated(format!("{}; {reason}", describe(controller, scenario, &verdict)))
-                }
-                (Some(false), _) => PropertyVerdict::Holds,
-                (None, reason) => PropertyVerdict::NotApplicable(reason),
-            })
+            Ok(
+                match (
+                    avoidability.is_avoidable(),
+                    avoidability.describe().unwrap_or_default(),
+                ) {
+                    (Some(true), reason) => PropertyVerdict::Violated(format!(
+                        "{}; {reason}",
+                        describe(controller, scenario, &verdict)
+                    )),
+                    (Some(false), _) => PropertyVerdict::Holds,
+                    (None, reason) => PropertyVerdict::NotApplicable(reason),
+                },
+            )
         })
     }
 
@@ -114,7 +136,11 @@ impl Property {
     pub fn no_unnecessary_braking() -> Self {
         Self::with_preconditions("no unnecessary braking", |controller, scenario| {
             let rule = Specification::DrivingRule(DrivingRule::NoUnnecessaryBraking);
-            Ok(from_run(controller, scenario, &controller.evaluate(&rule, scenario)?))
+            Ok(from_run(
+                controller,
+                scenario,
+                &controller.evaluate(&rule, scenario)?,
+            ))
         })
     }
 
@@ -126,11 +152,16 @@ impl Property {
         Self::with_preconditions("no amplification", |controller, scenario| {
             let result = controller.simulate(scenario)?;
             if !result.outcome.is_safe() {
-                return Ok(PropertyVerdict::Violated("vehicles of the line collide".to_owned()));
+                return Ok(PropertyVerdict::Violated(
+                    "vehicles of the line collide".to_owned(),
+                ));
             }
             let amplification = result.trace.as_ref().and_then(|trace| {
                 let leader = trace.vehicles.first()?;
-                let onset = leader.acceleration_mps2.iter().position(|&acceleration_mps2| acceleration_mps2 != 0.0)?;
+                let onset = leader
+                    .acceleration_mps2
+                    .iter()
+                    .position(|&acceleration_mps2| acceleration_mps2 != 0.0)?;
                 SpeedAmplification::from_trace(trace, *trace.time_s.get(onset)?)
             });
             let Some(found) = amplification else {
@@ -138,7 +169,11 @@ impl Property {
                     "the line does not settle before the disturbance".to_owned(),
                 ));
             };
-            let worst = found.of_each.iter().flatten().fold(0.0, |worst: f64, &ratio| worst.max(ratio));
+            let worst = found
+                .of_each
+                .iter()
+                .flatten()
+                .fold(0.0, |worst: f64, &ratio| worst.max(ratio));
             Ok(violated_if(found.has_amplification(), || {
                 let excess = format_rounded(100.0 * (worst - 1.0), 2);
                 format!("a vehicle deviates {excess} % more from its speed than its leader")
@@ -149,18 +184,29 @@ impl Property {
     /// No larger jerk of a vehicle under test, in m/s³, as [`peak_jerk_mps3`] measures it.
     #[must_use]
     pub fn bounded_jerk(max_mps3: f64) -> Self {
-        Self::with_preconditions(format!("jerk of at most {max_mps3} m/s³"), move |controller, scenario| {
-            let result = controller.simulate(scenario)?;
-            let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
-            let under_test = trace.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
-            let of_each = under_test.filter_map(|(_, track)| peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S));
-            let peak_mps3 = of_each.fold(0.0, f64::max);
-            Ok(failure_of(&result).unwrap_or_else(|| {
-                violated_if(max_mps3.is_nan() || peak_mps3 > max_mps3, || {
-                    format!("the jerk exceeds this by {} m/s³", format_rounded(peak_mps3 - max_mps3, 2))
-                })
-            }))
-        })
+        Self::with_preconditions(
+            format!("jerk of at most {max_mps3} m/s³"),
+            move |controller, scenario| {
+                let result = controller.simulate(scenario)?;
+                let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
+                let under_test = trace
+                    .vehicles
+                    .iter()
+                    .enumerate()
+                    .filter(|(index, _)| scenario.is_under_test(*index));
+                let of_each = under_test
+                    .filter_map(|(_, track)| peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S));
+                let peak_mps3 = of_each.fold(0.0, f64::max);
+                Ok(failure_of(&result).unwrap_or_else(|| {
+                    violated_if(max_mps3.is_nan() || peak_mps3 > max_mps3, || {
+                        format!(
+                            "the jerk exceeds this by {} m/s³",
+                            format_rounded(peak_mps3 - max_mps3, 2)
+                        )
+                    })
+                }))
+            },
+        )
     }
 
     /// A specification: `no collision`, a driving rule, or a formula of signal temporal logic
@@ -172,43 +218,66 @@ impl Property {
     pub fn specification(text: &str) -> Result<Self, SpecificationError> {
         text.parse::<Specification>()?;
         let text = text.to_owned();
-        Ok(Self::with_preconditions(text.clone(), move |controller, scenario| {
-            let verdict = controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?;
-            Ok(from_run(controller, scenario, &verdict))
-        }))
+        Ok(Self::with_preconditions(
+            text.clone(),
+            move |controller, scenario| {
+                let verdict =
+                    controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?;
+                Ok(from_run(controller, scenario, &verdict))
+            },
+        ))
     }
 
     /// No collision in a scenario that this reference passes.
     #[must_use]
     pub fn not_worse_than(reference: impl Into<ControllerKind>) -> Self {
         let kind = reference.into();
-        Self::with_preconditions("no collision that the reference avoids", move |controller, scenario| {
-            let reference = ControllerUnderTest { kind: kind.clone(), ..controller.clone() };
-            differs(controller, scenario, "the reference avoids it", || {
-                reference.evaluate(&Specification::NoContact, scenario)
-            })
-        })
+        Self::with_preconditions(
+            "no collision that the reference avoids",
+            move |controller, scenario| {
+                let reference = ControllerUnderTest {
+                    kind: kind.clone(),
+                    ..controller.clone()
+                };
+                differs(controller, scenario, "the reference avoids it", || {
+                    reference.evaluate(&Specification::NoContact, scenario)
+                })
+            },
+        )
     }
 
     /// No collision that disappears in a harder scenario: with less of a gap, less friction, or a later reaction.
     #[must_use]
     pub fn metamorphic(relation: MetamorphicRelation) -> Self {
-        Self::with_preconditions(format!("{relation} makes nothing worse"), move |controller, scenario| {
-            let reason = format!("there is none {}", relation.describe_partner());
-            let Some(partner) = relation.partner(scenario) else {
-                return Ok(PropertyVerdict::NotApplicable("the partner scenario would be invalid".to_owned()));
-            };
-            differs(controller, scenario, &reason, || controller.evaluate(&Specification::NoContact, &partner))
-        })
+        Self::with_preconditions(
+            format!("{relation} makes nothing worse"),
+            move |controller, scenario| {
+                let reason = format!("there is none {}", relation.describe_partner());
+                let Some(partner) = relation.partner(scenario) else {
+                    return Ok(PropertyVerdict::NotApplicable(
+                        "the partner scenario would be invalid".to_owned(),
+                    ));
+                };
+                differs(controller, scenario, &reason, || {
+                    controller.evaluate(&Specification::NoContact, &partner)
+                })
+            },
+        )
     }
 
     /// Equal runs of a scenario, without a panic and with an answer to every observation.
     #[must_use]
     pub fn deterministic() -> Self {
         Self::with_preconditions("deterministic", |controller, scenario| {
-            let [first, second] = [controller.simulate(scenario)?, controller.simulate(scenario)?];
-            Ok(failure_of(&first)
-                .unwrap_or_else(|| violated_if(first != second, || "two runs of the scenario differ".to_owned())))
+            let [first, second] = [
+                controller.simulate(scenario)?,
+                controller.simulate(scenario)?,
+            ];
+            Ok(failure_of(&first).unwrap_or_else(|| {
+                violated_if(first != second, || {
+                    "two runs of the scenario differ".to_owned()
+                })
+            }))
         })
     }
 
@@ -220,13 +289,23 @@ impl Property {
 
     /// Evaluates a controller in a scenario, with a step that suits its decision interval.
     #[must_use]
-    pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
-        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, &controller.adapt(scenario)))) {
+    pub fn evaluate(
+        &self,
+        controller: &ControllerUnderTest,
+        scenario: &Scenario,
+    ) -> PropertyVerdict {
+        match catch_unwind(AssertUnwindSafe(|| {
+            (self.evaluate)(controller, &controller.adapt(scenario))
+        })) {
             Ok(Ok(verdict)) => verdict,
-            Ok(Err(error)) => PropertyVerdict::Violated(format!("the property ends with an error: {error}")),
+            Ok(Err(error)) => {
+                PropertyVerdict::Violated(format!("the property ends with an error: {error}"))
+            }
             Err(panic) => {
                 let message = panic_message(panic.as_ref());
-                PropertyVerdict::Violated(format!("the controller or the property panics: {message}"))
+                PropertyVerdict::Violated(format!(
+                    "the controller or the property panics: {message}"
+                ))
             }
         }
     }
@@ -243,11 +322,21 @@ fn is_unmet_precondition(error: &SpecificationError) -> bool {
 }
 
 fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> PropertyVerdict {
-    if condition { PropertyVerdict::Violated(finding()) } else { PropertyVerdict::Holds }
+    if condition {
+        PropertyVerdict::Violated(finding())
+    } else {
+        PropertyVerdict::Holds
+    }
 }
 
-fn from_run(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &RunVerdict) -> PropertyVerdict {
-    violated_if(verdict.is_violation(), || describe(controller, scenario, verdict))
+fn from_run(
+    controller: &ControllerUnderTest,
+    scenario: &Scenario,
+    verdict: &RunVerdict,
+) -> PropertyVerdict {
+    violated_if(verdict.is_violation(), || {
+        describe(controller, scenario, verdict)
+    })
 }
 
 /// Returns the verdict of a run that may collide only if the run to compare with does, too.
@@ -259,7 +348,9 @@ fn differs(
 ) -> Result<PropertyVerdict, SpecificationError> {
     let own = controller.evaluate(&Specification::NoContact, scenario)?;
     let is_worse = own.is_violation() && !other()?.is_violation();
-    Ok(violated_if(is_worse, || format!("{}; {reason}", describe(controller, scenario, &own))))
+    Ok(violated_if(is_worse, || {
+        format!("{}; {reason}", describe(controller, scenario, &own))
+    }))
 }
 
 fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &RunVerdict) -> String {
@@ -268,7 +359,9 @@ fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &Run
         (Some((time_s, vehicle)), _) => {
             // A verdict has no reason of the failure.
             let again = controller.simulate(scenario).ok();
-            let failed = again.as_ref().and_then(|result| result.outcome.failed_controller());
+            let failed = again
+                .as_ref()
+                .and_then(|result| result.outcome.failed_controller());
             failed.map_or_else(
                 || format!("the controller of vehicle {vehicle} fails at {time_s:.2} s"),
                 |f| f.to_string(),
@@ -283,10 +376,14 @@ fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &Run
 }
 
 fn failure_of(result: &SimulationResult) -> Option<PropertyVerdict> {
-    result.outcome.failed_controller().map(|failed| PropertyVerdict::Violated(failed.to_string()))
+    result
+        .outcome
+        .failed_controller()
+        .map(|failed| PropertyVerdict::Violated(failed.to_string()))
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message")
+    text.or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("no message")
 }

@@ -91,7 +91,10 @@ impl Scenarios {
     /// # Errors
     /// [`ScenariosError`] if a file cannot be read, or there is none.
     pub fn files(folder: &Path) -> Result<Self, ScenariosError> {
-        let all: Vec<_> = load_all(folder)?.into_iter().map(|(_, scenario)| scenario).collect();
+        let all: Vec<_> = load_all(folder)?
+            .into_iter()
+            .map(|(_, scenario)| scenario)
+            .collect();
         if all.is_empty() {
             Err(ScenariosError::Empty(folder.to_owned()))
         } else {
@@ -105,7 +108,9 @@ impl Scenarios {
     /// # Errors
     /// None: the scenario is valid. Passes on the error.
     pub fn line_of_five() -> Result<Self, ScenariosError> {
-        Self::near(&speed_dip(5, 1.5).map_err(|error| InvalidSpace::new("base", error.to_string()))?)
+        Self::near(
+            &speed_dip(5, 1.5).map_err(|error| InvalidSpace::new("base", error.to_string()))?,
+        )
     }
 
     /// Returns the number of bytes that determine a scenario.
@@ -128,7 +133,11 @@ impl Scenarios {
                 scenario_of_values(space, &values, seed)
             }
             Family::Files(all) => {
-                let index = bytes.iter().take(2).rev().fold(0, |index, &byte| 256 * index + usize::from(byte));
+                let index = bytes
+                    .iter()
+                    .take(2)
+                    .rev()
+                    .fold(0, |index, &byte| 256 * index + usize::from(byte));
                 all[index % all.len()].clone()
             }
         }
@@ -147,19 +156,39 @@ pub(super) fn read_point(space: &ScenarioSpace, bytes: &[u8]) -> (u64, Vec<f64>)
     let seed = choices.seed();
     let nominal = space.nominal();
     let centre = space.point(&nominal);
-    let mut point: Vec<f64> = centre.iter().map(|&at| choices.around(at, [0.0, 1.0])).collect();
+    let mut point: Vec<f64> = centre
+        .iter()
+        .map(|&at| choices.around(at, [0.0, 1.0]))
+        .collect();
     while !space.is_in_search_region(&point) && point != centre {
-        point.iter_mut().zip(&centre).for_each(|(at, centre)| *at = 0.5 * (*at + centre));
+        point
+            .iter_mut()
+            .zip(&centre)
+            .for_each(|(at, centre)| *at = 0.5 * (*at + centre));
     }
-    let values = space.values(&point).into_iter().zip(nominal).zip(point.iter().zip(&centre));
+    let values = space
+        .values(&point)
+        .into_iter()
+        .zip(nominal)
+        .zip(point.iter().zip(&centre));
     // The value at the nominal coordinate may differ from the nominal one by rounding.
-    (seed, values.map(|((value, nominal), (at, centre))| if at == centre { nominal } else { value }).collect())
+    (
+        seed,
+        values
+            .map(|((value, nominal), (at, centre))| if at == centre { nominal } else { value })
+            .collect(),
+    )
 }
 
-#[expect(clippy::expect_used, reason = "a space is valid at all points: a failure is a defect of crumple")]
+#[expect(
+    clippy::expect_used,
+    reason = "a space is valid at all points: a failure is a defect of crumple"
+)]
 pub(super) fn scenario_of_values(space: &ScenarioSpace, values: &[f64], seed: u64) -> Scenario {
     let scenario = space.scenario(values).expect("valid at all points");
-    scenario.edited(|spec| spec.seed = seed).expect("any seed is valid")
+    scenario
+        .edited(|spec| spec.seed = seed)
+        .expect("any seed is valid")
 }
 
 impl From<ScenarioSpace> for Scenarios {

@@ -1,6 +1,8 @@
 //! Shrinking of scenarios: to few changes from the nominal one, then to round numbers.
 
-use crumple_search::falsify::counterexample::{ChangedParameter, rounder_values, shrink as shrink_values};
+use crumple_search::falsify::counterexample::{
+    ChangedParameter, rounder_values, shrink as shrink_values,
+};
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 use serde_json::Value;
 
@@ -21,20 +23,32 @@ pub(super) struct ShrunkScenario {
 }
 
 /// Returns the simplest scenario found for which `holds`, from the one of the bytes.
-pub(super) fn shrink(scenarios: &Scenarios, bytes: &[u8], holds: &mut dyn FnMut(&Scenario) -> bool) -> ShrunkScenario {
+pub(super) fn shrink(
+    scenarios: &Scenarios,
+    bytes: &[u8],
+    holds: &mut dyn FnMut(&Scenario) -> bool,
+) -> ShrunkScenario {
     match scenarios.0.as_ref() {
         Family::Any => {
             let bytes = shrink_bytes(bytes, &mut |bytes| holds(&scenarios.read(bytes)));
             // The first byte is the number of vehicles.
             let nominal = numbers(&scenarios.read(bytes.get(..1).unwrap_or_default()));
             let scenario = round_numbers(scenarios.read(&bytes), &nominal, holds);
-            ShrunkScenario { changes: changed_numbers(&nominal, &scenario), scenario }
+            ShrunkScenario {
+                changes: changed_numbers(&nominal, &scenario),
+                scenario,
+            }
         }
         Family::Space(space) => {
             let (seed, values) = read_point(space, bytes);
-            let seed = if holds(&scenario_of_values(space, &values, 0)) { 0 } else { seed };
+            let seed = if holds(&scenario_of_values(space, &values, 0)) {
+                0
+            } else {
+                seed
+            };
             let values = shrink_values(space, &values, &mut |values| {
-                space.is_in_search_region(&space.point(values)) && holds(&scenario_of_values(space, values, seed))
+                space.is_in_search_region(&space.point(values))
+                    && holds(&scenario_of_values(space, values, seed))
             });
             let changed = space.parameters().iter().filter_map(|parameter| {
                 let own = values.get(parameter.coordinates())?;
@@ -44,13 +58,21 @@ pub(super) fn shrink(scenarios: &Scenarios, bytes: &[u8], holds: &mut dyn FnMut(
                     parameter: parameter.name().to_owned(),
                     value: text,
                     unit: parameter.unit().to_owned(),
-                    outside_observed: own.iter().find_map(|&one| space.extrapolated_range(parameter.name(), one)),
+                    outside_observed: own
+                        .iter()
+                        .find_map(|&one| space.extrapolated_range(parameter.name(), one)),
                 };
                 (own != parameter.nominal()).then(|| changed.to_string())
             });
-            ShrunkScenario { changes: changed.collect(), scenario: scenario_of_values(space, &values, seed) }
+            ShrunkScenario {
+                changes: changed.collect(),
+                scenario: scenario_of_values(space, &values, seed),
+            }
         }
-        Family::Files(_) => ShrunkScenario { scenario: scenarios.read(bytes), changes: Vec::new() },
+        Family::Files(_) => ShrunkScenario {
+            scenario: scenarios.read(bytes),
+            changes: Vec::new(),
+        },
     }
 }
 
@@ -77,7 +99,11 @@ fn shrink_bytes(bytes: &[u8], holds: &mut dyn FnMut(&[u8]) -> bool) -> Vec<u8> {
     current
 }
 
-fn clear_block(current: &mut Vec<u8>, block: std::ops::Range<usize>, holds: &mut dyn FnMut(&[u8]) -> bool) {
+fn clear_block(
+    current: &mut Vec<u8>,
+    block: std::ops::Range<usize>,
+    holds: &mut dyn FnMut(&[u8]) -> bool,
+) {
     if current[block.clone()].iter().all(|&byte| byte == 0) {
         return;
     }
@@ -98,12 +124,17 @@ fn round_numbers(
     nominal: &[(String, f64)],
     holds: &mut dyn FnMut(&Scenario) -> bool,
 ) -> Scenario {
-    for (path, value) in numbers(&scenario).into_iter().filter(|number| !nominal.contains(number)) {
+    for (path, value) in numbers(&scenario)
+        .into_iter()
+        .filter(|number| !nominal.contains(number))
+    {
         for rounded in rounder_values(value) {
             if (rounded - value).abs() > MAX_ROUNDING_SHARE * value.abs() {
                 continue;
             }
-            if let Some(changed) = with_number(&scenario, &path, rounded).filter(|changed| holds(changed)) {
+            if let Some(changed) =
+                with_number(&scenario, &path, rounded).filter(|changed| holds(changed))
+            {
                 scenario = changed;
                 break;
             }
@@ -113,17 +144,28 @@ fn round_numbers(
 }
 
 fn changed_numbers(nominal: &[(String, f64)], scenario: &Scenario) -> Vec<String> {
-    let changed = numbers(scenario).into_iter().filter(|number| !nominal.contains(number));
-    changed.map(|(path, value)| format!("{} {value}", path.trim_start_matches('/'))).collect()
+    let changed = numbers(scenario)
+        .into_iter()
+        .filter(|number| !nominal.contains(number));
+    changed
+        .map(|(path, value)| format!("{} {value}", path.trim_start_matches('/')))
+        .collect()
 }
 
 /// Returns the path and value of each number with decimals. The position of a vehicle counts as the gap ahead of it.
 fn numbers(scenario: &Scenario) -> Vec<(String, f64)> {
     fn collect(value: &Value, path: &str, into: &mut Vec<(String, f64)>) {
         match value {
-            Value::Number(number) if number.is_f64() => into.extend(number.as_f64().map(|it| (path.to_owned(), it))),
-            Value::Array(all) => all.iter().enumerate().for_each(|(i, one)| collect(one, &format!("{path}/{i}"), into)),
-            Value::Object(all) => all.iter().for_each(|(name, one)| collect(one, &format!("{path}/{name}"), into)),
+            Value::Number(number) if number.is_f64() => {
+                into.extend(number.as_f64().map(|it| (path.to_owned(), it)))
+            }
+            Value::Array(all) => all
+                .iter()
+                .enumerate()
+                .for_each(|(i, one)| collect(one, &format!("{path}/{i}"), into)),
+            Value::Object(all) => all
+                .iter()
+                .for_each(|(name, one)| collect(one, &format!("{path}/{name}"), into)),
             _ => {}
         }
     }

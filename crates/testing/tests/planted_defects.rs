@@ -1,5 +1,9 @@
 //! Planted defects are found, and their scenarios shrink to few changes.
-#![expect(clippy::panic, clippy::unwrap_used, reason = "a test may panic, also in its functions")]
+#![expect(
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test may panic, also in its functions"
+)]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,7 +12,8 @@ use crumple_testing::world::measure::SpecificationError;
 use crumple_testing::world::observation::{EstimatorKind, Observation};
 use crumple_testing::world::scenario::Scenario;
 use crumple_testing::{
-    CheckError, MetamorphicRelation, Property, PropertyFailure, PropertyVerdict, Scenarios, check, stateless,
+    CheckError, MetamorphicRelation, Property, PropertyFailure, PropertyVerdict, Scenarios, check,
+    stateless,
 };
 
 /// The Intelligent Driver Model, with up to 9 m/s² of braking.
@@ -27,19 +32,32 @@ fn gap_m(seen: &Observation) -> f64 {
 }
 
 fn is_closing(seen: &Observation) -> bool {
-    seen.ahead.is_some_and(|ahead| ahead.speed_mps < seen.speed_mps)
+    seen.ahead
+        .is_some_and(|ahead| ahead.speed_mps < seen.speed_mps)
 }
 
 fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyFailure> {
     let folder = tempfile::tempdir().unwrap();
-    let test = |decide: Defect| check(stateless(decide)).on(space).property(property.clone()).corpus(folder.path());
+    let test = |decide: Defect| {
+        check(stateless(decide))
+            .on(space)
+            .property(property.clone())
+            .corpus(folder.path())
+    };
     test(sound).cases(50).run().unwrap();
     let first = test(defect).cases(300).run();
-    let Err(CheckError::Violated(failure)) = first else { panic!("{}: {first:?}", property.name()) };
+    let Err(CheckError::Violated(failure)) = first else {
+        panic!("{}: {first:?}", property.name())
+    };
     assert!(failure.file.with_extension("svg").exists());
     // The next run evaluates the written scenario first.
-    let Err(CheckError::Violated(again)) = test(defect).run() else { panic!("a corpus without a failure") };
-    assert_eq!((&again.file, &again.scenario, &again.finding), (&failure.file, &failure.scenario, &failure.finding));
+    let Err(CheckError::Violated(again)) = test(defect).run() else {
+        panic!("a corpus without a failure")
+    };
+    assert_eq!(
+        (&again.file, &again.scenario, &again.finding),
+        (&failure.file, &failure.scenario, &failure.finding)
+    );
     failure
 }
 
@@ -48,13 +66,31 @@ fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyF
 fn no_scenario_and_failures_that_do_not_recur_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let test = |decide: Defect| check(stateless(decide)).on("alone").corpus(folder.path());
-    assert!(matches!(test(sound).cases(0).run(), Err(CheckError::NotTested { .. })));
+    assert!(matches!(
+        test(sound).cases(0).run(),
+        Err(CheckError::NotTested { .. })
+    ));
     let first = Arc::new(AtomicBool::new(true));
-    let once = move |seen: &Observation| if first.swap(false, Ordering::Relaxed) { f64::NAN } else { sound(seen) };
-    let failed = check(stateless(once)).on("alone").corpus(folder.path()).cases(3).run();
-    let Err(CheckError::Violated(failure)) = failed else { panic!("{failed:?}") };
+    let once = move |seen: &Observation| {
+        if first.swap(false, Ordering::Relaxed) {
+            f64::NAN
+        } else {
+            sound(seen)
+        }
+    };
+    let failed = check(stateless(once))
+        .on("alone")
+        .corpus(folder.path())
+        .cases(3)
+        .run();
+    let Err(CheckError::Violated(failure)) = failed else {
+        panic!("{failed:?}")
+    };
     let text = failure.to_string();
-    assert!(text.contains("fails at 0.00 s; this does not recur") && !text.contains("replay"), "{text}");
+    assert!(
+        text.contains("fails at 0.00 s; this does not recur") && !text.contains("replay"),
+        "{text}"
+    );
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
 }
 
@@ -63,27 +99,53 @@ fn no_scenario_and_failures_that_do_not_recur_are_reported() {
 #[test]
 fn an_error_of_a_property_fails_the_test() {
     let folder = tempfile::tempdir().unwrap();
-    let test = |property| check(stateless(sound)).on("alone").corpus(folder.path()).cases(300).property(property);
+    let test = |property| {
+        check(stateless(sound))
+            .on("alone")
+            .corpus(folder.path())
+            .cases(300)
+            .property(property)
+    };
     let is_evaluated = |scenario: &Scenario| scenario.spec().seed.is_multiple_of(100);
-    let skips = Property::new("skips most", move |_, scenario| match is_evaluated(scenario) {
-        true => Ok(PropertyVerdict::Holds),
-        false => Ok(PropertyVerdict::NotApplicable("not evaluated".to_owned())),
+    let skips = Property::new("skips most", move |_, scenario| {
+        match is_evaluated(scenario) {
+            true => Ok(PropertyVerdict::Holds),
+            false => Ok(PropertyVerdict::NotApplicable("not evaluated".to_owned())),
+        }
     });
     let summary = test(skips.clone()).run().unwrap();
     assert!((290..300).contains(&summary.not_applicable), "{summary:?}");
-    let fails = Property::new("fails in most", move |_, scenario| match is_evaluated(scenario) {
-        true => Ok(PropertyVerdict::Holds),
-        false => Err(SpecificationError::NoTrace),
+    let fails = Property::new("fails in most", move |_, scenario| {
+        match is_evaluated(scenario) {
+            true => Ok(PropertyVerdict::Holds),
+            false => Err(SpecificationError::NoTrace),
+        }
     });
-    let Err(CheckError::Violated(failure)) = test(fails).run() else { panic!("errors pass") };
-    assert_eq!(failure.finding, "the property ends with an error: the run has no trace");
-    assert!(failure.count.starts_with(&format!("{} of 300 cases", summary.not_applicable)), "{}", failure.count);
+    let Err(CheckError::Violated(failure)) = test(fails).run() else {
+        panic!("errors pass")
+    };
+    assert_eq!(
+        failure.finding,
+        "the property ends with an error: the run has no trace"
+    );
+    assert!(
+        failure
+            .count
+            .starts_with(&format!("{} of 300 cases", summary.not_applicable)),
+        "{}",
+        failure.count
+    );
     // The corpus now has a scenario.
     assert!(
         matches!(test(skips).cases(0).run(), Err(CheckError::NotTested { reason, .. }) if reason == "not evaluated")
     );
     let of_five = Property::specification("always v5.speed_mps >= 0").unwrap();
-    let with_fewer = check(stateless(sound)).cases(100).property(of_five).run().unwrap().not_applicable;
+    let with_fewer = check(stateless(sound))
+        .cases(100)
+        .property(of_five)
+        .run()
+        .unwrap()
+        .not_applicable;
     assert!((1..100).contains(&with_fewer), "{with_fewer}");
 }
 
@@ -92,32 +154,60 @@ fn an_error_of_a_property_fails_the_test() {
 fn findings_name_their_reason() {
     let folder = tempfile::tempdir().unwrap();
     let test = |decide: Defect, property| {
-        let test = check(stateless(decide)).on("alone").corpus(folder.path()).cases(5000).property(property);
+        let test = check(stateless(decide))
+            .on("alone")
+            .corpus(folder.path())
+            .cases(5000)
+            .property(property);
         test.run().unwrap_err().to_string()
     };
-    let text = test(sound, Property::new("one\nline", |_, _| panic!("a table ends here")));
-    for expected in ["violated: one line\n", "property panics: a table ends here\n", "4096 of 4096 cases", "replay: "] {
+    let text = test(
+        sound,
+        Property::new("one\nline", |_, _| panic!("a table ends here")),
+    );
+    for expected in [
+        "violated: one line\n",
+        "property panics: a table ends here\n",
+        "4096 of 4096 cases",
+        "replay: ",
+    ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
     let text = test(|_| f64::INFINITY, Property::no_avoidable_collision());
-    assert!(text.contains("vehicle 1 failed at 0.00 s: it answered with a number that is not finite"), "{text}");
+    assert!(
+        text.contains("vehicle 1 failed at 0.00 s: it answered with a number that is not finite"),
+        "{text}"
+    );
     assert!(Property::specification("always v1.speed_mps >").is_err());
 }
 
 #[test]
 fn metamorphic_relations_and_amplification_find_defects() {
     let relation = Property::metamorphic(MetamorphicRelation::LargerGap { by_m: 5.0 });
-    let blind: Defect = |seen| if gap_m(seen) > 30.0 { 0.0 } else { sound(seen).max(-4.0) };
+    let blind: Defect = |seen| {
+        if gap_m(seen) > 30.0 {
+            0.0
+        } else {
+            sound(seen).max(-4.0)
+        }
+    };
     failure_of(blind, "alone", &relation);
 
     let line = |gain: f64| {
         let folder = tempfile::tempdir().unwrap();
         let follower = move |seen: &Observation| {
             let spacing_error_m = gap_m(seen) - 2.0 - 1.5 * seen.speed_mps;
-            seen.ahead.map_or(0.0, |ahead| 0.1 * spacing_error_m + gain * (ahead.speed_mps - seen.speed_mps))
+            seen.ahead.map_or(0.0, |ahead| {
+                0.1 * spacing_error_m + gain * (ahead.speed_mps - seen.speed_mps)
+            })
         };
-        let test = check(stateless(follower)).on(Scenarios::line_of_five().unwrap()).corpus(folder.path());
-        test.property(Property::no_amplification()).estimator(EstimatorKind::Truth).cases(20).run()
+        let test = check(stateless(follower))
+            .on(Scenarios::line_of_five().unwrap())
+            .corpus(folder.path());
+        test.property(Property::no_amplification())
+            .estimator(EstimatorKind::Truth)
+            .cases(20)
+            .run()
     };
     line(1.5).unwrap();
     assert!(matches!(line(0.0), Err(CheckError::Violated(_))));
@@ -126,31 +216,76 @@ fn metamorphic_relations_and_amplification_find_defects() {
 #[test]
 fn ten_planted_defects_shrink_to_few_changes() {
     let not_worse = || Property::not_worse_than(stateless(sound));
-    let planted: [(&str, Property, Defect); 10] =
-        [
-            ("high-risk", not_worse(), |seen| if seen.speed_mps > 30.0 { 0.0 } else { sound(seen) }),
-            ("high-risk", not_worse(), |seen| if gap_m(seen) > 40.0 { 0.0 } else { sound(seen) }),
-            ("high-risk", not_worse(), |seen| sound(seen).max(if seen.speed_mps > 28.0 { -2.5 } else { -9.0 })),
-            ("high-risk", not_worse(), |seen| if is_closing(seen) { 0.5 * sound(seen) } else { sound(seen) }),
-            ("high-risk", Property::deterministic(), |seen| if gap_m(seen) > 50.0 { f64::NAN } else { sound(seen) }),
-            ("high-risk", Property::deterministic(), |seen| {
-                assert!(seen.speed_mps < 35.0, "a table ends at 35 m/s");
+    let planted: [(&str, Property, Defect); 10] = [
+        ("high-risk", not_worse(), |seen| {
+            if seen.speed_mps > 30.0 {
+                0.0
+            } else {
                 sound(seen)
-            }),
-            ("traffic", Property::no_unnecessary_braking(), |seen| {
-                if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) { -6.0 } else { sound(seen) }
-            }),
-            ("traffic", Property::bounded_jerk(25.0), |seen| if seen.speed_mps < 12.0 { -4.0 } else { sound(seen) }),
-            ("traffic", Property::specification("always v1.speed_mps < 36").unwrap(), |seen| {
+            }
+        }),
+        ("high-risk", not_worse(), |seen| {
+            if gap_m(seen) > 40.0 { 0.0 } else { sound(seen) }
+        }),
+        ("high-risk", not_worse(), |seen| {
+            sound(seen).max(if seen.speed_mps > 28.0 { -2.5 } else { -9.0 })
+        }),
+        ("high-risk", not_worse(), |seen| {
+            if is_closing(seen) {
+                0.5 * sound(seen)
+            } else {
+                sound(seen)
+            }
+        }),
+        ("high-risk", Property::deterministic(), |seen| {
+            if gap_m(seen) > 50.0 {
+                f64::NAN
+            } else {
+                sound(seen)
+            }
+        }),
+        ("high-risk", Property::deterministic(), |seen| {
+            assert!(seen.speed_mps < 35.0, "a table ends at 35 m/s");
+            sound(seen)
+        }),
+        ("traffic", Property::no_unnecessary_braking(), |seen| {
+            if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) {
+                -6.0
+            } else {
+                sound(seen)
+            }
+        }),
+        ("traffic", Property::bounded_jerk(25.0), |seen| {
+            if seen.speed_mps < 12.0 {
+                -4.0
+            } else {
+                sound(seen)
+            }
+        }),
+        (
+            "traffic",
+            Property::specification("always v1.speed_mps < 36").unwrap(),
+            |seen| {
                 if gap_m(seen) > 50.0 { 1.5 } else { sound(seen) }
-            }),
-            ("alone", not_worse(), |seen| {
-                if seen.ahead.is_some_and(|ahead| ahead.speed_mps < 1.0) { 0.0 } else { sound(seen) }
-            }),
-        ];
+            },
+        ),
+        ("alone", not_worse(), |seen| {
+            if seen.ahead.is_some_and(|ahead| ahead.speed_mps < 1.0) {
+                0.0
+            } else {
+                sound(seen)
+            }
+        }),
+    ];
     let failures = planted.map(|(space, property, defect)| failure_of(defect, space, &property));
-    let few = failures.iter().filter(|failure| failure.changes.len() <= 2).count();
+    let few = failures
+        .iter()
+        .filter(|failure| failure.changes.len() <= 2)
+        .count();
     let changes: Vec<_> = failures.iter().map(|failure| &failure.changes).collect();
-    assert!(changes.iter().all(|changes| !changes.is_empty()), "nominal scenarios pass: {changes:#?}");
+    assert!(
+        changes.iter().all(|changes| !changes.is_empty()),
+        "nominal scenarios pass: {changes:#?}"
+    );
     assert!(few >= 8, "{few} of 10: {changes:#?}");
 }

@@ -1,6 +1,9 @@
 //! Tests of controllers that are processes, with the feature `process`.
 #![cfg(all(unix, feature = "process"))]
-#![expect(clippy::unwrap_used, reason = "a test may panic, also in its functions")]
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may panic, also in its functions"
+)]
 
 use std::path::Path;
 
@@ -21,9 +24,15 @@ done
 "#;
 
 fn check_constant(folder: &Path, acceleration_mps2: &str) -> ControllerCheck {
-    let process = NamedController::find_and_try(&format!("exec:sh constant.sh {acceleration_mps2}"), folder).unwrap();
+    let process =
+        NamedController::find_and_try(&format!("exec:sh constant.sh {acceleration_mps2}"), folder)
+            .unwrap();
     let brakes = Property::specification("always v1.accel_mps2 <= 0.001").unwrap();
-    check(process.kind).on(Scenarios::files(folder).unwrap()).property(brakes).cases(2).corpus(folder.join("corpus"))
+    check(process.kind)
+        .on(Scenarios::files(folder).unwrap())
+        .property(brakes)
+        .cases(2)
+        .corpus(folder.join("corpus"))
 }
 
 #[test]
@@ -32,13 +41,28 @@ fn a_process_is_a_controller_under_test() {
     std::fs::write(folder.path().join("constant.sh"), CONSTANT).unwrap();
     let scenario = file::to_toml(&built_in_scenario("paper-1").unwrap()).unwrap();
     std::fs::write(folder.path().join("paper-1.toml"), scenario).unwrap();
-    assert_eq!(check_constant(folder.path(), "-2.0").run().unwrap().evaluated, 2);
+    assert_eq!(
+        check_constant(folder.path(), "-2.0")
+            .run()
+            .unwrap()
+            .evaluated,
+        2
+    );
     let Err(CheckError::Violated(failure)) = check_constant(folder.path(), "1.0").run() else {
         panic!("the process does not accelerate");
     };
-    assert!(failure.finding.contains("robustness -"), "{}", failure.finding);
-    let missing = NamedController::find_for_user("exec:no-such-program", folder.path()).unwrap().kind;
-    let missing = check(missing).on("high-risk").cases(1).corpus(folder.path().join("missing"));
+    assert!(
+        failure.finding.contains("robustness -"),
+        "{}",
+        failure.finding
+    );
+    let missing = NamedController::find_for_user("exec:no-such-program", folder.path())
+        .unwrap()
+        .kind;
+    let missing = check(missing)
+        .on("high-risk")
+        .cases(1)
+        .corpus(folder.path().join("missing"));
     let text = missing.run().unwrap_err().to_string();
     assert!(text.contains("cannot be started"), "{text}");
 }

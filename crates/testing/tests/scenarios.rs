@@ -24,18 +24,25 @@ fn scenarios_of_a_space_shrink_to_the_nominal_one_and_round_numbers() {
     let fast = |scenario: &Scenario| scenario.vehicles()[0].speed_mps > 31.3;
     let found = shrunk(&scenarios, |scenario| !fast(scenario));
     let faster = |speed_mps| {
-        scenarios.read(&[]).edited(|spec| spec.vehicles.iter_mut().for_each(|vehicle| vehicle.speed_mps = speed_mps))
+        scenarios.read(&[]).edited(|spec| {
+            spec.vehicles
+                .iter_mut()
+                .for_each(|vehicle| vehicle.speed_mps = speed_mps)
+        })
     };
     assert_eq!(found, faster(32.0).unwrap());
 }
 
 #[test]
 fn any_scenarios_shrink_to_the_nominal_one_and_round_numbers() {
-    let found =
-        shrunk(&Scenarios::any(), |scenario| scenario.vehicles().len() < 4 || scenario.vehicles()[1].speed_mps < 31.3);
+    let found = shrunk(&Scenarios::any(), |scenario| {
+        scenario.vehicles().len() < 4 || scenario.vehicles()[1].speed_mps < 31.3
+    });
     let nominal = Scenarios::any().read(&[2]);
     assert_eq!(found.vehicles().len(), 4);
-    let expected = nominal.edited(|spec| spec.vehicles[1].speed_mps = 32.0).unwrap();
+    let expected = nominal
+        .edited(|spec| spec.vehicles[1].speed_mps = 32.0)
+        .unwrap();
     assert_eq!(found.edited(|spec| spec.seed = 0).unwrap(), expected);
 }
 
@@ -66,5 +73,8 @@ fn a_folder_of_scenario_files_is_a_family() {
     }
     let scenarios = Scenarios::try_from(folder.path().to_str().unwrap()).unwrap();
     assert_eq!(scenarios.read(&[1]), built_in_scenario("paper-2").unwrap());
-    assert_eq!(shrunk(&scenarios, |scenario| scenario.spec().name != "paper-1"), scenarios.read(&[]));
+    assert_eq!(
+        shrunk(&scenarios, |scenario| scenario.spec().name != "paper-1"),
+        scenarios.read(&[])
+    );
 }

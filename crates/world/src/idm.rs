@@ -37,13 +37,31 @@ pub struct Idm {
 impl Idm {
     /// Returns the parameters as an array, for code that stores many models as one array per parameter.
     pub(crate) fn to_array(self) -> [f64; 5] {
-        [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
+        [
+            self.desired_speed_mps,
+            self.time_headway_s,
+            self.standstill_gap_m,
+            self.accel_mps2,
+            self.twice_mean_mps2,
+        ]
     }
 
     #[inline(always)]
     pub(crate) fn from_array(numbers: [f64; 5]) -> Self {
-        let [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2] = numbers;
-        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
+        let [
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            twice_mean_mps2,
+        ] = numbers;
+        Self {
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            twice_mean_mps2,
+        }
     }
 
     /// Returns the desired acceleration at `speed_mps`, given gap and speed of the leader.
@@ -59,7 +77,8 @@ impl Idm {
     #[inline(always)]
     fn interaction(&self, speed_mps: f64, [gap_m, ahead_mps]: [f64; 2]) -> f64 {
         let closing_mps = speed_mps - ahead_mps;
-        let dynamic_m = speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
+        let dynamic_m =
+            speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
         let share = (self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(MIN_GAP_M);
         share * share
     }
@@ -73,15 +92,29 @@ impl Idm {
 impl Idm {
     #[inline]
     pub(crate) fn desired_acceleration_mps2(&self, seen: &Observation) -> f64 {
-        self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))
+        self.acceleration_mps2(
+            seen.speed_mps,
+            seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]),
+        )
     }
 }
 
 impl From<&IdmSettings> for Idm {
     fn from(settings: &IdmSettings) -> Self {
-        let IdmSettings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
-            *settings;
+        let IdmSettings {
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            comfortable_brake_mps2,
+        } = *settings;
         let twice_mean_mps2 = 2.0 * (accel_mps2 * comfortable_brake_mps2).sqrt();
-        Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
+        Self {
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            twice_mean_mps2,
+        }
     }
 }

@@ -93,15 +93,28 @@ pub(crate) struct NoiseStream {
 
 impl NoiseStream {
     pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
-        Self { stream: stream(seed, purpose, index), weight: 1.0, others: Vec::new(), normals: NormalSampler::new() }
+        Self {
+            stream: stream(seed, purpose, index),
+            weight: 1.0,
+            others: Vec::new(),
+            normals: NormalSampler::new(),
+        }
     }
 
     /// Creates the noise of shares, the first of which has the seed `seed`; without shares, that of the seed.
-    pub(crate) fn from_shares(seed: u64, shares: &[NoiseShare], purpose: Purpose, index: u64) -> Self {
+    pub(crate) fn from_shares(
+        seed: u64,
+        shares: &[NoiseShare],
+        purpose: Purpose,
+        index: u64,
+    ) -> Self {
         let mut noise = Self::new(seed, purpose, index);
         if let Some((own, others)) = shares.split_first() {
             noise.weight = own.weight;
-            noise.others = others.iter().map(|other| (stream(other.seed, purpose, index), other.weight)).collect();
+            noise.others = others
+                .iter()
+                .map(|other| (stream(other.seed, purpose, index), other.weight))
+                .collect();
         }
         noise
     }
@@ -137,7 +150,10 @@ impl NoiseStream {
     #[cold]
     fn add_others(&mut self, numbers: &mut [f64]) {
         for number in numbers {
-            let others = self.others.iter_mut().map(|(stream, weight)| *weight * self.normals.sample(stream));
+            let others = self
+                .others
+                .iter_mut()
+                .map(|(stream, weight)| *weight * self.normals.sample(stream));
             *number = self.weight * *number + others.sum::<f64>();
         }
     }
@@ -167,11 +183,15 @@ impl NormalSampler {
         /// The library's table is private. Sampling the middle of layer `i` returns half of its half width.
         static HALF_WIDTHS: LazyLock<[f64; 257]> = LazyLock::new(|| {
             std::array::from_fn(|layer| {
-                let middle: f64 = StandardNormal.sample(&mut ScriptedRng { number: layer as u64 | 3 << 62 });
+                let middle: f64 = StandardNormal.sample(&mut ScriptedRng {
+                    number: layer as u64 | 3 << 62,
+                });
                 if layer < 256 { 2.0 * middle } else { 0.0 }
             })
         });
-        Self { half_widths: &HALF_WIDTHS }
+        Self {
+            half_widths: &HALF_WIDTHS,
+        }
     }
 
     /// Returns the next normal number of `stream`.
@@ -237,12 +257,17 @@ mod tests {
 
     #[test]
     fn normals_are_those_of_the_library() {
-        let (mut ours, mut theirs) =
-            (stream(6, Purpose::AccelerationNoise, 0), stream(6, Purpose::AccelerationNoise, 0));
+        let (mut ours, mut theirs) = (
+            stream(6, Purpose::AccelerationNoise, 0),
+            stream(6, Purpose::AccelerationNoise, 0),
+        );
         let mut furthest = 0.0_f64;
         for _ in 0..2_000_000 {
             let expected: f64 = StandardNormal.sample(&mut theirs);
-            assert_eq!(NormalSampler::new().sample(&mut ours).to_bits(), expected.to_bits());
+            assert_eq!(
+                NormalSampler::new().sample(&mut ours).to_bits(),
+                expected.to_bits()
+            );
             furthest = furthest.max(expected.abs());
         }
         assert_eq!(ours, theirs);
@@ -252,25 +277,37 @@ mod tests {
     #[test]
     fn shares_of_noise_add_up_one_at_a_time_and_many_at_once() {
         let shares = [(3, 0.8), (4, 0.6)].map(|(seed, weight)| NoiseShare { seed, weight });
-        let noise = |shares: &[NoiseShare]| NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1);
+        let noise = |shares: &[NoiseShare]| {
+            NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1)
+        };
         let (mut one, many) = (noise(&shares), noise(&shares).normals::<32>());
         let mut plain = [3, 4].map(|seed| NoiseStream::new(seed, Purpose::AccelerationNoise, 1));
         for found in many {
             let [own, other] = plain.each_mut().map(NoiseStream::normal);
             assert_eq!([found, found], [0.8 * own + 0.6 * other, one.normal()]);
         }
-        assert_eq!(noise(&[]).normals::<4>(), NoiseStream::new(3, Purpose::AccelerationNoise, 1).normals());
+        assert_eq!(
+            noise(&[]).normals::<4>(),
+            NoiseStream::new(3, Purpose::AccelerationNoise, 1).normals()
+        );
     }
 
     #[test]
     fn streams_are_distinct_and_repeatable() {
         let mut seen = HashSet::new();
         for seed in 0..20 {
-            for purpose in [Purpose::AccelerationNoise, Purpose::PositionSensor, Purpose::ScenarioSampling] {
+            for purpose in [
+                Purpose::AccelerationNoise,
+                Purpose::PositionSensor,
+                Purpose::ScenarioSampling,
+            ] {
                 for index in 0..20 {
                     let first = stream(seed, purpose, index).next_u64();
                     assert_eq!(first, stream(seed, purpose, index).next_u64());
-                    assert!(seen.insert(first), "stream {seed}/{purpose:?}/{index} repeats another");
+                    assert!(
+                        seen.insert(first),
+                        "stream {seed}/{purpose:?}/{index} repeats another"
+                    );
                 }
             }
         }

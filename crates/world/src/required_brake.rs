@@ -22,7 +22,8 @@ pub fn required_brake_mps2(
 ) -> Option<f64> {
     let front_brake_mps2 = front_brake_mps2.max(0.0);
     let closing_mps = rear_speed_mps - front_speed_mps;
-    let meet_while_moving = closing_mps > 0.0 && 2.0 * gap_m * front_brake_mps2 <= front_speed_mps * closing_mps;
+    let meet_while_moving =
+        closing_mps > 0.0 && 2.0 * gap_m * front_brake_mps2 <= front_speed_mps * closing_mps;
     let required_mps2 = if meet_while_moving {
         front_brake_mps2 + 0.5 * closing_mps * closing_mps / gap_m
     } else if front_brake_mps2 > 0.0 {

@@ -18,9 +18,18 @@ impl SettingField {
     /// Returns the unit that the name ends with.
     #[must_use]
     pub fn unit(&self) -> &'static str {
-        const ENDINGS: [(&str, &str); 6] =
-            [("_per_s2", "1/s²"), ("_per_s", "1/s"), ("_mps2", "m/s²"), ("_mps", "m/s"), ("_m", "m"), ("_s", "s")];
-        ENDINGS.iter().find(|(ending, _)| self.name.ends_with(ending)).map_or("1", |(_, unit)| unit)
+        const ENDINGS: [(&str, &str); 6] = [
+            ("_per_s2", "1/s²"),
+            ("_per_s", "1/s"),
+            ("_mps2", "m/s²"),
+            ("_mps", "m/s"),
+            ("_m", "m"),
+            ("_s", "s"),
+        ];
+        ENDINGS
+            .iter()
+            .find(|(ending, _)| self.name.ends_with(ending))
+            .map_or("1", |(_, unit)| unit)
     }
 }
 

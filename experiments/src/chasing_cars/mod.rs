@@ -26,14 +26,21 @@ fn evaluate(formula: &Formula, point: &[f64]) -> Result<(f64, bool), ExperimentE
     if value < 0.0 {
         value = value.max(finer_robustness(formula, &inputs)?);
     }
-    Ok((value, value < -MARGIN_M && replayed_robustness(formula, &inputs)? < -MARGIN_M))
+    Ok((
+        value,
+        value < -MARGIN_M && replayed_robustness(formula, &inputs)? < -MARGIN_M,
+    ))
 }
 
 fn problems() -> Result<Vec<Problem<'static>>, ExperimentError> {
     let problem = |(name, text): (&str, &str)| {
         let formula: Formula = text.parse()?;
         let evaluate = move |point: &[f64]| evaluate(&formula, point);
-        Ok(Problem { name: name.to_owned(), cube: UnitCube::new([PIECES, PIECES])?, evaluate: Box::new(evaluate) })
+        Ok(Problem {
+            name: name.to_owned(),
+            cube: UnitCube::new([PIECES, PIECES])?,
+            evaluate: Box::new(evaluate),
+        })
     };
     SPECIFICATIONS.into_iter().map(problem).collect()
 }
@@ -49,8 +56,15 @@ mod tests {
     use crumple::Method;
 
     fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> ChasingCarsInputs {
-        let at = |piece: usize| rows.iter().rfind(|row| row.0 <= 5.0 * piece as f64).unwrap();
-        ChasingCarsInputs { throttle: std::array::from_fn(|p| at(p).1), brake: std::array::from_fn(|p| at(p).2) }
+        let at = |piece: usize| {
+            rows.iter()
+                .rfind(|row| row.0 <= 5.0 * piece as f64)
+                .unwrap()
+        };
+        ChasingCarsInputs {
+            throttle: std::array::from_fn(|p| at(p).1),
+            brake: std::array::from_fn(|p| at(p).2),
+        }
     }
 
     #[test]
@@ -59,13 +73,30 @@ mod tests {
             (
                 "CC1",
                 "-3.14",
-                piecewise_inputs(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)]),
+                piecewise_inputs(&[
+                    (0., 1., 0.),
+                    (5., 1., 1.),
+                    (10., 1., 0.),
+                    (15., 0., 0.),
+                    (20., 1., 0.),
+                ]),
             ),
-            ("CC2", "-5.00", piecewise_inputs(&[(0., 0., 1.), (25., 1., 0.)])),
-            ("CC3", "-25.07", piecewise_inputs(&[(0., 0., 1.), (10., 1., 0.)])),
+            (
+                "CC2",
+                "-5.00",
+                piecewise_inputs(&[(0., 0., 1.), (25., 1., 0.)]),
+            ),
+            (
+                "CC3",
+                "-25.07",
+                piecewise_inputs(&[(0., 0., 1.), (10., 1., 0.)]),
+            ),
         ];
         for (name, expected, inputs) in published {
-            let (_, text) = SPECIFICATIONS.iter().find(|(known, _)| *known == name).unwrap();
+            let (_, text) = SPECIFICATIONS
+                .iter()
+                .find(|(known, _)| *known == name)
+                .unwrap();
             let found = robustness(&text.parse().unwrap(), &inputs).unwrap();
             assert_eq!(format!("{found:.2}"), expected, "{name}");
         }
@@ -75,7 +106,10 @@ mod tests {
     fn the_portfolio_falsifies_all_six_with_any_number_of_threads() {
         for problem in problems().unwrap() {
             let on = |threads: usize| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let pool = rayon::ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .build()
+                    .unwrap();
                 pool.install(|| problem.successes(&Method::Auto, 0, 3).unwrap())
             };
             let found = on(2);
@@ -84,7 +118,11 @@ mod tests {
                 "CC5" | "CCx" => 400.0,
                 _ => 15.0,
             };
-            assert!(found.len() == 3 && mean(&found) <= most, "{}: {found:?}", problem.name);
+            assert!(
+                found.len() == 3 && mean(&found) <= most,
+                "{}: {found:?}",
+                problem.name
+            );
             assert_eq!(found, on(1));
         }
     }

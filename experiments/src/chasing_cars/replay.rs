@@ -11,7 +11,10 @@ const FINER_STEP_DIVISOR: usize = 5;
 ///
 /// # Errors
 /// An error if the formula does not fit the model.
-pub(super) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ExperimentError> {
+pub(super) fn replayed_robustness(
+    formula: &Formula,
+    inputs: &ChasingCarsInputs,
+) -> Result<f64, ExperimentError> {
     Ok(naive_robustness(formula, &replay(inputs, 1)?, 0)?)
 }
 
@@ -19,15 +22,26 @@ pub(super) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs)
 ///
 /// # Errors
 /// An error if the formula does not fit the model.
-pub(super) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ExperimentError> {
+pub(super) fn finer_robustness(
+    formula: &Formula,
+    inputs: &ChasingCarsInputs,
+) -> Result<f64, ExperimentError> {
     Ok(formula.robustness(&replay(inputs, FINER_STEP_DIVISOR)?)?)
 }
 
 /// Returns the positions, simulated with `finer` steps per [`STEP_S`].
-fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ExperimentError> {
+fn replay(
+    inputs: &ChasingCarsInputs,
+    finer: usize,
+) -> Result<SampledSignals<'static>, ExperimentError> {
     let step_s = STEP_S / finer as f64;
-    let mut cars: Vec<ReplayCar> =
-        (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
+    let mut cars: Vec<ReplayCar> = (0..5)
+        .map(|i| ReplayCar {
+            y: 10.0 * f64::from(i),
+            v: 0.0,
+            mode: "keeping",
+        })
+        .collect();
     let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
     for piece in 0..inputs.throttle.len() {
         for _ in 0..500 * finer {
@@ -64,7 +78,9 @@ impl ReplayCar {
         if brake < 1e-6 {
             // Taylor expansion of the solution below, to first order in the brake.
             self.v = v - throttle * h - brake * (v * h - throttle * h * h / 2.0);
-            self.y += v * h - throttle * h * h / 2.0 - brake * (v * h * h / 2.0 - throttle * h * h * h / 6.0);
+            self.y += v * h
+                - throttle * h * h / 2.0
+                - brake * (v * h * h / 2.0 - throttle * h * h * h / 6.0);
         } else {
             let rest = -throttle / brake;
             self.v = rest + (v - rest) * (-brake * h).exp();
@@ -106,15 +122,28 @@ mod tests {
     fn agrees_with_the_fast_model_and_monitor() {
         for seed in 0..3 {
             let mut random = stream(seed, Purpose::ScenarioSampling, 0);
-            let mut extreme = |_| if random.random() { f64::from(random.random::<bool>()) } else { random.random() };
-            let inputs =
-                ChasingCarsInputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
+            let mut extreme = |_| {
+                if random.random() {
+                    f64::from(random.random::<bool>())
+                } else {
+                    random.random()
+                }
+            };
+            let inputs = ChasingCarsInputs {
+                throttle: std::array::from_fn(&mut extreme),
+                brake: std::array::from_fn(extreme),
+            };
             for (name, text) in SPECIFICATIONS {
                 let formula = text.parse().unwrap();
-                let (fast, plain) =
-                    (robustness(&formula, &inputs).unwrap(), replayed_robustness(&formula, &inputs).unwrap());
+                let (fast, plain) = (
+                    robustness(&formula, &inputs).unwrap(),
+                    replayed_robustness(&formula, &inputs).unwrap(),
+                );
                 // Rounding shifts a switch of mode by at most one step.
-                assert!((fast - plain).abs() < 1e-6 * (1.0 + fast.abs()), "{name}, seed {seed}: {fast} and {plain}");
+                assert!(
+                    (fast - plain).abs() < 1e-6 * (1.0 + fast.abs()),
+                    "{name}, seed {seed}: {fast} and {plain}"
+                );
             }
         }
     }

@@ -21,19 +21,34 @@ const PIECE_S: [usize; 2] = [1, 5];
 /// here, as in the published formulas without next; comparisons of the gear with numbers are half a gear away.
 fn specifications() -> Vec<(String, String)> {
     let low_rpm = "always[0,30] rpm < 3000";
-    let slow = |until_s: u32, mph: u32| format!("({low_rpm} implies always[0,{until_s}] speed < {mph})");
+    let slow =
+        |until_s: u32, mph: u32| format!("({low_rpm} implies always[0,{until_s}] speed < {mph})");
     let [a, b, c] = [slow(4, 35), slow(8, 50), slow(20, 65)];
     let named = |name: &str, formula: String| (name.to_owned(), formula);
-    let mut all =
-        vec![named("AT1", "always[0,20] speed < 120".to_owned()), named("AT2", "always[0,10] rpm < 4750".to_owned())];
+    let mut all = vec![
+        named("AT1", "always[0,20] speed < 120".to_owned()),
+        named("AT2", "always[0,10] rpm < 4750".to_owned()),
+    ];
     for gear in 1..=4 {
-        let here = format!("(gear > {} and gear < {})", f64::from(gear) - 0.5, f64::from(gear) + 0.5);
+        let here = format!(
+            "(gear > {} and gear < {})",
+            f64::from(gear) - 0.5,
+            f64::from(gear) + 0.5
+        );
         let shifted = format!("not {here} and eventually[0.01,0.1] {here}");
         let stays = format!("eventually[0.01,0.1] always[0,2.5] {here}");
-        all.push((format!("AT5{gear}"), format!("always[0,30] ({shifted} implies {stays})")));
+        all.push((
+            format!("AT5{gear}"),
+            format!("always[0,30] ({shifted} implies {stays})"),
+        ));
     }
     let all_three = format!("{a} and {b} and {c}");
-    all.extend([named("AT6a", a), named("AT6b", b), named("AT6c", c), named("AT6abc", all_three)]);
+    all.extend([
+        named("AT6a", a),
+        named("AT6b", b),
+        named("AT6c", c),
+        named("AT6abc", all_three),
+    ]);
     all
 }
 
@@ -53,9 +68,14 @@ fn robustness(formula: &Formula, point: &[f64], piece_s: usize) -> Result<f64, E
 /// Divides the comparisons of speeds by their bounds.
 fn scaled(formula: &str) -> String {
     let bounds = [("rpm", 3000), ("speed", 35), ("speed", 50), ("speed", 65)];
-    bounds.into_iter().fold(formula.to_owned(), |text, (signal, bound)| {
-        text.replace(&format!("{signal} < {bound}"), &format!("{signal} / {bound} < 1"))
-    })
+    bounds
+        .into_iter()
+        .fold(formula.to_owned(), |text, (signal, bound)| {
+            text.replace(
+                &format!("{signal} < {bound}"),
+                &format!("{signal} / {bound} < 1"),
+            )
+        })
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
@@ -64,7 +84,9 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         let pieces = DURATION_S / piece_s;
         let published = specifications();
         let joined = published.iter().filter(|(name, _)| name.starts_with("AT6"));
-        let scaled: Vec<_> = joined.map(|(name, text)| (format!("{name} scaled"), scaled(text))).collect();
+        let scaled: Vec<_> = joined
+            .map(|(name, text)| (format!("{name} scaled"), scaled(text)))
+            .collect();
         for (name, text) in published.into_iter().chain(scaled) {
             let formula: Formula = text.parse()?;
             problems.push(Problem {
@@ -94,25 +116,41 @@ mod tests {
     ];
 
     fn robustness_with(name: &str, inputs: impl Fn(f64) -> [f64; 2]) -> f64 {
-        let text = specifications().into_iter().find(|(known, _)| known == name).unwrap().1;
-        text.parse::<Formula>().unwrap().robustness(&simulate(inputs).unwrap()).unwrap()
+        let text = specifications()
+            .into_iter()
+            .find(|(known, _)| known == name)
+            .unwrap()
+            .1;
+        text.parse::<Formula>()
+            .unwrap()
+            .robustness(&simulate(inputs).unwrap())
+            .unwrap()
     }
 
     #[test]
     fn published_inputs_falsify_and_published_extremes_are_reached() {
         for (name, pieces) in FALSIFYING {
-            let level = |text: &str, t_s: f64| match text.as_bytes()[((t_s + 0.005) / 2.0) as usize] {
+            let level = |text: &str, t_s: f64| match text.as_bytes()[((t_s + 0.005) / 2.0) as usize]
+            {
                 b'F' => 1.0,
                 b'H' => 0.5,
                 _ => 0.0,
             };
-            let inputs = |t_s| [MAX_THROTTLE * level(pieces[0], t_s), MAX_BRAKE * level(pieces[1], t_s)];
+            let inputs = |t_s| {
+                [
+                    MAX_THROTTLE * level(pieces[0], t_s),
+                    MAX_BRAKE * level(pieces[1], t_s),
+                ]
+            };
             assert!(robustness_with(name, inputs) < 0.0, "{name}");
         }
         // problems/arch-comp-2021/at/README.md of github.com/mshaheryarmalik/stgem states the largest speed and
         // engine speed at full throttle.
         let full = |_| [MAX_THROTTLE, 0.0];
-        for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4_768.277_187_862_124)] {
+        for (name, expected) in [
+            ("AT1", 120.0 - 120.213_271_492_615),
+            ("AT2", 4750.0 - 4_768.277_187_862_124),
+        ] {
             let found = robustness_with(name, full);
             assert!((found - expected).abs() < 1e-9, "{name}: {found}");
         }
@@ -124,14 +162,35 @@ mod tests {
     #[ignore = "needs the results of zlscheck"]
     fn most_inputs_of_zlscheck_falsify() {
         let root = std::path::PathBuf::from(std::env::var("ZLSCHECK").expect("set ZLSCHECK"));
-        let entries = |path: &std::path::Path| std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
+        let entries = |path: &std::path::Path| {
+            std::fs::read_dir(path)
+                .unwrap()
+                .map(|entry| entry.unwrap().path())
+        };
         let (mut count, mut confirmed) = (0, 0);
-        for folder in ["at_inst1", "at_inst2"].iter().flat_map(|instance| entries(&root.join(instance))) {
-            let name = folder.to_str().unwrap().split('_').find(|part| part.starts_with("AT")).unwrap().to_owned();
-            for file in entries(&folder).filter(|file| file.extension().is_some_and(|extension| extension == "csv")) {
+        for folder in ["at_inst1", "at_inst2"]
+            .iter()
+            .flat_map(|instance| entries(&root.join(instance)))
+        {
+            let name = folder
+                .to_str()
+                .unwrap()
+                .split('_')
+                .find(|part| part.starts_with("AT"))
+                .unwrap()
+                .to_owned();
+            for file in entries(&folder)
+                .filter(|file| file.extension().is_some_and(|extension| extension == "csv"))
+            {
                 let text = std::fs::read_to_string(&file).unwrap();
                 let number = |field: &str| field.parse::<f64>().unwrap();
-                let row = |line: &str| line.split(',').skip(1).take(2).map(number).collect::<Vec<_>>();
+                let row = |line: &str| {
+                    line.split(',')
+                        .skip(1)
+                        .take(2)
+                        .map(number)
+                        .collect::<Vec<_>>()
+                };
                 let rows: Vec<Vec<f64>> = text.lines().map(row).collect();
                 let value = robustness_with(&name, |t_s| {
                     let row = &rows[((t_s / STEP_S).round() as usize).min(rows.len() - 1)];

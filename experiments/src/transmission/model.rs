@@ -37,24 +37,49 @@ const GEAR_RATIOS: [f64; 4] = [2.393, 1.450, 1.000, 0.677];
 
 /// Engine torque, one row for each speed in [`TORQUE_RPM`], one column for each throttle in [`TORQUE_THROTTLE`].
 const TORQUE: [[f64; 10]; 11] = [
-    [-40.0, 215.0, 245.0, 264.0, 264.0, 267.0, 267.0, 267.0, 267.0, 267.0],
-    [-44.0, 117.0, 208.0, 260.0, 279.0, 290.0, 297.0, 301.0, 301.0, 301.0],
-    [-49.0, 85.0, 178.0, 241.0, 282.0, 293.0, 305.0, 308.0, 312.0, 312.0],
-    [-53.0, 66.0, 148.0, 219.0, 275.0, 297.0, 305.0, 312.0, 319.0, 319.0],
-    [-57.0, 44.0, 122.0, 193.0, 260.0, 290.0, 305.0, 319.0, 327.0, 327.0],
-    [-61.0, 29.0, 104.0, 167.0, 238.0, 275.0, 301.0, 323.0, 327.0, 334.0],
-    [-65.0, 10.0, 85.0, 152.0, 223.0, 260.0, 293.0, 319.0, 327.0, 334.0],
-    [-70.0, -2.0, 66.0, 133.0, 208.0, 256.0, 282.0, 316.0, 327.0, 334.0],
-    [-74.0, -13.0, 48.0, 119.0, 189.0, 234.0, 267.0, 297.0, 312.0, 319.0],
-    [-78.0, -22.0, 33.0, 96.0, 171.0, 212.0, 249.0, 279.0, 293.0, 305.0],
-    [-82.0, -32.0, 18.0, 85.0, 152.0, 193.0, 226.0, 253.0, 267.0, 275.0],
+    [
+        -40.0, 215.0, 245.0, 264.0, 264.0, 267.0, 267.0, 267.0, 267.0, 267.0,
+    ],
+    [
+        -44.0, 117.0, 208.0, 260.0, 279.0, 290.0, 297.0, 301.0, 301.0, 301.0,
+    ],
+    [
+        -49.0, 85.0, 178.0, 241.0, 282.0, 293.0, 305.0, 308.0, 312.0, 312.0,
+    ],
+    [
+        -53.0, 66.0, 148.0, 219.0, 275.0, 297.0, 305.0, 312.0, 319.0, 319.0,
+    ],
+    [
+        -57.0, 44.0, 122.0, 193.0, 260.0, 290.0, 305.0, 319.0, 327.0, 327.0,
+    ],
+    [
+        -61.0, 29.0, 104.0, 167.0, 238.0, 275.0, 301.0, 323.0, 327.0, 334.0,
+    ],
+    [
+        -65.0, 10.0, 85.0, 152.0, 223.0, 260.0, 293.0, 319.0, 327.0, 334.0,
+    ],
+    [
+        -70.0, -2.0, 66.0, 133.0, 208.0, 256.0, 282.0, 316.0, 327.0, 334.0,
+    ],
+    [
+        -74.0, -13.0, 48.0, 119.0, 189.0, 234.0, 267.0, 297.0, 312.0, 319.0,
+    ],
+    [
+        -78.0, -22.0, 33.0, 96.0, 171.0, 212.0, 249.0, 279.0, 293.0, 305.0,
+    ],
+    [
+        -82.0, -32.0, 18.0, 85.0, 152.0, 193.0, 226.0, 253.0, 267.0, 275.0,
+    ],
 ];
-const TORQUE_RPM: [f64; 11] = [800.0, 1200.0, 1600.0, 2000.0, 2400.0, 2800.0, 3200.0, 3600.0, 4000.0, 4400.0, 4800.0];
+const TORQUE_RPM: [f64; 11] = [
+    800.0, 1200.0, 1600.0, 2000.0, 2400.0, 2800.0, 3200.0, 3600.0, 4000.0, 4400.0, 4800.0,
+];
 const TORQUE_THROTTLE: [f64; 10] = [0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0];
 
 /// Torque converter by speed ratio: K factor and torque ratio.
 const SPEED_RATIO: [f64; 21] = [
-    0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.81, 0.82, 0.83, 0.84, 0.85, 0.86, 0.87, 0.88, 0.89, 0.9, 0.92, 0.94,
+    0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.81, 0.82, 0.83, 0.84, 0.85, 0.86, 0.87, 0.88,
+    0.89, 0.9, 0.92, 0.94,
 ];
 const K_FACTOR: [f64; 21] = [
     137.465_208_993_806,
@@ -80,8 +105,8 @@ const K_FACTOR: [f64; 21] = [
     244.515_990_379_085,
 ];
 const TORQUE_RATIO: [f64; 21] = [
-    2.232, 2.075, 1.975, 1.846, 1.72, 1.564, 1.409, 1.254, 1.096, 1.08, 1.061, 1.043, 1.028, 1.012, 1.002, 1.002,
-    1.001, 0.998, 0.999, 1.001, 1.002,
+    2.232, 2.075, 1.975, 1.846, 1.72, 1.564, 1.409, 1.254, 1.096, 1.08, 1.061, 1.043, 1.028, 1.012,
+    1.002, 1.002, 1.001, 0.998, 0.999, 1.001, 1.002,
 ];
 
 /// Speeds in mph above which each gear but the last is left upwards, and below which each is left downwards.
@@ -101,8 +126,14 @@ const DOWN_MPH: [[f64; 6]; 4] = [
 
 /// Returns the index of the interval of increasing `knots` that contains x or is next to it, and x within it.
 fn interval(knots: &[f64], x: f64) -> (usize, f64) {
-    let index = knots.partition_point(|knot| *knot <= x).clamp(1, knots.len() - 1) - 1;
-    (index, (x - knots[index]) / (knots[index + 1] - knots[index]))
+    let index = knots
+        .partition_point(|knot| *knot <= x)
+        .clamp(1, knots.len() - 1)
+        - 1;
+    (
+        index,
+        (x - knots[index]) / (knots[index + 1] - knots[index]),
+    )
 }
 
 fn blend(values: &[f64], (index, part): (usize, f64)) -> f64 {
@@ -114,8 +145,17 @@ fn lookup(knots: &[f64], values: &[f64], x: f64) -> f64 {
 }
 
 fn engine_torque(throttle: f64, rpm: f64) -> f64 {
-    let (row, column) = (interval(&TORQUE_RPM, rpm), interval(&TORQUE_THROTTLE, throttle));
-    blend(&[blend(&TORQUE[row.0], column), blend(&TORQUE[row.0 + 1], column)], (0, row.1))
+    let (row, column) = (
+        interval(&TORQUE_RPM, rpm),
+        interval(&TORQUE_THROTTLE, throttle),
+    );
+    blend(
+        &[
+            blend(&TORQUE[row.0], column),
+            blend(&TORQUE[row.0 + 1], column),
+        ],
+        (0, row.1),
+    )
 }
 
 /// Engine speed in rpm and wheel speed.
@@ -130,8 +170,15 @@ fn derivatives([rpm, wheel]: State, gear: usize, throttle: f64, brake: f64) -> S
     let is_limited = rpm <= ENGINE_RPM[0] && engine < 0.0 || rpm >= ENGINE_RPM[1] && engine > 0.0;
     let output = impeller * blend(&TORQUE_RATIO, ratio) * GEAR_RATIOS[gear];
     let mph = wheel * MPH_PER_WHEEL_SPEED;
-    let load = if mph == 0.0 { 0.0 } else { (40.0 + 0.02 * mph * mph + brake) * mph.signum() };
-    [if is_limited { 0.0 } else { engine }, (FINAL_DRIVE * output - load) / VEHICLE_INERTIA]
+    let load = if mph == 0.0 {
+        0.0
+    } else {
+        (40.0 + 0.02 * mph * mph + brake) * mph.signum()
+    };
+    [
+        if is_limited { 0.0 } else { engine },
+        (FINAL_DRIVE * output - load) / VEHICLE_INERTIA,
+    ]
 }
 
 /// Coefficients of Dormand and Prince: each row has the weights of the derivatives so far; the last one is the step.
@@ -139,9 +186,27 @@ const DORMAND_PRINCE: [&[f64]; 6] = [
     &[1.0 / 5.0],
     &[3.0 / 40.0, 9.0 / 40.0],
     &[44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0],
-    &[19372.0 / 6561.0, -25360.0 / 2187.0, 64448.0 / 6561.0, -212.0 / 729.0],
-    &[9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0],
-    &[35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
+    &[
+        19372.0 / 6561.0,
+        -25360.0 / 2187.0,
+        64448.0 / 6561.0,
+        -212.0 / 729.0,
+    ],
+    &[
+        9017.0 / 3168.0,
+        -355.0 / 33.0,
+        46732.0 / 5247.0,
+        49.0 / 176.0,
+        -5103.0 / 18656.0,
+    ],
+    &[
+        35.0 / 384.0,
+        0.0,
+        500.0 / 1113.0,
+        125.0 / 192.0,
+        -2187.0 / 6784.0,
+        11.0 / 84.0,
+    ],
 ];
 
 fn step(state: State, gear: usize, throttle: f64, brake: f64) -> State {
@@ -149,8 +214,15 @@ fn step(state: State, gear: usize, throttle: f64, brake: f64) -> State {
     let mut at = state;
     for (stage, weights) in DORMAND_PRINCE.iter().enumerate() {
         slopes[stage] = derivatives(at, gear, throttle, brake);
-        let moved =
-            |i: usize| state[i] + STEP_S * weights.iter().zip(&slopes).map(|(w, slope)| w * slope[i]).sum::<f64>();
+        let moved = |i: usize| {
+            state[i]
+                + STEP_S
+                    * weights
+                        .iter()
+                        .zip(&slopes)
+                        .map(|(w, slope)| w * slope[i])
+                        .sum::<f64>()
+        };
         at = [moved(0), moved(1)];
     }
     [at[0].clamp(ENGINE_RPM[0], ENGINE_RPM[1]), at[1]]
@@ -166,12 +238,16 @@ enum Selection {
 
 /// Returns the next gear, from 0, and selection at a decision.
 fn decide(gear: usize, selection: Selection, mph: f64, throttle: f64) -> (usize, Selection) {
-    let up = UP_MPH.get(gear).map_or(f64::INFINITY, |row| lookup(&UP_THROTTLE, row, throttle));
+    let up = UP_MPH
+        .get(gear)
+        .map_or(f64::INFINITY, |row| lookup(&UP_THROTTLE, row, throttle));
     let down = lookup(&DOWN_THROTTLE, &DOWN_MPH[gear], throttle);
     match selection {
         Selection::Steady if mph > up => (gear, Selection::Up(0)),
         Selection::Steady if mph < down => (gear, Selection::Down(0)),
-        Selection::Up(waited) if mph >= up && waited + 1 >= SHIFT_DELAY => ((gear + 1).min(3), Selection::Steady),
+        Selection::Up(waited) if mph >= up && waited + 1 >= SHIFT_DELAY => {
+            ((gear + 1).min(3), Selection::Steady)
+        }
         Selection::Up(waited) if mph >= up => (gear, Selection::Up(waited + 1)),
         Selection::Down(waited) if mph <= down && waited + 1 >= SHIFT_DELAY => {
             (gear.saturating_sub(1), Selection::Steady)
@@ -186,7 +262,9 @@ fn decide(gear: usize, selection: Selection, mph: f64, throttle: f64) -> (usize,
 ///
 /// # Errors
 /// [`SignalsError`] if a value is not a number.
-pub(super) fn simulate(inputs: impl Fn(f64) -> [f64; 2]) -> Result<SampledSignals<'static>, SignalsError> {
+pub(super) fn simulate(
+    inputs: impl Fn(f64) -> [f64; 2],
+) -> Result<SampledSignals<'static>, SignalsError> {
     let mut traces: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(STEPS + 1));
     let (mut state, mut gear, mut selection) = ([1000.0, 0.0], 0, Selection::Steady);
     for k in 0..=STEPS {

@@ -28,9 +28,18 @@ const RUST: &[ReservedNames] = &[
         role: "a type of Rust",
         names: "bool char f128 f16 f32 f64 i128 i16 i32 i64 i8 isize str u128 u16 u32 u64 u8 usize",
     },
-    ReservedNames { role: "a crate of Rust's standard library", names: "alloc core proc_macro std test" },
-    ReservedNames { role: "a folder that Cargo needs beside the program", names: "build deps examples incremental" },
-    ReservedNames { role: "a crate of the fuzz target", names: "libfuzzer_sys" },
+    ReservedNames {
+        role: "a crate of Rust's standard library",
+        names: "alloc core proc_macro std test",
+    },
+    ReservedNames {
+        role: "a folder that Cargo needs beside the program",
+        names: "build deps examples incremental",
+    },
+    ReservedNames {
+        role: "a crate of the fuzz target",
+        names: "libfuzzer_sys",
+    },
 ];
 
 const PYTHON: &[ReservedNames] = &[
@@ -68,8 +77,14 @@ const PYTHON: &[ReservedNames] = &[
 ];
 
 const C: &[ReservedNames] = &[
-    ReservedNames { role: "a file that `make` reads", names: "makefile" },
-    ReservedNames { role: "a target of the makefile", names: "test" },
+    ReservedNames {
+        role: "a file that `make` reads",
+        names: "makefile",
+    },
+    ReservedNames {
+        role: "a target of the makefile",
+        names: "test",
+    },
 ];
 
 /// Checks the name of a project. The error is the reason, as the end of a message.
@@ -77,7 +92,9 @@ pub(super) fn check_name(name: &str, template: Template) -> Result<(), String> {
     let is_plain = (1..=MAX_NAME_LENGTH).contains(&name.len())
         && name.starts_with(|letter: char| letter.is_ascii_lowercase())
         && !name.ends_with('-')
-        && name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
+        && name
+            .bytes()
+            .all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
     if !is_plain {
         return Err(format!(
             "use 1 to {MAX_NAME_LENGTH} of a-z, 0-9 and -, and begin with a letter, and do not end with -"

@@ -9,11 +9,21 @@ use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_nam
 
 /// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out
 /// scenarios of a folder that no policy can be trained on.
-pub(super) fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Scenario>, CliError> {
+pub(super) fn load_attacked(
+    names: &[String],
+    imitates: bool,
+    quiet: bool,
+) -> Result<Vec<Scenario>, CliError> {
     let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
-        let names = built_in_scenario_names().map(|(name, _)| name).into_iter().filter(|_| imitates);
-        return Ok(names.filter_map(built_in_scenario).filter(is_suitable).collect());
+        let names = built_in_scenario_names()
+            .map(|(name, _)| name)
+            .into_iter()
+            .filter(|_| imitates);
+        return Ok(names
+            .filter_map(built_in_scenario)
+            .filter(is_suitable)
+            .collect());
     }
     if is_none("--scenario", "scenarios", names)? {
         return Ok(Vec::new());
@@ -23,20 +33,35 @@ pub(super) fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Re
         if Path::new(name).is_dir() {
             let all = file::load_all(Path::new(name))?;
             if all.is_empty() {
-                return Err(CliError::Input(format!("--scenario: {name}: the folder contains no scenario file")));
+                return Err(CliError::Input(format!(
+                    "--scenario: {name}: the folder contains no scenario file"
+                )));
             }
             let before = scenarios.len();
-            scenarios.extend(all.iter().map(|(_, scenario)| scenario.clone()).filter(is_suitable));
+            scenarios.extend(
+                all.iter()
+                    .map(|(_, scenario)| scenario.clone())
+                    .filter(is_suitable),
+            );
             let used = scenarios.len() - before;
             if used < all.len() {
-                let first = all.iter().find_map(|(path, scenario)| Some((path, unsuitability(scenario)?)));
-                let reason = first.map_or_else(String::new, |(path, reason)| format!(": {}: {reason}", path.display()));
-                output::note(&format!("{name}: uses {used} of {} scenarios{reason}", all.len()), quiet);
+                let first = all
+                    .iter()
+                    .find_map(|(path, scenario)| Some((path, unsuitability(scenario)?)));
+                let reason = first.map_or_else(String::new, |(path, reason)| {
+                    format!(": {}: {reason}", path.display())
+                });
+                output::note(
+                    &format!("{name}: uses {used} of {} scenarios{reason}", all.len()),
+                    quiet,
+                );
             }
         } else {
             let scenario = args::load_scenario(name)?;
             if let Some(reason) = unsuitability(&scenario) {
-                return Err(CliError::Input(format!("--scenario: `{name}` cannot be trained on: {reason}")));
+                return Err(CliError::Input(format!(
+                    "--scenario: `{name}` cannot be trained on: {reason}"
+                )));
             }
             scenarios.push(scenario);
         }
@@ -46,7 +71,10 @@ pub(super) fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Re
 
 pub(super) fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.is_empty() {
-        return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
+        return Ok(BUILT_IN_SPACES
+            .iter()
+            .filter_map(|(name, ..)| built_in_space(name))
+            .collect());
     }
     if is_none("--regression", "spaces", names)? {
         return Ok(Vec::new());
@@ -58,7 +86,9 @@ pub(super) fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpa
 fn is_none(option: &str, values: &str, names: &[String]) -> Result<bool, CliError> {
     let has_none = names.iter().any(|name| name == "none");
     if has_none && names.len() > 1 {
-        return Err(CliError::Input(format!("{option}: `none` cannot be combined with {values}")));
+        return Err(CliError::Input(format!(
+            "{option}: `none` cannot be combined with {values}"
+        )));
     }
     Ok(has_none)
 }
@@ -66,13 +96,19 @@ fn is_none(option: &str, values: &str, names: &[String]) -> Result<bool, CliErro
 /// Loads the spaces of a repeated option.
 pub(super) fn load_spaces(option: &str, names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.len() > MAX_SPACES {
-        return Err(CliError::Input(format!("{option}: at most {MAX_SPACES} spaces")));
+        return Err(CliError::Input(format!(
+            "{option}: at most {MAX_SPACES} spaces"
+        )));
     }
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
-        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("{option}: {error}")))?;
+        let (_, space) = args::parse_space(name)
+            .map_err(|error| CliError::Input(format!("{option}: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
-            return Err(CliError::Input(format!("{option}: two spaces have the name `{}`", space.name())));
+            return Err(CliError::Input(format!(
+                "{option}: two spaces have the name `{}`",
+                space.name()
+            )));
         }
         spaces.push(space);
     }

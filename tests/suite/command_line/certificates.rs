@@ -19,7 +19,8 @@ fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
 
 /// Counts 300 runs of idm without failures, in `DIR/certificate.json`.
 fn write_idm_count(folder: &Path, out: &str, more: &str) {
-    let arguments = format!("verify rate --controller idm --estimator truth --runs 300 --out {out}");
+    let arguments =
+        format!("verify rate --controller idm --estimator truth --runs 300 --out {out}");
     run_ok(folder, &format!("{arguments} --confidence 0.99 {more}"));
 }
 
@@ -29,29 +30,58 @@ fn the_check_of_a_rate_names_the_plant_and_convex_programs_refuse_it() {
     let text = space_file::to_toml(&built_in_space("paper").unwrap()).unwrap();
     // The name of the plant elsewhere is no plant.
     for (name, driver, plant) in [
-        ("multi-body", "driver = \"under-test\"", "its vehicles have the plant `point-mass`"),
-        ("rich", "driver = \"under-test\"\nplant = \"multi-body\"", "vehicles have the plant `multi-body`"),
+        (
+            "multi-body",
+            "driver = \"under-test\"",
+            "its vehicles have the plant `point-mass`",
+        ),
+        (
+            "rich",
+            "driver = \"under-test\"\nplant = \"multi-body\"",
+            "vehicles have the plant `multi-body`",
+        ),
     ] {
         let text = text.replace("name = \"paper\"", &format!("name = \"{name}\""));
-        fs::write(folder.path().join("space.toml"), text.replace("driver = \"under-test\"", driver)).unwrap();
+        fs::write(
+            folder.path().join("space.toml"),
+            text.replace("driver = \"under-test\"", driver),
+        )
+        .unwrap();
         write_idm_count(folder.path(), name, "--space space.toml");
         let message = run_crumple(folder.path(), &format!("check {name}/certificate.json"));
         assert_prints(&message, 0, &[plant]);
     }
-    let rich = built_in_scenario("paper-1").unwrap().with_plant(PlantKind::MultiBody).unwrap();
-    fs::write(folder.path().join("rich.toml"), file::to_toml(&rich).unwrap()).unwrap();
+    let rich = built_in_scenario("paper-1")
+        .unwrap()
+        .with_plant(PlantKind::MultiBody)
+        .unwrap();
+    fs::write(
+        folder.path().join("rich.toml"),
+        file::to_toml(&rich).unwrap(),
+    )
+    .unwrap();
     let message = run_crumple(folder.path(), "avoid rich.toml");
     assert_eq!(exit_code(&message), 2);
-    assert!(stderr(&message).contains("the programs model only `point-mass`"), "{}", stderr(&message));
+    assert!(
+        stderr(&message).contains("the programs model only `point-mass`"),
+        "{}",
+        stderr(&message)
+    );
 }
 
 /// Claims the counted failure rate of idm for the baseline, with further changes.
 fn forge_rate(folder: &Path, change: impl FnOnce(&mut RateClaim)) -> Certificate {
     let mut forged = read_certificate(folder, "idm/certificate.json");
-    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    let Statement::Rate(rate) = &mut forged.statement else {
+        panic!("a rate")
+    };
     let identity = ControllerSpec::from_name("baseline").unwrap().identity();
-    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
-    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
+    rate.registration
+        .configuration
+        .insert("controller".to_owned(), "baseline".to_owned());
+    rate.registration
+        .configuration
+        .insert("controller_sha256".to_owned(), identity);
     change(rate);
     rate.registration_sha256 = rate.registration.digest();
     forged
@@ -63,11 +93,27 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     write_idm_count(folder.path(), "idm", "");
     let check = |arguments: &str| run_crumple(folder.path(), &format!("check {arguments}"));
     let message = check("idm/certificate.json");
-    assert!(stdout(&message).contains("if its counts are right"), "{}", stdout(&message));
-    assert!(stdout(&message).contains("the counts are not verified"), "{}", stdout(&message));
-    assert!(stdout(&message).contains("its vehicles have the plant `point-mass`"), "{}", stdout(&message));
+    assert!(
+        stdout(&message).contains("if its counts are right"),
+        "{}",
+        stdout(&message)
+    );
+    assert!(
+        stdout(&message).contains("the counts are not verified"),
+        "{}",
+        stdout(&message)
+    );
+    assert!(
+        stdout(&message).contains("its vehicles have the plant `point-mass`"),
+        "{}",
+        stdout(&message)
+    );
     let message = check("idm/certificate.json --rerun");
-    assert_prints(&message, 0, &["confirmed: all 300 runs were drawn and simulated again"]);
+    assert_prints(
+        &message,
+        0,
+        &["confirmed: all 300 runs were drawn and simulated again"],
+    );
     assert!(!stdout(&message).contains("not verified"));
 
     // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
@@ -77,7 +123,11 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     for rerun in ["--rerun", "--rerun=1"] {
         let message = check(&format!("forged.json {rerun}"));
         assert_eq!(exit_code(&message), 1, "{rerun}");
-        assert!(stdout(&message).contains("refuted by a new count: blocks["), "{}", stdout(&message));
+        assert!(
+            stdout(&message).contains("refuted by a new count: blocks["),
+            "{}",
+            stdout(&message)
+        );
         assert!(
             stdout(&message).contains("failed when repeated, and the certificate states 0"),
             "{}",
@@ -86,13 +136,24 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     }
     // Correct counts with hashes of other runs.
     let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
-    let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
+    let Statement::Rate(rate) = &mut hashes.statement else {
+        panic!("a rate")
+    };
     rate.blocks[1].1 = sha256("another run");
     write_certificate(folder.path(), "hashes.json", &hashes);
     let message = check("hashes.json --rerun --format json");
     let report = &json_objects(&message)[0];
-    assert_eq!((exit_code(&message), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
-    assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
+    assert_eq!(
+        (exit_code(&message), &report["accepted"], &report["counts"]),
+        (1, &false.into(), &"refuted".into())
+    );
+    assert!(
+        report["rejection"]
+            .as_str()
+            .unwrap()
+            .contains("runs 100 to 199"),
+        "{report}"
+    );
 }
 
 /// An intact forged file with enough runs for the bound and invented hashes.
@@ -101,22 +162,45 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", "");
     let mut forged = forge_rate(folder.path(), |rate| {
-        (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
-        rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
+        (
+            rate.registration.runs,
+            rate.registration.confidence,
+            rate.rate_at_most,
+        ) = (69_100, 0.999_999, 0.000_2);
+        rate.blocks = (0..691)
+            .map(|block| (0, sha256(block.to_string())))
+            .collect();
     });
     write_certificate(folder.path(), "forged.json", &forged);
-    assert_prints(&run_crumple(folder.path(), "check forged.json"), 0, &["the counts are not verified"]);
-    assert_prints(&run_crumple(folder.path(), "check forged.json --rerun=1"), 1, &["refuted by a new count: "]);
+    assert_prints(
+        &run_crumple(folder.path(), "check forged.json"),
+        0,
+        &["the counts are not verified"],
+    );
+    assert_prints(
+        &run_crumple(folder.path(), "check forged.json --rerun=1"),
+        1,
+        &["refuted by a new count: "],
+    );
     // A certificate of version 0.1.0 has no blocks to count again.
-    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    let Statement::Rate(rate) = &mut forged.statement else {
+        panic!("a rate")
+    };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
     rate.registration_sha256 = rate.registration.digest();
     forged.version = 1;
-    (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
+    (
+        forged.provenance.scenario_text,
+        forged.provenance.scenario_sha256,
+    ) = (None, String::new());
     write_certificate(folder.path(), "old.json", &forged);
     let message = run_crumple(folder.path(), "check old.json");
     for words in ["the counts are not verified", "version 1, an old one"] {
-        assert!(exit_code(&message) == 0 && stdout(&message).contains(words), "{words}: {}", stdout(&message));
+        assert!(
+            exit_code(&message) == 0 && stdout(&message).contains(words),
+            "{words}: {}",
+            stdout(&message)
+        );
     }
     let message = run_crumple(folder.path(), "check old.json --rerun");
     assert!(
@@ -148,13 +232,30 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
         });
         paper.unwrap()
     };
-    fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
+    fs::write(
+        folder.path().join("short.toml"),
+        file::to_toml(&short(4.0)).unwrap(),
+    )
+    .unwrap();
     run_ok(folder.path(), "avoid short.toml --certificate short.json");
     let message = run_crumple(folder.path(), "check short.json");
-    assert_prints(&message, 0, &[" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"]);
+    assert_prints(
+        &message,
+        0,
+        &[
+            " m for 4 s; ",
+            "for 4 s from the start\n",
+            "behind: no vehicle\n",
+        ],
+    );
 
-    let mut reach = read_certificate(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
-    let Statement::Reach(claim) = &mut reach.statement else { panic!("reach") };
+    let mut reach = read_certificate(
+        Path::new(env!("CARGO_MANIFEST_DIR")),
+        "corpora/certificates/reach-paper-1.json",
+    );
+    let Statement::Reach(claim) = &mut reach.statement else {
+        panic!("reach")
+    };
     (claim.steps, claim.follower_ttc_s, claim.min_gap_m_at_least) = (10, None, 0.0);
     (claim.ranges.gap_behind_m, claim.ranges.follower_speed_mps) = (Interval::ZERO, Interval::ZERO);
     claim.ranges.follower_brake_mps2 = Interval::ZERO;
@@ -163,7 +264,10 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     // First bound to a scenario without a follower, then to none.
     let text = file::to_toml(&short(0.1)).unwrap();
     reach.provenance.box_text = Some(AHEAD_ONLY.to_owned());
-    (reach.provenance.scenario_sha256, reach.provenance.scenario_text) = (sha256(&text), Some(text));
+    (
+        reach.provenance.scenario_sha256,
+        reach.provenance.scenario_text,
+    ) = (sha256(&text), Some(text));
     write_certificate(folder.path(), "bound.json", &reach);
     reach.version = 1;
     (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
@@ -171,7 +275,10 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     write_certificate(folder.path(), "old.json", &reach);
     for (name, about) in [
         ("bound.json", "it is NOT the built-in scenario or space"),
-        ("old.json", "version 1 does not bind the statement to a text"),
+        (
+            "old.json",
+            "version 1 does not bind the statement to a text",
+        ),
     ] {
         let message = run_ok(folder.path(), &format!("check {name}"));
         for words in [
@@ -181,7 +288,11 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
             "behind: no vehicle\n",
             about,
         ] {
-            assert!(stdout(&message).contains(words), "{name}: {words}: {}", stdout(&message));
+            assert!(
+                stdout(&message).contains(words),
+                "{name}: {words}: {}",
+                stdout(&message)
+            );
         }
     }
 }
@@ -190,20 +301,39 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
 fn a_sample_is_chosen_afterwards_and_states_its_power() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", "");
-    let sampled = |more: &str| run_ok(folder.path(), &format!("check idm/certificate.json --rerun=50 {more}"));
+    let sampled = |more: &str| {
+        run_ok(
+            folder.path(),
+            &format!("check idm/certificate.json --rerun=50 {more}"),
+        )
+    };
     let report = &json_objects(&sampled("--rerun-seed 7 --format json"))[0];
     assert_eq!(report["counts"], "confirmed_by_sample");
     let rerun = &report["rerun"];
-    let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"].map(|field| rerun[field].as_u64().unwrap());
+    let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"]
+        .map(|field| rerun[field].as_u64().unwrap());
     assert_eq!(numbers, [200, 300, 2, 3, 7]);
     // One of three blocks has a forged run, and two blocks were counted again.
-    assert!((rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{report}");
+    assert!(
+        (rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9,
+        "{report}"
+    );
     let text = sampled("");
     assert_contains(
         stdout(&text),
-        &["2 of 3 blocks, 200 of 300 runs (66.66 %)", "after the file was fixed", "1 forged run: 66.66 %"],
+        &[
+            "2 of 3 blocks, 200 of 300 runs (66.66 %)",
+            "after the file was fixed",
+            "1 forged run: 66.66 %",
+        ],
     );
-    assert_eq!(exit_code(&run_crumple(folder.path(), "check idm/certificate.json --rerun=0")), 2);
+    assert_eq!(
+        exit_code(&run_crumple(
+            folder.path(),
+            "check idm/certificate.json --rerun=0"
+        )),
+        2
+    );
 }
 
 #[test]
@@ -213,9 +343,21 @@ fn several_bounds_hold_jointly() {
     write_idm_count(folder.path(), "two", "--seed 8");
     let arguments = "check one/certificate.json two/certificate.json";
     let both = run_crumple(folder.path(), arguments);
-    assert!(stdout(&both).contains("together: all 2 bounds hold at confidence 98 %"), "{}", stdout(&both));
-    let reports = json_objects(&run_crumple(folder.path(), &format!("{arguments} --format json")));
-    assert!(reports.iter().all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9), "{reports:?}");
+    assert!(
+        stdout(&both).contains("together: all 2 bounds hold at confidence 98 %"),
+        "{}",
+        stdout(&both)
+    );
+    let reports = json_objects(&run_crumple(
+        folder.path(),
+        &format!("{arguments} --format json"),
+    ));
+    assert!(
+        reports
+            .iter()
+            .all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9),
+        "{reports:?}"
+    );
     let alone = run_crumple(folder.path(), &arguments[..2]);
     assert!(!stdout(&alone).contains("together"));
 }
@@ -224,7 +366,10 @@ fn several_bounds_hold_jointly() {
 fn a_genuine_statement_cannot_carry_another_scenario() {
     let folder = temp_folder();
     for name in ["paper-1", "paper-2"] {
-        run_ok(folder.path(), &format!("avoid {name} --certificate {name}.json"));
+        run_ok(
+            folder.path(),
+            &format!("avoid {name} --certificate {name}.json"),
+        );
     }
     let message = run_crumple(folder.path(), "check paper-1.json");
     let passages = [
@@ -235,8 +380,12 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
         "it is the built-in scenario or space of that name",
     ];
     assert_contains(stdout(&message), &passages);
-    let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
-    let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
+    let [one, two] =
+        ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
+    let swapped = Certificate {
+        provenance: one.provenance.clone(),
+        ..two.clone()
+    };
     let mut renamed = two.clone();
     renamed.provenance.scenario = "paper-1".to_owned();
     let mut old = swapped.clone();
@@ -244,7 +393,12 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     let mut empty = two.clone();
     empty.provenance.scenario_sha256 = String::new();
-    for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
+    for (name, forged) in [
+        ("swapped", swapped),
+        ("renamed", renamed),
+        ("old", old),
+        ("empty", empty),
+    ] {
         write_certificate(folder.path(), "forged.json", &forged);
         let message = run_crumple(folder.path(), "check forged.json");
         assert_eq!(exit_code(&message), 1, "{name}: {}", stdout(&message));
@@ -254,19 +408,37 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     old.version = 1;
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     write_certificate(folder.path(), "old.json", &old);
-    assert_prints(&run_crumple(folder.path(), "check old.json --scenario paper-1"), 0, &["version 1, an old one"]);
+    assert_prints(
+        &run_crumple(folder.path(), "check old.json --scenario paper-1"),
+        0,
+        &["version 1, an old one"],
+    );
     // The output warns of another scenario under a built-in name.
-    let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
-    fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
+    let edited = built_in_scenario("paper-1")
+        .unwrap()
+        .edited(|spec| spec.vehicles[0].position_m += 1.0)
+        .unwrap();
+    fs::write(
+        folder.path().join("mine.toml"),
+        file::to_toml(&edited).unwrap(),
+    )
+    .unwrap();
     run_ok(folder.path(), "avoid mine.toml --certificate mine.json");
     let message = run_crumple(folder.path(), "check mine.json");
-    assert!(stdout(&message).contains("it is NOT the built-in scenario or space of that name"), "{}", stdout(&message));
+    assert!(
+        stdout(&message).contains("it is NOT the built-in scenario or space of that name"),
+        "{}",
+        stdout(&message)
+    );
 }
 
 #[test]
 fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     let folder = temp_folder();
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/corpora/certificates/reach-paper-1.json"
+    );
     let message = run_crumple(folder.path(), &format!("check '{file}' --scenario paper-1"));
     let passages = [
         "is about paper-1",
@@ -282,7 +454,9 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     let genuine = read_certificate(Path::new(""), file);
     let with = |change: &dyn Fn(&mut crumple_verify::ReachClaim)| {
         let mut forged = genuine.clone();
-        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
+        let Statement::Reach(claim) = &mut forged.statement else {
+            panic!("reach")
+        };
         change(claim);
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
@@ -296,7 +470,10 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
         with(&|claim| claim.ranges.gap_ahead_m = other),
         with(&|claim| claim.observation_error = [0.0; 8]),
     ] {
-        assert!(code == 1 && message.contains("does not match the scenario or box of `provenance`"), "{message}");
+        assert!(
+            code == 1 && message.contains("does not match the scenario or box of `provenance`"),
+            "{message}"
+        );
     }
 }
 
@@ -304,13 +481,17 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
 #[test]
 fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let folder = temp_folder();
-    let of_box =
-        |field: &str, ranges: &str| format!("version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\n{ranges}\n");
+    let of_box = |field: &str, ranges: &str| {
+        format!("version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\n{ranges}\n")
+    };
     let gap = "gap_ahead_m = { low = 15.9, high = 16.1 }";
     let made = |limit: &str, name: &str, depth: &str| {
         let text = of_box(&format!("leader_brakes_at_most_mps2 = {limit}"), gap);
         fs::write(folder.path().join("box.toml"), text).unwrap();
-        run_crumple(folder.path(), &format!("verify reach --box box.toml --depth {depth} --certificate {name}"))
+        run_crumple(
+            folder.path(),
+            &format!("verify reach --box box.toml --depth {depth} --certificate {name}"),
+        )
     };
     let message = made("0.03", "led.json", "4");
     assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
@@ -321,7 +502,11 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         "the vehicle ahead never brakes harder than stated",
     ];
     assert_prints(&checked, 0, &passages);
-    assert!(!stdout(&checked).contains("the leader moves as scripted"), "{}", stdout(&checked));
+    assert!(
+        !stdout(&checked).contains("the leader moves as scripted"),
+        "{}",
+        stdout(&checked)
+    );
     let about = run_crumple(folder.path(), "check led.json --scenario paper-1");
     assert_prints(&about, 1, &["is NOT about paper-1"]);
 
@@ -329,29 +514,52 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let genuine = read_certificate(folder.path(), "led.json");
     for limit in [None, Some(0.0), Some(0.02), Some(0.031)] {
         let mut forged = genuine.clone();
-        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
+        let Statement::Reach(claim) = &mut forged.statement else {
+            panic!("reach")
+        };
         claim.leader_brakes_at_most_mps2 = limit;
         claim.min_gap_m_at_least = 0.0;
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
-        assert_prints(&run_crumple(folder.path(), "check forged.json"), 1, &["does not match the scenario or box"]);
+        assert_prints(
+            &run_crumple(folder.path(), "check forged.json"),
+            1,
+            &["does not match the scenario or box"],
+        );
     }
     let mut forged = genuine;
-    forged.assumptions.retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
+    forged
+        .assumptions
+        .retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
     write_certificate(folder.path(), "forged.json", &forged);
-    assert_prints(&run_crumple(folder.path(), "check forged.json"), 1, &["`assumptions` must be"]);
+    assert_prints(
+        &run_crumple(folder.path(), "check forged.json"),
+        1,
+        &["`assumptions` must be"],
+    );
 
     // Falsified for a leader that brakes as hard as possible, with an initial state and a profile; also about paper-1.
     let refuted = made("7.5", "refuted.json", "1");
     assert_prints(&refuted, 1, &["falsified"]);
     let about = run_crumple(folder.path(), "check refuted.json --scenario paper-1");
-    assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
+    assert!(
+        stdout(&about).contains("is about paper-1"),
+        "{}",
+        stdout(&about)
+    );
 
     // The claim covers every script within the limit; for any other script the output states the reason.
     made("3.0", "three.json", "1");
     let with_leader = |driver: Driver| {
-        let paper = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
-        fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
+        let paper = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.vehicles[0].driver = driver)
+            .unwrap();
+        fs::write(
+            folder.path().join("scripted.toml"),
+            file::to_toml(&paper).unwrap(),
+        )
+        .unwrap();
         let message = run_crumple(folder.path(), "check three.json --scenario scripted.toml");
         (exit_code(&message), stdout(&message).to_owned())
     };
@@ -361,43 +569,86 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
             accel_mps2: accel_mps2.to_vec(),
         }))
     };
-    let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
-    for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
+    let ramp = RampBrake {
+        onset_s: 1.0,
+        rate_mps2: 3.0,
+        ramp_s: 0.5,
+        release_s: 0.25,
+    };
+    for driver in [
+        Driver::Profile(LeadProfile::RampBrake(ramp)),
+        pieces([-3.0, 0.0, -1.0]),
+    ] {
         let (_, message) = with_leader(driver);
         assert!(message.contains("is about scripted.toml"), "{message}");
     }
     for (driver, why) in [
-        (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
-        (pieces([-3.0, 0.1, 0.0]), "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up"),
-        (Driver::Controller(ControllerSpec::from_name("idm").unwrap()), "the leader must be scripted"),
+        (
+            pieces([-3.0, -3.1, 0.0]),
+            "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most",
+        ),
+        (
+            pieces([-3.0, 0.1, 0.0]),
+            "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up",
+        ),
+        (
+            Driver::Controller(ControllerSpec::from_name("idm").unwrap()),
+            "the leader must be scripted",
+        ),
     ] {
         let (code, message) = with_leader(driver);
-        assert!(code == 1 && message.contains("is NOT about scripted.toml: ") && message.contains(why), "{message}");
+        assert!(
+            code == 1 && message.contains("is NOT about scripted.toml: ") && message.contains(why),
+            "{message}"
+        );
     }
 
     for (field, ranges, line, problem) in [
-        ("leader_brakes_at_most_mps2 = -0.1", gap, 3, "leader_brakes_at_most_mps2: must be 0 or more, found -0.1"),
-        ("leader_brakes_at_most_mps2 = nan", gap, 3, "leader_brakes_at_most_mps2: must be 0 or more, found NaN"),
+        (
+            "leader_brakes_at_most_mps2 = -0.1",
+            gap,
+            3,
+            "leader_brakes_at_most_mps2: must be 0 or more, found -0.1",
+        ),
+        (
+            "leader_brakes_at_most_mps2 = nan",
+            gap,
+            3,
+            "leader_brakes_at_most_mps2: must be 0 or more, found NaN",
+        ),
         (
             "leader_brakes_at_most_mps2 = 30",
             gap,
             3,
             "leader_brakes_at_most_mps2: exceeds the braking limit of the leader",
         ),
-        ("leader_brakes_at_most_mps2 = 1", "onset_s = 1.0", 5, "ranges.onset_s: has no meaning with"),
+        (
+            "leader_brakes_at_most_mps2 = 1",
+            "onset_s = 1.0",
+            5,
+            "ranges.onset_s: has no meaning with",
+        ),
         (
             "leader_brakes_at_most_mps2 = 1",
             "leader_brake_mps2 = 1.0",
             5,
             "ranges.leader_brake_mps2: has no meaning with",
         ),
-        ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
+        (
+            "leader_brakes_at_most_mps2 = \"1\"",
+            gap,
+            3,
+            "leader_brakes_at_most_mps2",
+        ),
     ] {
         fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
         let message = run_crumple(folder.path(), "verify reach --box bad.toml");
         let place = format!("bad.toml:{line}");
         let error = stderr(&message);
-        assert!(exit_code(&message) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
+        assert!(
+            exit_code(&message) == 2 && error.contains(&place) && error.contains(problem),
+            "{field}: {error}"
+        );
     }
 }
 
@@ -412,7 +663,10 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
     };
     let made = |field: &str, name: &str| {
         fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
-        run_crumple(folder.path(), &format!("verify reach --box box.toml --depth 3 --certificate {name}"))
+        run_crumple(
+            folder.path(),
+            &format!("verify reach --box box.toml --depth 3 --certificate {name}"),
+        )
     };
     let message = made("follower_drives = \"idm\"", "idm.json");
     assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
@@ -422,23 +676,43 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
         "the follower applies the stated controller's command at each step, without delay",
     ];
     assert_prints(&checked, 0, &passages);
-    assert!(!stdout(&checked).contains("latched"), "{}", stdout(&checked));
+    assert!(
+        !stdout(&checked).contains("latched"),
+        "{}",
+        stdout(&checked)
+    );
     // paper-1 has another follower.
-    assert_prints(&run_crumple(folder.path(), "check idm.json --scenario paper-1"), 1, &["is NOT about paper-1"]);
+    assert_prints(
+        &run_crumple(folder.path(), "check idm.json --scenario paper-1"),
+        1,
+        &["is NOT about paper-1"],
+    );
     // The edited scenario has that follower.
     let followed = built_in_scenario("paper-1").unwrap().edited(|spec| {
         spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
     });
     let followed = followed.unwrap();
-    fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
+    fs::write(
+        folder.path().join("idm.toml"),
+        file::to_toml(&followed).unwrap(),
+    )
+    .unwrap();
     let about = run_crumple(folder.path(), "check idm.json --scenario idm.toml");
-    assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
+    assert!(
+        stdout(&about).contains("is about idm.toml"),
+        "{}",
+        stdout(&about)
+    );
 
     let genuine = read_certificate(folder.path(), "idm.json");
     for headway_s in [1.5, 1.7] {
         let mut forged = genuine.clone();
-        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
-        let Some(FollowerLaw::Idm(idm)) = claim.follower_law.as_deref_mut() else { panic!("idm") };
+        let Statement::Reach(claim) = &mut forged.statement else {
+            panic!("reach")
+        };
+        let Some(FollowerLaw::Idm(idm)) = claim.follower_law.as_deref_mut() else {
+            panic!("idm")
+        };
         idm.time_headway_s = headway_s;
         claim.min_gap_m_at_least = 0.0;
         write_certificate(folder.path(), "forged.json", &forged);
@@ -448,9 +722,15 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
     }
 
     for (field, problem) in [
-        ("follower_drives = \"rss\"", "follower_drives: must drive with baseline, idm or acc-aeb, found rss"),
+        (
+            "follower_drives = \"rss\"",
+            "follower_drives: must drive with baseline, idm or acc-aeb, found rss",
+        ),
         ("follower_drives = \"nobody\"", "nobody"),
-        ("follower_drives = { idm = { time_headway_s = -1.0 } }", "follower_drives"),
+        (
+            "follower_drives = { idm = { time_headway_s = -1.0 } }",
+            "follower_drives",
+        ),
     ] {
         fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
         let message = run_crumple(folder.path(), "verify reach --box bad.toml");
@@ -465,41 +745,99 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
 #[test]
 fn each_certificate_has_its_own_verdict() {
     let folder = temp_folder();
-    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
+    let good = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/corpora/certificates/reach-paper-1.json"
+    );
     fs::write(folder.path().join("cut.json"), "{").unwrap();
-    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' nowhere.json"));
+    let message = run_crumple(
+        folder.path(),
+        &format!("check cut.json '{good}' nowhere.json"),
+    );
     assert_prints(&message, 2, &["reach-paper-1.json: accepted: reach"]);
-    assert!(stderr(&message).contains("cut.json: is not a certificate"), "{}", stderr(&message));
-    assert!(stderr(&message).contains("nowhere.json: "), "{}", stderr(&message));
-    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' --format json"));
+    assert!(
+        stderr(&message).contains("cut.json: is not a certificate"),
+        "{}",
+        stderr(&message)
+    );
+    assert!(
+        stderr(&message).contains("nowhere.json: "),
+        "{}",
+        stderr(&message)
+    );
+    let message = run_crumple(
+        folder.path(),
+        &format!("check cut.json '{good}' --format json"),
+    );
     let verdicts = json_objects(&message);
     assert_eq!((exit_code(&message), verdicts.len()), (2, 2));
-    assert_eq!((&verdicts[0]["accepted"], &verdicts[1]["accepted"]), (&json!(true), &json!(false)));
-    assert!(verdicts[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", verdicts[1]);
+    assert_eq!(
+        (&verdicts[0]["accepted"], &verdicts[1]["accepted"]),
+        (&json!(true), &json!(false))
+    );
+    assert!(
+        verdicts[1]["error"]
+            .as_str()
+            .unwrap()
+            .starts_with("cut.json: is not a certificate"),
+        "{}",
+        verdicts[1]
+    );
     // Verdicts come before errors.
-    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' --scenario paper-2"));
+    let message = run_crumple(
+        folder.path(),
+        &format!("check cut.json '{good}' --scenario paper-2"),
+    );
     assert_prints(&message, 1, &["reach-paper-1.json: is NOT about paper-2: "]);
-    assert!(!stdout(&message).contains(".json: accepted"), "{}", stdout(&message));
+    assert!(
+        !stdout(&message).contains(".json: accepted"),
+        "{}",
+        stdout(&message)
+    );
     let gate = stderr(&message).lines().last().unwrap();
-    assert!(gate.starts_with("gate: not about the scenario of --scenario: "), "{gate}");
+    assert!(
+        gate.starts_with("gate: not about the scenario of --scenario: "),
+        "{gate}"
+    );
 }
 
 #[test]
 fn noise_that_is_not_assumed_is_noticed() {
     let folder = temp_folder();
-    let noisy =
-        built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
-    fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
+    let noisy = built_in_scenario("paper-1")
+        .unwrap()
+        .edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05)
+        .unwrap();
+    fs::write(
+        folder.path().join("noisy.toml"),
+        file::to_toml(&noisy).unwrap(),
+    )
+    .unwrap();
     run_ok(folder.path(), "avoid noisy.toml --certificate noisy.json");
-    let check = |name: &str| exit_code(&run_crumple(folder.path(), &format!("check {name} --scenario noisy.toml")));
+    let check = |name: &str| {
+        exit_code(&run_crumple(
+            folder.path(),
+            &format!("check {name} --scenario noisy.toml"),
+        ))
+    };
     assert_eq!(check("noisy.json"), 0);
     let mut silent = read_certificate(folder.path(), "noisy.json");
-    assert_eq!(silent.assumptions.pop(), Some(crumple_verify::Assumption::NoiseOfSeed));
+    assert_eq!(
+        silent.assumptions.pop(),
+        Some(crumple_verify::Assumption::NoiseOfSeed)
+    );
     write_certificate(folder.path(), "silent.json", &silent);
     assert_eq!(check("silent.json"), 1);
-    assert_eq!(exit_code(&run_crumple(folder.path(), "check silent.json")), 1, "its own text says that there is noise");
+    assert_eq!(
+        exit_code(&run_crumple(folder.path(), "check silent.json")),
+        1,
+        "its own text says that there is noise"
+    );
     silent.version = 1;
-    (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
+    (
+        silent.provenance.scenario_text,
+        silent.provenance.scenario_sha256,
+    ) = (None, String::new());
     write_certificate(folder.path(), "old.json", &silent);
     assert_eq!(check("old.json"), 1);
 }
@@ -509,18 +847,37 @@ fn a_key_that_occurs_twice_is_no_certificate() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", "");
     let text = fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
-    for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
-    {
+    for (name, from) in [
+        ("controller", "\"controller\":"),
+        ("version", "\"version\":"),
+        ("failures", "\"failures\":"),
+    ] {
         let doubled = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
         assert_ne!(doubled, text);
         fs::write(folder.path().join("twice.json"), doubled).unwrap();
         let message = run_crumple(folder.path(), "check twice.json");
         assert_eq!(exit_code(&message), 2, "{name}");
-        assert!(stderr(&message).contains("twice.json: is not a certificate: "), "{}", stderr(&message));
+        assert!(
+            stderr(&message).contains("twice.json: is not a certificate: "),
+            "{}",
+            stderr(&message)
+        );
     }
     // Duplicate keys in a registration would let two contents share a digest.
     let registration = fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
-    let doubled = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
-    assert!(serde_json::from_str::<Registration>(&doubled).unwrap_err().to_string().contains("duplicate key"));
-    assert_eq!(registration.parse::<Value>().unwrap()["block_runs"], json!(100));
+    let doubled = registration.replacen(
+        "\"controller\":",
+        "\"controller\": \"policy\", \"controller\":",
+        1,
+    );
+    assert!(
+        serde_json::from_str::<Registration>(&doubled)
+            .unwrap_err()
+            .to_string()
+            .contains("duplicate key")
+    );
+    assert_eq!(
+        registration.parse::<Value>().unwrap()["block_runs"],
+        json!(100)
+    );
 }

@@ -7,17 +7,26 @@ use crumple_world::scenario::space::{DistributionSpec, ScenarioSpace, UniformSpe
 
 /// Returns events of 10 s in which the leader brakes once; the parameters follow no known family of distributions.
 fn events_csv(count: u32) -> String {
-    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let mut text =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     for event in 0..count {
         let turn = |step: f64| (f64::from(event) * step).fract();
-        let (speed, brake, gap_s) =
-            (12.0 + 12.0 * turn(0.618), 1.6 + 4.0 * turn(0.414) * turn(0.732), 0.7 + 1.6 * turn(0.236));
+        let (speed, brake, gap_s) = (
+            12.0 + 12.0 * turn(0.618),
+            1.6 + 4.0 * turn(0.414) * turn(0.732),
+            0.7 + 1.6 * turn(0.236),
+        );
         let follower = speed * (0.95 + 0.1 * turn(0.303));
         for tenth in 0..100 {
             let at_s = f64::from(tenth) / 10.0;
             let leader = speed - brake * (at_s - 3.0).clamp(0.0, 2.0);
             let gap = gap_s * follower + 5.0;
-            writeln!(text, "{event},{at_s:.1},{gap:.3},{follower:.3},{:.3},{leader:.3}", leader - follower).unwrap();
+            writeln!(
+                text,
+                "{event},{at_s:.1},{gap:.3},{follower:.3},{:.3},{leader:.3}",
+                leader - follower
+            )
+            .unwrap();
         }
     }
     text
@@ -28,26 +37,53 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let folder = temp_folder();
     let here = folder.path();
     fs::write(here.join("events.csv"), events_csv(40)).unwrap();
-    let fitted = run_ok(here, "fit events.csv --out space.toml --plot fit.svg --samples 19");
-    assert!(stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"), "{}", stdout(&fitted));
+    let fitted = run_ok(
+        here,
+        "fit events.csv --out space.toml --plot fit.svg --samples 19",
+    );
+    assert!(
+        stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"),
+        "{}",
+        stdout(&fitted)
+    );
     let drawn = fs::read_to_string(here.join("fit.svg")).unwrap();
-    assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
+    assert!(
+        ["lead_speed_mps", "time_gap_1_s", "KS"]
+            .iter()
+            .all(|name| drawn.contains(name))
+    );
     let text = fs::read_to_string(here.join("space.toml")).unwrap();
 
     let drawn_over = |more: &str| {
         let fit = "fit events.csv --out other.toml --name other --plot fit.svg --samples 19";
         run_crumple(here, &format!("{fit} {more}"))
     };
-    assert_refused(&drawn_over(""), "fit.svg: exists with other contents: use --force");
+    assert_refused(
+        &drawn_over(""),
+        "fit.svg: exists with other contents: use --force",
+    );
     assert!(!here.join("other.toml").exists());
     assert_eq!(exit_code(&drawn_over("--force")), 0);
 
     // Equal output is accepted; an edited file needs --force.
     let again = "fit events.csv --out space.toml --samples 19 --format json";
     let json = &json_objects(&run_crumple(here, again))[0];
-    assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
-    fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
-    assert_refused(&run_crumple(here, again), "space.toml: exists with other contents");
+    assert_eq!(
+        (
+            json["exposure"]["episodes"].as_u64(),
+            json["numbers"].as_array().unwrap().len()
+        ),
+        (Some(40), 5)
+    );
+    fs::write(
+        here.join("space.toml"),
+        text.replace("name = \"fitted\"", "name = \"mine\""),
+    )
+    .unwrap();
+    assert_refused(
+        &run_crumple(here, again),
+        "space.toml: exists with other contents",
+    );
     run_ok(here, &format!("{again} --force"));
     assert_eq!(fs::read_to_string(here.join("space.toml")).unwrap(), text);
 
@@ -57,15 +93,31 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         run_on_threads(here, threads, &format!("{asked} {effort} {more}"))
     };
     let one = rate("1", "--out one");
-    assert_prints(&one, 0, &["failures per hour", "with the uncertainty of the data"]);
-    let on_the_road = |output: &Output| stdout(output).split_once("on the road").unwrap().1.to_owned();
+    assert_prints(
+        &one,
+        0,
+        &["failures per hour", "with the uncertainty of the data"],
+    );
+    let on_the_road = |output: &Output| {
+        stdout(output)
+            .split_once("on the road")
+            .unwrap()
+            .1
+            .to_owned()
+    };
     for again in [rate("2", "--out two"), rate("2", "--out one --resume")] {
         assert_eq!(on_the_road(&again), on_the_road(&one));
     }
 
     // A space edited after the fit has rates, but no uncertainty of the data.
-    let mut changed = file::from_toml(&text, Path::new("space.toml")).unwrap().spec().clone();
-    changed.parameters[0].distribution = DistributionSpec::Uniform(UniformSpec { low: 10.0, high: 26.0 });
+    let mut changed = file::from_toml(&text, Path::new("space.toml"))
+        .unwrap()
+        .spec()
+        .clone();
+    changed.parameters[0].distribution = DistributionSpec::Uniform(UniformSpec {
+        low: 10.0,
+        high: 26.0,
+    });
     let changed = file::to_toml(&ScenarioSpace::new(changed, Path::new("")).unwrap()).unwrap();
     fs::write(here.join("changed.toml"), changed).unwrap();
     let asked = "verify rate --controller baseline --space changed.toml --runs 50 --out changed";
@@ -83,7 +135,11 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     };
     let first = rare("--out rare");
     assert_eq!(exit_code(&first), 0, "{}", stderr(&first));
-    assert!(json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
+    assert!(
+        json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(),
+        "{}",
+        stdout(&first)
+    );
     assert_eq!(stdout(&rare("--out rare --resume")), stdout(&first));
     run_ok(here, "fsck one rare");
 }
@@ -94,24 +150,55 @@ fn unsuitable_data_are_refused() {
     let here = folder.path();
     fs::write(here.join("few.csv"), events_csv(19)).unwrap();
     fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
-    let fit = |recording: &str, more: &str| run_crumple(here, &format!("fit {recording} --out s.toml {more}"));
-    assert_refused(&fit("few.csv", ""), "found 19 episodes of 2 vehicles, and 20 are needed");
+    let fit = |recording: &str, more: &str| {
+        run_crumple(here, &format!("fit {recording} --out s.toml {more}"))
+    };
+    assert_refused(
+        &fit("few.csv", ""),
+        "found 19 episodes of 2 vehicles, and 20 are needed",
+    );
     assert_refused(
         &fit("enough.csv", "--vehicles 3"),
         "found 0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
     );
-    assert_refused(&fit("enough.csv", "--vehicles 6"), "must be a whole number from 2 to 5");
+    assert_refused(
+        &fit("enough.csv", "--vehicles 6"),
+        "must be a whole number from 2 to 5",
+    );
     assert_refused(&fit("enough.csv", "--min-brake -1"), "--min-brake");
-    assert_refused(&fit("enough.csv", "--min-brake 12"), "min_brake: must be below 12 m/s²");
-    assert_refused(&fit("enough.csv", "--name ''"), "name: must have 1 to 100 characters");
+    assert_refused(
+        &fit("enough.csv", "--min-brake 12"),
+        "min_brake: must be below 12 m/s²",
+    );
+    assert_refused(
+        &fit("enough.csv", "--name ''"),
+        "name: must have 1 to 100 characters",
+    );
     assert_refused(&fit("nothing.csv", ""), "nothing.csv");
-    fs::copy(folder.path().join("enough.csv"), folder.path().join("copy.csv")).unwrap();
+    fs::copy(
+        folder.path().join("enough.csv"),
+        folder.path().join("copy.csv"),
+    )
+    .unwrap();
     for again in ["./enough.csv", "copy.csv"] {
-        assert_refused(&fit("enough.csv", again), &format!("{again}: this recording is given twice"));
+        assert_refused(
+            &fit("enough.csv", again),
+            &format!("{again}: this recording is given twice"),
+        );
     }
-    assert_refused(&run_crumple(here, "fit enough.csv --out s.json"), "must end in .toml");
-    let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
-    let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));
+    assert_refused(
+        &run_crumple(here, "fit enough.csv --out s.json"),
+        "must end in .toml",
+    );
+    let one: String = events_csv(1)
+        .lines()
+        .skip(1)
+        .map(|line| format!("{line}\n"))
+        .collect();
+    let same = (0..25).map(|event| {
+        one.replace("\n0,", &format!("\n{event},"))
+            .replacen("0,", &format!("{event},"), 1)
+    });
     let header = events_csv(0);
     fs::write(here.join("same.csv"), header + &same.collect::<String>()).unwrap();
     assert_refused(&fit("same.csv", ""), "all values are");
@@ -123,7 +210,10 @@ fn unsuitable_data_are_refused() {
     // A space without episodes cannot be resampled.
     for (option, value) in [("--resamples", "100"), ("--resample-runs", "60")] {
         assert_refused(
-            &run_crumple(here, &format!("verify rate --controller idm --runs 10 {option} {value}")),
+            &run_crumple(
+                here,
+                &format!("verify rate --controller idm --runs 10 {option} {value}"),
+            ),
             &format!("{option}: the space `paper` was not fitted to episodes"),
         );
     }

@@ -39,10 +39,18 @@ use crate::tiny::{self, assert_contains, replace_passages};
 /// Returns the subcommands that a `--help` output lists between usage and options.
 pub(crate) fn listed_subcommands(help: &Output) -> BTreeSet<String> {
     let text = stdout(help);
-    let listed = text.split("\nOptions:").next().and_then(|before| before.split("Usage:").nth(1)).unwrap();
+    let listed = text
+        .split("\nOptions:")
+        .next()
+        .and_then(|before| before.split("Usage:").nth(1))
+        .unwrap();
     let lines = listed.lines().filter_map(|line| line.strip_prefix("  "));
     let names = lines.filter(|line| line.starts_with(|first: char| first.is_ascii_lowercase()));
-    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
+    names
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .map(str::to_owned)
+        .collect()
 }
 
 /// Runs `crumple` in a folder, with arguments that are written as in a shell.
@@ -58,22 +66,35 @@ pub(crate) fn run_ok(folder: &Path, arguments: &str) -> Output {
 
 pub(crate) fn command(folder: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-    command.current_dir(folder).args(shlex::split(arguments).expect("closed quotes")).env("NO_COLOR", "1");
+    command
+        .current_dir(folder)
+        .args(shlex::split(arguments).expect("closed quotes"))
+        .env("NO_COLOR", "1");
     command
 }
 
 pub(crate) fn run_on_threads(folder: &Path, threads: &str, arguments: &str) -> Output {
-    command(folder, arguments).env("RAYON_NUM_THREADS", threads).output().expect("starts")
+    command(folder, arguments)
+        .env("RAYON_NUM_THREADS", threads)
+        .output()
+        .expect("starts")
 }
 
 /// Starts a command whose output is read later.
 pub(crate) fn spawn(folder: &Path, arguments: &str) -> Child {
-    command(folder, arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts")
+    command(folder, arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("starts")
 }
 
 /// Presses Ctrl-C.
 pub(crate) fn interrupt(child: Child) -> Output {
-    let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
+    let interrupted = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .expect("kill is there");
     assert!(interrupted.success());
     child.wait_with_output().expect("ends")
 }
@@ -93,14 +114,26 @@ pub(crate) fn stderr(output: &Output) -> &str {
 /// Checks the exit code, and that standard output contains some passages.
 #[track_caller]
 pub(crate) fn assert_prints(output: &Output, code: i32, passages: &[&str]) {
-    assert_eq!(exit_code(output), code, "{}{}", stdout(output), stderr(output));
+    assert_eq!(
+        exit_code(output),
+        code,
+        "{}{}",
+        stdout(output),
+        stderr(output)
+    );
     assert_contains(stdout(output), passages);
 }
 
 /// Checks the exit code, and that standard error contains a passage.
 #[track_caller]
 pub(crate) fn assert_reports(output: &Output, code: i32, passage: &str) {
-    assert_eq!(exit_code(output), code, "{}{}", stdout(output), stderr(output));
+    assert_eq!(
+        exit_code(output),
+        code,
+        "{}{}",
+        stdout(output),
+        stderr(output)
+    );
     assert_contains(stderr(output), &[passage]);
 }
 
@@ -110,7 +143,10 @@ pub(crate) fn assert_refused(output: &Output, message: &str) {
 }
 
 pub(crate) fn json_objects(output: &Output) -> Vec<Value> {
-    stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
+    stdout(output)
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("one object a line"))
+        .collect()
 }
 
 pub(crate) fn read_json(path: &Path) -> Value {
@@ -123,7 +159,9 @@ pub(crate) fn temp_folder() -> tempfile::TempDir {
 
 pub(crate) fn file_names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("readable");
-    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     names
 }
@@ -135,25 +173,65 @@ const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 fn simulate_prints_one_json_object_a_line() {
     let folder = temp_folder();
     let arguments = "simulate --controller baseline --estimator truth --format json";
-    let output = run_crumple(folder.path(), &format!("{arguments} {}", PAPER_SCENARIOS.join(" ")));
+    let output = run_crumple(
+        folder.path(),
+        &format!("{arguments} {}", PAPER_SCENARIOS.join(" ")),
+    );
     assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
     let reports = json_objects(&output);
-    assert_eq!(reports.iter().map(|report| report["scenario"].clone()).collect::<Vec<_>>(), PAPER_SCENARIOS);
+    assert_eq!(
+        reports
+            .iter()
+            .map(|report| report["scenario"].clone())
+            .collect::<Vec<_>>(),
+        PAPER_SCENARIOS
+    );
     for report in &reports {
         assert_eq!(report["controller"], "baseline");
         assert_eq!(report["estimator"], "truth");
-        assert_eq!((&report["dt_s"], &report["seed"]), (&json!(0.01), &json!(0)));
+        assert_eq!(
+            (&report["dt_s"], &report["seed"]),
+            (&json!(0.01), &json!(0))
+        );
         assert_eq!(report["outcome"]["kind"], "collision");
-        assert_eq!((&report["outcome"]["front_vehicle"], &report["outcome"]["rear_vehicle"]), (&json!(1), &json!(2)));
-        for number in ["time_s", "front_speed_mps", "rear_speed_mps", "impact_speed_mps"] {
-            assert!(report["outcome"][number].as_f64().is_some_and(|number| number > 0.0), "{number} in {report}");
+        assert_eq!(
+            (
+                &report["outcome"]["front_vehicle"],
+                &report["outcome"]["rear_vehicle"]
+            ),
+            (&json!(1), &json!(2))
+        );
+        for number in [
+            "time_s",
+            "front_speed_mps",
+            "rear_speed_mps",
+            "impact_speed_mps",
+        ] {
+            assert!(
+                report["outcome"][number]
+                    .as_f64()
+                    .is_some_and(|number| number > 0.0),
+                "{number} in {report}"
+            );
         }
         let vehicles = report["vehicles"].as_array().expect("one entry a vehicle");
-        assert_eq!(vehicles[0]["min_gap_m"], Value::Null, "nobody is ahead of the leader");
+        assert_eq!(
+            vehicles[0]["min_gap_m"],
+            Value::Null,
+            "nobody is ahead of the leader"
+        );
         for vehicle in vehicles {
-            let fields: Vec<_> = vehicle.as_object().unwrap().keys().map(String::as_str).collect();
+            let fields: Vec<_> = vehicle
+                .as_object()
+                .unwrap()
+                .keys()
+                .map(String::as_str)
+                .collect();
             let expected = ["max_brake_mps2", "min_gap_m", "min_ttc_s", "stopped"];
-            assert!(expected.iter().all(|field| fields.contains(field)), "{fields:?}");
+            assert!(
+                expected.iter().all(|field| fields.contains(field)),
+                "{fields:?}"
+            );
             assert!(vehicle["stopped"].is_boolean());
         }
     }
@@ -166,14 +244,22 @@ fn simulate_prints_one_json_object_a_line() {
 fn options_reach_the_simulation() {
     let folder = temp_folder();
     let run = |arguments: &str| {
-        json_objects(&run_crumple(folder.path(), &format!("simulate paper-1 --format json {arguments}"))).remove(0)
+        json_objects(&run_crumple(
+            folder.path(),
+            &format!("simulate paper-1 --format json {arguments}"),
+        ))
+        .remove(0)
     };
-    assert_eq!(run("--controller match-leader")["outcome"], json!({ "kind": "no_collision" }));
+    assert_eq!(
+        run("--controller match-leader")["outcome"],
+        json!({ "kind": "no_collision" })
+    );
     assert_eq!(run("")["estimator"], "kalman", "the default");
     assert_eq!(run("--dt 0.001")["dt_s"], 0.001);
     assert_eq!(run("--seed 7")["seed"], 7);
     // The baseline hardly reacts to noise; this controller copies its observation.
-    let noisy = |seed: u64| run(&format!("--controller match-leader --seed {seed}"))["vehicles"].clone();
+    let noisy =
+        |seed: u64| run(&format!("--controller match-leader --seed {seed}"))["vehicles"].clone();
     assert_ne!(noisy(7), noisy(8), "noise is another");
     assert_eq!(noisy(7), noisy(7), "one seed decides everything");
     let arguments = "simulate paper-3 --estimator truth --after-collision continue --format json";
@@ -187,13 +273,26 @@ fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
     let folder = temp_folder();
     let run = |arguments: &str| run_crumple(folder.path(), &format!("simulate {arguments}"));
     let collided = run("paper-1 --expect safe --format json");
-    assert_eq!((exit_code(&collided), stderr(&collided)), (1, "gate: expected no collision in paper-1\n"));
-    assert_eq!(json_objects(&collided).len(), 1, "the results are printed all the same");
+    assert_eq!(
+        (exit_code(&collided), stderr(&collided)),
+        (1, "gate: expected no collision in paper-1\n")
+    );
+    assert_eq!(
+        json_objects(&collided).len(),
+        1,
+        "the results are printed all the same"
+    );
     assert_eq!(exit_code(&run("paper-1 --expect collision")), 0);
     let all = format!("{} --controller match-leader", PAPER_SCENARIOS.join(" "));
     assert_eq!(exit_code(&run(&format!("{all} --expect safe"))), 0);
     let missed = run(&format!("{all} --expect collision"));
-    assert_eq!((exit_code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
+    assert_eq!(
+        (exit_code(&missed), stderr(&missed)),
+        (
+            1,
+            "gate: expected a collision in paper-1, paper-2, paper-3\n"
+        )
+    );
 }
 
 /// A controller that stops a scenario by unnecessary braking is safe, but not useful.
@@ -205,13 +304,24 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
         [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 25.0\ndriver = \"under-test\"\n";
     fs::write(folder.path().join("quiet.toml"), quiet).expect("writable");
     let run = |controller: &str, more: &str| {
-        run_crumple(folder.path(), &format!("simulate quiet.toml --controller {controller} {more}"))
+        run_crumple(
+            folder.path(),
+            &format!("simulate quiet.toml --controller {controller} {more}"),
+        )
     };
     assert_eq!(exit_code(&run("random-actions", "--expect safe")), 0);
     let output = run("random-actions", "--expect useful");
-    let message = "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
+    let message =
+        "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
     assert_eq!(stderr(&output), message);
-    assert_prints(&output, 1, &["\n  vehicle 1 brakes unnecessarily for ", " was necessary\n"]);
+    assert_prints(
+        &output,
+        1,
+        &[
+            "\n  vehicle 1 brakes unnecessarily for ",
+            " was necessary\n",
+        ],
+    );
 
     let useful = run("idm", "--expect useful --format json");
     assert_eq!(exit_code(&useful), 0);
@@ -220,8 +330,14 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     let report = json_objects(&run("random-actions", "--format json")).remove(0);
     let braking = &report["braking_without_cause"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
-    assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
-    let left = run_crumple(folder.path(), "simulate quiet.toml --controller policy --expect useful");
+    assert!(
+        braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0,
+        "{report}"
+    );
+    let left = run_crumple(
+        folder.path(),
+        "simulate quiet.toml --controller policy --expect useful",
+    );
     assert_prints(&left, 1, &["vehicle 1 is left behind by its leader"]);
     let contact = run_crumple(folder.path(), "simulate paper-1 --expect useful");
     assert_eq!(exit_code(&contact), 1, "a contact is no use either");
@@ -234,22 +350,44 @@ fn a_folder_has_a_line_for_each_scenario_and_a_total() {
     fs::create_dir(folder.path().join("all")).unwrap();
     for name in PAPER_SCENARIOS {
         let shown = run_ok(folder.path(), &format!("show {name}"));
-        fs::write(folder.path().join(format!("all/{name}.toml")), stdout(&shown)).unwrap();
+        fs::write(
+            folder.path().join(format!("all/{name}.toml")),
+            stdout(&shown),
+        )
+        .unwrap();
     }
     let open = "version = 1\nname = \"open\"\nduration_s = 2.0\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 200.0\nspeed_mps = 20.0\ndriver = \"constant-speed\"\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 20.0\ndriver = \"under-test\"\n";
     fs::write(folder.path().join("all/open.toml"), open).unwrap();
-    let stopped = open.replace("position_m = 200.0\nspeed_mps = 20.0", "position_m = 30.0\nspeed_mps = 0.0");
+    let stopped = open.replace(
+        "position_m = 200.0\nspeed_mps = 20.0",
+        "position_m = 30.0\nspeed_mps = 0.0",
+    );
     let stopped = stopped.replace("\"open\"", "\"stopped\"");
     fs::write(folder.path().join("all/stopped.toml"), stopped).unwrap();
 
     let arguments = "simulate all --estimator truth --spec 'always v1.gap_m > 60'";
-    let lines: Vec<_> = stdout(&run_ok(folder.path(), arguments)).lines().map(str::to_owned).collect();
-    assert!(lines[0].starts_with("open: no collision, smallest gap 1"), "{lines:#?}");
-    assert!(lines[1].starts_with("paper-1: COLLISION at ") && lines[1].contains("vehicle 2 hits vehicle 1 at "));
-    assert!(lines[4].starts_with("stopped: ") && lines[4].contains("vehicle 1 hits vehicle 0"), "{lines:#?}");
-    assert!(lines[4].contains("; VIOLATED, robustness -") && !lines[0].contains("VIOLATED"), "{lines:#?}");
+    let lines: Vec<_> = stdout(&run_ok(folder.path(), arguments))
+        .lines()
+        .map(str::to_owned)
+        .collect();
+    assert!(
+        lines[0].starts_with("open: no collision, smallest gap 1"),
+        "{lines:#?}"
+    );
+    assert!(
+        lines[1].starts_with("paper-1: COLLISION at ")
+            && lines[1].contains("vehicle 2 hits vehicle 1 at ")
+    );
+    assert!(
+        lines[4].starts_with("stopped: ") && lines[4].contains("vehicle 1 hits vehicle 0"),
+        "{lines:#?}"
+    );
+    assert!(
+        lines[4].contains("; VIOLATED, robustness -") && !lines[0].contains("VIOLATED"),
+        "{lines:#?}"
+    );
     let total = [
         "total of 5 scenarios: baseline, estimator truth",
         "      1 of 5  no collision",
@@ -260,26 +398,49 @@ fn a_folder_has_a_line_for_each_scenario_and_a_total() {
     ];
     assert_eq!(lines[5..], total);
 
-    let reports = json_objects(&run_ok(folder.path(), &format!("{arguments} --format json")));
-    assert_eq!((reports.len(), &reports[0]["scenario"]), (6, &json!("open")));
+    let reports = json_objects(&run_ok(
+        folder.path(),
+        &format!("{arguments} --format json"),
+    ));
+    assert_eq!(
+        (reports.len(), &reports[0]["scenario"]),
+        (6, &json!("open"))
+    );
     let expected = json!({
         "scenarios": 5, "no_collision": 1, "ego_hits_leader": 2, "ego_hit_from_behind": 2, "others_collide": 0,
         "controller_failed": 0, "brakes_unnecessarily": 2, "fell_behind": 0, "violated": 4,
     });
     assert_eq!(reports[5]["total"], expected);
     let details = run_ok(folder.path(), "simulate all --details");
-    assert!(stdout(&details).lines().count() > 30 && stdout(&details).contains("total of 5 scenarios: baseline"));
+    assert!(
+        stdout(&details).lines().count() > 30
+            && stdout(&details).contains("total of 5 scenarios: baseline")
+    );
 }
 
 /// `--after-contact` is the name of version 0.3.0.
 #[test]
 fn the_earlier_name_of_after_collision_is_still_accepted() {
     let folder = temp_folder();
-    let run = |option: &str| run_ok(folder.path(), &format!("simulate paper-3 {option} continue --format json"));
-    assert_eq!(run("--after-contact").stdout, run("--after-collision").stdout);
+    let run = |option: &str| {
+        run_ok(
+            folder.path(),
+            &format!("simulate paper-3 {option} continue --format json"),
+        )
+    };
+    assert_eq!(
+        run("--after-contact").stdout,
+        run("--after-collision").stdout
+    );
     let earlier = run_ok(folder.path(), "simulate paper-1 --spec 'no contact'");
-    assert_eq!(earlier.stdout, run_ok(folder.path(), "simulate paper-1 --spec 'no collision'").stdout);
-    assert!(stdout(&earlier).contains("VIOLATED, robustness ") && stdout(&earlier).contains(": no collision\n"));
+    assert_eq!(
+        earlier.stdout,
+        run_ok(folder.path(), "simulate paper-1 --spec 'no collision'").stdout
+    );
+    assert!(
+        stdout(&earlier).contains("VIOLATED, robustness ")
+            && stdout(&earlier).contains(": no collision\n")
+    );
 }
 
 /// One row for each sample and vehicle: every step up to the collision, and the collision itself.
@@ -289,7 +450,9 @@ fn traces_have_one_row_a_sample_and_vehicle() {
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
         let mut reports = Vec::new();
         for file in TRACES {
-            let arguments = format!("simulate paper-1 --after-collision {after_contact} --trace {file} --format json");
+            let arguments = format!(
+                "simulate paper-1 --after-collision {after_contact} --trace {file} --format json"
+            );
             reports = json_objects(&run_ok(folder.path(), &arguments));
         }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
@@ -297,11 +460,22 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         let mut csv = csv::Reader::from_path(folder.path().join("trace.csv")).unwrap();
         assert_eq!(
             csv.headers().unwrap(),
-            &["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"][..]
+            &[
+                "time_s",
+                "vehicle",
+                "position_m",
+                "speed_mps",
+                "acceleration_mps2",
+                "gap_m"
+            ][..]
         );
         let rows: Vec<_> = csv.records().map(Result::unwrap).collect();
         assert_eq!(rows.len(), samples * 3);
-        let end_s = if after_contact == "stop" { contact_s } else { 15.0 };
+        let end_s = if after_contact == "stop" {
+            contact_s
+        } else {
+            15.0
+        };
         assert_eq!(rows.last().unwrap()[0].parse::<f64>().unwrap(), end_s);
         // `crumple-report` compares the rows of both formats.
         if TRACES.len() > 1 {
@@ -309,10 +483,18 @@ fn traces_have_one_row_a_sample_and_vehicle() {
             assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"));
         }
     }
-    assert_eq!(file_names_in(folder.path()), TRACES, "nothing else is left behind");
+    assert_eq!(
+        file_names_in(folder.path()),
+        TRACES,
+        "nothing else is left behind"
+    );
 }
 
-const TRACES: &[&str] = if WRITES_PARQUET { &["trace.csv", "trace.parquet"] } else { &["trace.csv"] };
+const TRACES: &[&str] = if WRITES_PARQUET {
+    &["trace.csv", "trace.parquet"]
+} else {
+    &["trace.csv"]
+};
 
 #[test]
 fn plots_match_their_file_names() {
@@ -320,7 +502,12 @@ fn plots_match_their_file_names() {
     let png = WRITES_PNG.then_some(("p.png", &b"\x89PNG\r\n"[..]));
     for (file, opening) in [("p.svg", &b"<"[..])].into_iter().chain(png) {
         run_ok(folder.path(), &format!("simulate paper-1 --plot {file}"));
-        assert!(fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
+        assert!(
+            fs::read(folder.path().join(file))
+                .unwrap()
+                .starts_with(opening),
+            "{file}"
+        );
     }
 }
 
@@ -333,7 +520,11 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     let doctor_text = run_crumple(folder.path(), "doctor");
     for (feature, enabled, arguments) in [
         ("png", WRITES_PNG, "simulate paper-1 --plot p.png"),
-        ("parquet", WRITES_PARQUET, "simulate paper-1 --trace t.parquet"),
+        (
+            "parquet",
+            WRITES_PARQUET,
+            "simulate paper-1 --trace t.parquet",
+        ),
         (
             "parquet",
             READS_PARQUET,
@@ -345,18 +536,33 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
             "import CORPORA/fuzz/binary_recording/transposed-clocks --map CORPORA/recordings/mdf/map.toml --out M",
         ),
     ] {
-        let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
-        assert_eq!(listed["enabled"], enabled && (feature != "parquet" || READS_PARQUET && WRITES_PARQUET));
+        let listed = doctor[0]["features"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|listed| listed["name"] == feature)
+            .unwrap();
+        assert_eq!(
+            listed["enabled"],
+            enabled && (feature != "parquet" || READS_PARQUET && WRITES_PARQUET)
+        );
         let command = format!("cargo install --locked --path . --features {feature}");
-        assert_eq!(stdout(&doctor_text).contains(&command), listed["enabled"] == false);
-        let arguments = arguments.replace("CORPORA", concat!(env!("CARGO_MANIFEST_DIR"), "/corpora"));
+        assert_eq!(
+            stdout(&doctor_text).contains(&command),
+            listed["enabled"] == false
+        );
+        let arguments =
+            arguments.replace("CORPORA", concat!(env!("CARGO_MANIFEST_DIR"), "/corpora"));
         let output = run_crumple(folder.path(), &arguments);
         match enabled {
             true => assert_eq!(exit_code(&output), 0, "{}", stderr(&output)),
             false => assert_refused(&output, &command),
         }
     }
-    assert_eq!(file_names_in(folder.path()).is_empty(), !(WRITES_PNG || WRITES_PARQUET || READS_PARQUET || READS_MDF));
+    assert_eq!(
+        file_names_in(folder.path()).is_empty(),
+        !(WRITES_PNG || WRITES_PARQUET || READS_PARQUET || READS_MDF)
+    );
 }
 
 #[test]
@@ -365,21 +571,43 @@ fn list_names_all_inputs_of_simulate() {
     let all = run_crumple(folder.path(), "list");
     assert_eq!((exit_code(&all), stderr(&all)), (0, ""));
     let controllers = ControllerSpec::all();
-    for name in PAPER_SCENARIOS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
-        assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
+    for name in PAPER_SCENARIOS
+        .into_iter()
+        .chain(controllers.iter().map(ControllerSpec::name))
+    {
+        assert!(
+            stdout(&all)
+                .lines()
+                .any(|line| line.split_whitespace().next() == Some(name)),
+            "{name}"
+        );
     }
-    let long: Vec<_> = stdout(&all).lines().filter(|line| line.chars().count() > 100).collect();
+    let long: Vec<_> = stdout(&all)
+        .lines()
+        .filter(|line| line.chars().count() > 100)
+        .collect();
     assert!(long.is_empty(), "wrapped in a pipe: {long:?}");
     let listed = &json_objects(&run_crumple(folder.path(), "list --format json"))[0];
     let words = |text: &str| text.split_whitespace().collect::<String>();
-    for entry in ["scenarios", "controllers", "spaces", "methods"].iter().flat_map(|of| listed[of].as_array().unwrap())
+    for entry in ["scenarios", "controllers", "spaces", "methods"]
+        .iter()
+        .flat_map(|of| listed[of].as_array().unwrap())
     {
-        let (name, summary) = (entry["name"].as_str().unwrap(), entry["summary"].as_str().unwrap());
-        assert!(words(stdout(&all)).contains(&words(&format!("{name}{summary}"))), "nothing is left out: {name}");
+        let (name, summary) = (
+            entry["name"].as_str().unwrap(),
+            entry["summary"].as_str().unwrap(),
+        );
+        assert!(
+            words(stdout(&all)).contains(&words(&format!("{name}{summary}"))),
+            "nothing is left out: {name}"
+        );
     }
     for controller in listed["controllers"].as_array().unwrap() {
         let name = controller["name"].as_str().unwrap();
-        let output = run_crumple(folder.path(), &format!("simulate paper-1 --controller {name}"));
+        let output = run_crumple(
+            folder.path(),
+            &format!("simulate paper-1 --controller {name}"),
+        );
         assert_eq!(exit_code(&output), 0, "{name}: {}", stderr(&output));
         assert!(stdout(&output).starts_with(&format!("paper-1: {name}, ")));
     }
@@ -388,11 +616,22 @@ fn list_names_all_inputs_of_simulate() {
 #[test]
 fn the_help_of_assess_names_the_controllers_and_gates_of_this_version() {
     let help = run_crumple(temp_folder().path(), "assess --help");
-    let words = stdout(&help).split_whitespace().collect::<Vec<_>>().join(" ");
-    let compared = crumple_report::assessment::AssessConfig::default().controllers.join(", ");
-    assert_contains(&words, &[&format!("`assess` compares {compared}. It simulates")]);
+    let words = stdout(&help)
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    let compared = crumple_report::assessment::AssessConfig::default()
+        .controllers
+        .join(", ");
+    assert_contains(
+        &words,
+        &[&format!("`assess` compares {compared}. It simulates")],
+    );
     let schema = include_str!("../../../crates/report/src/assessment/configuration.schema.json");
-    let constants = schema.split("\"const\": \"").skip(1).filter_map(|rest| rest.split('"').next());
+    let constants = schema
+        .split("\"const\": \"")
+        .skip(1)
+        .filter_map(|rest| rest.split('"').next());
     // The others are the names of estimators.
     let gates: Vec<&str> = constants.filter(|name| name.contains('-')).collect();
     assert!(gates.len() >= 12, "{gates:?}");
@@ -403,9 +642,14 @@ fn the_help_of_assess_names_the_controllers_and_gates_of_this_version() {
 #[test]
 fn the_help_of_assess_has_an_example_in_toml() {
     let help = run_crumple(temp_folder().path(), "assess --help");
-    let example = stdout(&help).lines().skip_while(|line| *line != "  version = 1");
+    let example = stdout(&help)
+        .lines()
+        .skip_while(|line| *line != "  version = 1");
     let example: Vec<&str> = example.take_while(|line| !line.is_empty()).collect();
-    assert!(example.len() > 15 && example.iter().all(|line| line.chars().count() < 95), "{example:?}");
+    assert!(
+        example.len() > 15 && example.iter().all(|line| line.chars().count() < 95),
+        "{example:?}"
+    );
     toml::from_str::<toml::Table>(&example.join("\n")).expect("is TOML");
 }
 
@@ -413,33 +657,55 @@ fn the_help_of_assess_has_an_example_in_toml() {
 #[test]
 fn a_closed_pipe_is_no_error() {
     let folder = temp_folder();
-    for (arguments, expected) in
-        [("simulate paper-1 paper-2 paper-3 --dt 0.0001", 0), ("simulate paper-1 --dt 0.0001 --expect safe", 1)]
-    {
+    for (arguments, expected) in [
+        ("simulate paper-1 paper-2 paper-3 --dt 0.0001", 0),
+        ("simulate paper-1 --dt 0.0001 --expect safe", 1),
+    ] {
         let mut child = spawn(folder.path(), arguments);
         drop(child.stdout.take());
         let output = child.wait_with_output().expect("ends");
         assert_eq!(exit_code(&output), expected, "{}", stderr(&output));
-        assert!(!stderr(&output).contains("panicked") && !stderr(&output).contains("error"), "{}", stderr(&output));
+        assert!(
+            !stderr(&output).contains("panicked") && !stderr(&output).contains("error"),
+            "{}",
+            stderr(&output)
+        );
     }
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_under_standard_output_is_reported() {
-    let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("there on Linux");
-    let output = command(temp_folder().path(), "simulate paper-1").stdout(full).output().expect("starts");
+    let full = fs::OpenOptions::new()
+        .write(true)
+        .open("/dev/full")
+        .expect("there on Linux");
+    let output = command(temp_folder().path(), "simulate paper-1")
+        .stdout(full)
+        .output()
+        .expect("starts");
     assert_eq!(exit_code(&output), 3);
-    assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
+    assert!(
+        stderr(&output).starts_with("error: standard output: "),
+        "{}",
+        stderr(&output)
+    );
 }
 
 /// Starts a command once for each range and kills it after a random but reproducible number of milliseconds. Returns
 /// the number of commands that were still running then.
-fn kill_at_random_times(folder: &Path, arguments: &str, after_ms: impl Iterator<Item = Range<u64>>) -> usize {
+fn kill_at_random_times(
+    folder: &Path,
+    arguments: &str,
+    after_ms: impl Iterator<Item = Range<u64>>,
+) -> usize {
     let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
     let was_killed = |range: Range<u64>| {
         let mut command = command(folder, arguments);
-        command.env("RAYON_NUM_THREADS", "3").stdout(Stdio::null()).stderr(Stdio::null());
+        command
+            .env("RAYON_NUM_THREADS", "3")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
         let mut child = command.spawn().unwrap();
         sleep(Duration::from_millis(moments.random_range(range)));
         // SIGKILL: no cleanup.
@@ -461,7 +727,12 @@ pub(crate) fn assert_survives_kills(
     let killed = kill_at_random_times(folder, &resume, after_ms);
     assert!(killed >= 2, "killed {killed} times");
     let ended = run_on_threads(folder, "3", &resume);
-    assert_eq!((exit_code(&ended), stdout(&ended)), (exit_code(&through), stdout(&through)), "{}", stderr(&ended));
+    assert_eq!(
+        (exit_code(&ended), stdout(&ended)),
+        (exit_code(&through), stdout(&through)),
+        "{}",
+        stderr(&ended)
+    );
     falsify::assert_same_folders(&folder.join("through"), &folder.join("killed"));
     through
 }

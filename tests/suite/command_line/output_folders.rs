@@ -3,8 +3,14 @@
 use super::*;
 use crumple_store::disk::StagedFiles;
 
-const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
-const RECORDING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
+const SUITE: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/examples/suites/lane-changes.toml"
+);
+const RECORDING: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/corpora/recordings/synthetic-platoon.csv"
+);
 const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = \
     0\nrates.runs = 0\n\
                           distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
@@ -28,31 +34,59 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
     ];
     for (number, (command, refused)) in commands.into_iter().enumerate() {
         let (out, apart) = (format!("out-{number}"), format!("apart-{number}"));
-        let write = |out: &str| run_crumple(folder.path(), &format!("{command} --quiet --out {out}"));
+        let write =
+            |out: &str| run_crumple(folder.path(), &format!("{command} --quiet --out {out}"));
         let written = write(&out);
         assert_eq!(exit_code(&written), 0, "{command:?}: {}", stderr(&written));
         let names = file_names_in(&folder.path().join(&out));
-        let name = names.iter().find(|name| !name.ends_with(".sha256") && name.contains('.')).unwrap();
+        let name = names
+            .iter()
+            .find(|name| !name.ends_with(".sha256") && name.contains('.'))
+            .unwrap();
         let place = folder.path().join(&out).join(name);
         let genuine = fs::read(&place).unwrap();
         fs::write(&place, [&genuine[..], b" "].concat()).unwrap();
         assert_refused(&write(&out), refused);
-        assert_eq!(fs::read(&place).unwrap(), [&genuine[..], b" "].concat(), "{command:?}");
+        assert_eq!(
+            fs::read(&place).unwrap(),
+            [&genuine[..], b" "].concat(),
+            "{command:?}"
+        );
         fs::write(&place, &genuine).unwrap();
-        assert_eq!(exit_code(&write(&out)), 0, "{command:?}: it is as it was written again");
+        assert_eq!(
+            exit_code(&write(&out)),
+            0,
+            "{command:?}: it is as it was written again"
+        );
         let elsewhere = folder.path().join(format!("elsewhere-{number}"));
         fs::write(&elsewhere, "precious").unwrap();
         fs::remove_file(&place).unwrap();
         std::os::unix::fs::symlink(&elsewhere, &place).unwrap();
         assert_refused(&write(&out), "is a symbolic link");
-        assert!(place.is_symlink() && fs::read_to_string(&elsewhere).unwrap() == "precious", "{command:?}");
+        assert!(
+            place.is_symlink() && fs::read_to_string(&elsewhere).unwrap() == "precious",
+            "{command:?}"
+        );
         let apart = folder.path().join(&apart);
         fs::create_dir(&apart).unwrap();
         fs::write(apart.join(name), "precious").unwrap();
         assert_refused(&write(apart.to_str().unwrap()), refused);
-        assert_eq!(fs::read_to_string(apart.join(name)).unwrap(), "precious", "{command:?}");
-        let files = |folder: &Path| file_names_in(folder).into_iter().filter(|name| !name.starts_with("evidence"));
-        assert_eq!(files(&apart).filter(|name| apart.join(name).is_file()).collect::<Vec<_>>(), [name.as_str()]);
+        assert_eq!(
+            fs::read_to_string(apart.join(name)).unwrap(),
+            "precious",
+            "{command:?}"
+        );
+        let files = |folder: &Path| {
+            file_names_in(folder)
+                .into_iter()
+                .filter(|name| !name.starts_with("evidence"))
+        };
+        assert_eq!(
+            files(&apart)
+                .filter(|name| apart.join(name).is_file())
+                .collect::<Vec<_>>(),
+            [name.as_str()]
+        );
     }
 }
 
@@ -61,21 +95,31 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
 fn an_interrupted_change_is_known_to_the_next_run() {
     let folder = temp_folder();
     let export = |controller: &str| {
-        let arguments = format!("export paper-1 --to=openscenario --controller {controller} --out out");
+        let arguments =
+            format!("export paper-1 --to=openscenario --controller {controller} --out out");
         exit_code(&run_crumple(folder.path(), &arguments))
     };
     let at = |name: &str| folder.path().join("out").join(name);
     assert_eq!(export("idm"), 0);
-    let (listing, before) = (fs::read(at("exported.sha256")).unwrap(), fs::read(at("paper-1.xosc")).unwrap());
+    let (listing, before) = (
+        fs::read(at("exported.sha256")).unwrap(),
+        fs::read(at("paper-1.xosc")).unwrap(),
+    );
     assert_eq!(export("policy"), 0);
-    let (next, after) = (fs::read(at("exported.sha256")).unwrap(), fs::read(at("paper-1.xosc")).unwrap());
+    let (next, after) = (
+        fs::read(at("exported.sha256")).unwrap(),
+        fs::read(at("paper-1.xosc")).unwrap(),
+    );
     assert_ne!(before, after);
     // The second export moved its file, but not its listing.
     fs::write(at(".exported.sha256.next"), [&listing[..], &next].concat()).unwrap();
     fs::write(at("exported.sha256"), listing).unwrap();
     assert_eq!(export("idm"), 0);
     assert_eq!(fs::read(at("paper-1.xosc")).unwrap(), before);
-    assert_eq!(file_names_in(&folder.path().join("out")), ["exported.sha256", "paper-1.xodr", "paper-1.xosc"]);
+    assert_eq!(
+        file_names_in(&folder.path().join("out")),
+        ["exported.sha256", "paper-1.xodr", "paper-1.xosc"]
+    );
 }
 
 /// Unfinished files of a killed process are unlocked; those of a living process are locked.
@@ -85,23 +129,46 @@ fn files_of_killed_processes_are_removed_and_no_others() {
     let at = |name: &str| folder.path().join(name);
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
     for (kind, arguments) in [
-        ("suite", format!("suite run '{SUITE}' --controller=full-throttle")),
+        (
+            "suite",
+            format!("suite run '{SUITE}' --controller=full-throttle"),
+        ),
         ("assessment", "assess a.toml".to_owned()),
     ] {
-        let results = if kind == "suite" { at(kind) } else { at(kind).join("evidence") };
+        let results = if kind == "suite" {
+            at(kind)
+        } else {
+            at(kind).join("evidence")
+        };
         fs::create_dir_all(&results).unwrap();
         let write = || run_crumple(folder.path(), &format!("{arguments} --out {kind}"));
-        for left in [".crumple-unfinished-file-aB3dE6", ".crumple-unfinished-aB3dE6"] {
+        for left in [
+            ".crumple-unfinished-file-aB3dE6",
+            ".crumple-unfinished-aB3dE6",
+        ] {
             fs::write(results.join(left), "half").unwrap();
         }
         let mut writing = StagedFiles::default();
         writing.stage(&results.join("own.json"), "whole").unwrap();
         let written = write();
         assert_eq!(exit_code(&written), 0, "{}", stderr(&written));
-        let unfinished = || file_names_in(&results).iter().filter(|name| name.contains("unfinished")).count();
-        assert_eq!(unfinished(), 2, "the file and its lock, {kind}: {:?}", file_names_in(&results));
+        let unfinished = || {
+            file_names_in(&results)
+                .iter()
+                .filter(|name| name.contains("unfinished"))
+                .count()
+        };
+        assert_eq!(
+            unfinished(),
+            2,
+            "the file and its lock, {kind}: {:?}",
+            file_names_in(&results)
+        );
         writing.commit().unwrap();
-        assert_eq!(fs::read_to_string(results.join("own.json")).unwrap(), "whole");
+        assert_eq!(
+            fs::read_to_string(results.join("own.json")).unwrap(),
+            "whole"
+        );
         assert_eq!((exit_code(&write()), unfinished()), (0, 0));
     }
 }
@@ -112,11 +179,17 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
     let folder = temp_folder();
     let failures = folder.path().join("failures");
     let run = |controller: &str| {
-        run_crumple(folder.path(), &format!("suite run '{SUITE}' --controller {controller} --out failures"))
+        run_crumple(
+            folder.path(),
+            &format!("suite run '{SUITE}' --controller {controller} --out failures"),
+        )
     };
     assert_eq!(exit_code(&run("full-throttle")), 0);
     let listed = file_names_in(&failures);
-    assert!(listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()), "{listed:?}");
+    assert!(
+        listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()),
+        "{listed:?}"
+    );
     assert_eq!(exit_code(&run("full-throttle")), 0);
     assert_eq!(file_names_in(&failures), listed);
     // An edited file and a file of the user stay, and are listed.
@@ -127,21 +200,40 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
     let passed = run("acc-aeb");
     assert_eq!(exit_code(&passed), 0);
     assert_eq!(file_names_in(&failures), [edited.as_str(), "own.toml"]);
-    assert!(stderr(&passed).contains(" and 1 more: not written by this run, and unchanged"), "{}", stderr(&passed));
+    assert!(
+        stderr(&passed).contains(" and 1 more: not written by this run, and unchanged"),
+        "{}",
+        stderr(&passed)
+    );
     fs::write(failures.join("failures.sha256"), "0  ../elsewhere\n").unwrap();
-    assert_refused(&run("acc-aeb"), "failures.sha256:1: expected a SHA-256 and the name of a file in this folder");
+    assert_refused(
+        &run("acc-aeb"),
+        "failures.sha256:1: expected a SHA-256 and the name of a file in this folder",
+    );
 }
 
 #[test]
 fn an_edited_scenario_is_not_imported_over() {
     let folder = temp_folder();
-    let import = |more: &str| run_crumple(folder.path(), &format!("import '{RECORDING}' --out episodes {more}"));
-    assert_eq!((exit_code(&import("")), exit_code(&import(""))), (0, 0), "the same again is no edit");
+    let import = |more: &str| {
+        run_crumple(
+            folder.path(),
+            &format!("import '{RECORDING}' --out episodes {more}"),
+        )
+    };
+    assert_eq!(
+        (exit_code(&import("")), exit_code(&import(""))),
+        (0, 0),
+        "the same again is no edit"
+    );
     let names = file_names_in(&folder.path().join("episodes"));
     let first = folder.path().join("episodes").join(&names[0]);
     let genuine = fs::read_to_string(&first).unwrap();
     fs::write(&first, genuine.clone() + "# mine\n").unwrap();
-    assert_refused(&import(""), &format!("{}: exists with other contents: use --force", names[0]));
+    assert_refused(
+        &import(""),
+        &format!("{}: exists with other contents: use --force", names[0]),
+    );
     assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
     assert_eq!(exit_code(&import("--force")), 0);
     assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
@@ -154,28 +246,50 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     use std::os::unix::fs::symlink;
     let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
-    for name in ["mine", "report", "report/scenarios", "report/counterexamples"] {
+    for name in [
+        "mine",
+        "report",
+        "report/scenarios",
+        "report/counterexamples",
+    ] {
         fs::create_dir(at(name)).unwrap();
     }
-    for name in ["mine/a.toml", "mine/b.toml", "report/scenarios/old.toml", "report/scenarios/own.toml"] {
+    for name in [
+        "mine/a.toml",
+        "mine/b.toml",
+        "report/scenarios/old.toml",
+        "report/scenarios/own.toml",
+    ] {
         fs::write(at(name), "precious").unwrap();
     }
     symlink("../../mine", at("report/counterexamples/deep")).unwrap();
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
     let digest = sha256("precious");
-    let list = |name: &str| fs::write(at("report/report.sha256"), format!("{digest}  {name}\n")).unwrap();
+    let list =
+        |name: &str| fs::write(at("report/report.sha256"), format!("{digest}  {name}\n")).unwrap();
     let assess = || run_crumple(folder.path(), "assess a.toml --out report");
     assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
     fs::remove_file(at("report/counterexamples/deep")).unwrap();
-    for outside in ["scenarios/../../mine/a.toml", at("mine/a.toml").to_str().unwrap(), "../mine/b.toml"] {
+    for outside in [
+        "scenarios/../../mine/a.toml",
+        at("mine/a.toml").to_str().unwrap(),
+        "../mine/b.toml",
+    ] {
         list(outside);
-        assert_refused(&assess(), "report/report.sha256:1: expected a SHA-256 and the name of a file");
+        assert_refused(
+            &assess(),
+            "report/report.sha256:1: expected a SHA-256 and the name of a file",
+        );
     }
     list("scenarios/old.toml");
     let made = assess();
     assert_eq!(exit_code(&made), 0, "{}", stderr(&made));
     assert_eq!(file_names_in(&at("mine")), ["a.toml", "b.toml"]);
-    assert_eq!(file_names_in(&at("report/scenarios")), ["own.toml"], "the report removes what it wrote itself");
+    assert_eq!(
+        file_names_in(&at("report/scenarios")),
+        ["own.toml"],
+        "the report removes what it wrote itself"
+    );
     fs::remove_dir_all(at("report/scenarios")).unwrap();
     symlink("../mine", at("report/scenarios")).unwrap();
     assert_refused(&assess(), "report/scenarios: is a symbolic link");

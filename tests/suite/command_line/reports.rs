@@ -6,7 +6,9 @@ use super::*;
 
 /// Returns a small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
 fn platoon_csv() -> String {
-    let mut text = "Date,1,1,2026\nVehicle_order,A,B,\nNumber_of_vehicles,2\nACC,1\nDistance_setting,S\n".to_owned();
+    let mut text =
+        "Date,1,1,2026\nVehicle_order,A,B,\nNumber_of_vehicles,2\nACC,1\nDistance_setting,S\n"
+            .to_owned();
     text += "Time,Speed1,E1,N1,Lon1,Lat1,Alt1,Speed2,E2,N2,Lon2,Lat2,Alt2,IVS1\n";
     for sample in 0..150 {
         let time_s = f64::from(sample) * 0.1;
@@ -21,9 +23,16 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let folder = temp_folder();
     fs::write(folder.path().join("platoon.csv"), platoon_csv()).unwrap();
     let imported = run_crumple(folder.path(), "import platoon.csv --out episodes");
-    assert_eq!((exit_code(&imported), stdout(&imported)), (0, "platoon.csv: 1 scenario (openacc)\n"), "{imported:?}");
+    assert_eq!(
+        (exit_code(&imported), stdout(&imported)),
+        (0, "platoon.csv: 1 scenario (openacc)\n"),
+        "{imported:?}"
+    );
     let episode = &file_names_in(&folder.path().join("episodes"))[0];
-    run_ok(folder.path(), &format!("simulate episodes/{episode} --expect safe"));
+    run_ok(
+        folder.path(),
+        &format!("simulate episodes/{episode} --expect safe"),
+    );
     let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = \
         4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
@@ -44,17 +53,34 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");
-        assert_eq!(exit_code(&run_on_threads(folder.path(), threads, &format!("assess a.toml --out {out}"))), 0);
+        assert_eq!(
+            exit_code(&run_on_threads(
+                folder.path(),
+                threads,
+                &format!("assess a.toml --out {out}")
+            )),
+            0
+        );
         assert_eq!(file_names_in(&folder.path().join(&out)), written);
     }
     for name in &written[..5] {
         let read = |folder_name: &str| {
-            without_build_info(name, &fs::read_to_string(folder.path().join(folder_name).join(name)).unwrap())
+            without_build_info(
+                name,
+                &fs::read_to_string(folder.path().join(folder_name).join(name)).unwrap(),
+            )
         };
-        assert_eq!(read("report-1"), read("report-2"), "{name} depends on the number of threads");
+        assert_eq!(
+            read("report-1"),
+            read("report-2"),
+            "{name} depends on the number of threads"
+        );
     }
     let markdown = fs::read_to_string(folder.path().join("report-1/assessment.md")).unwrap();
-    assert!(markdown.contains("openacc-platoon-01"), "recorded traffic is in the report");
+    assert!(
+        markdown.contains("openacc-platoon-01"),
+        "recorded traffic is in the report"
+    );
 }
 
 /// Gates decide the exit code, evidence is reused, and a killed assessment resumes to the same bytes.
@@ -71,22 +97,39 @@ fn gates_decide_and_evidence_is_kept() {
     };
     config(false, "");
     run_ok(folder.path(), "assess a.toml --out one");
-    let mut child = command(folder.path(), "assess a.toml --out two").spawn().unwrap();
+    let mut child = command(folder.path(), "assess a.toml --out two")
+        .spawn()
+        .unwrap();
     sleep(Duration::from_millis(150));
     child.kill().unwrap();
     child.wait().unwrap();
-    let again = run_crumple(folder.path(), "assess a.toml --out two --against one/assessment.json");
+    let again = run_crumple(
+        folder.path(),
+        "assess a.toml --out two --against one/assessment.json",
+    );
     assert_prints(&again, 0, &["0 better, 0 worse, 0 new, 0 gone"]);
-    let mut pieces = fs::read_dir(folder.path().join("two/evidence")).unwrap().map(|entry| entry.unwrap().path());
-    let piece = pieces.find(|path| path.extension().is_some_and(|extension| extension == "json")).unwrap();
+    let mut pieces = fs::read_dir(folder.path().join("two/evidence"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let piece = pieces
+        .find(|path| {
+            path.extension()
+                .is_some_and(|extension| extension == "json")
+        })
+        .unwrap();
     fs::write(&piece, "{").unwrap();
     let third = run_crumple(folder.path(), "assess a.toml --out two");
     let name = piece.file_name().unwrap().to_string_lossy().into_owned();
     assert!(
-        stderr(&third).contains(&format!("two/evidence/{name} was damaged, and its evidence was computed again")),
+        stderr(&third).contains(&format!(
+            "two/evidence/{name} was damaged, and its evidence was computed again"
+        )),
         "{third:?}"
     );
-    assert!(stderr(&third).contains("pieces of evidence were reused"), "{third:?}");
+    assert!(
+        stderr(&third).contains("pieces of evidence were reused"),
+        "{third:?}"
+    );
     let read = |report: &str| {
         let text = fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
         without_build_info("assessment.json", &text)
@@ -96,8 +139,15 @@ fn gates_decide_and_evidence_is_kept() {
     // `fsck` names a folder that is damaged or no run folder, and also reports the intact ones.
     fs::create_dir(folder.path().join("none")).unwrap();
     let looked = run_crumple(folder.path(), "fsck one none two");
-    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 2), "{looked:?}");
-    assert_eq!(stderr(&looked), "error: none: not a result folder: it contains no work.json\n");
+    assert_eq!(
+        (exit_code(&looked), stdout(&looked).lines().count()),
+        (2, 2),
+        "{looked:?}"
+    );
+    assert_eq!(
+        stderr(&looked),
+        "error: none: not a result folder: it contains no work.json\n"
+    );
     let looked = run_crumple(folder.path(), "fsck nosuch");
     let printed = (exit_code(&looked), stdout(&looked), stderr(&looked));
     assert_eq!(printed, (2, "", "error: nosuch: there is no such folder\n"));
@@ -105,11 +155,24 @@ fn gates_decide_and_evidence_is_kept() {
     let looked = run_crumple(folder.path(), "fsck one none two");
     assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
 
-    config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
+    config(
+        true,
+        "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n",
+    );
     let failed = run_crumple(folder.path(), "assess a.toml --out two");
-    assert_reports(&failed, 1, "gate: baseline: no collision in the paper's scenarios (it collides in paper-1");
-    assert!(stdout(&failed).ends_with("0 of 1 gates hold.\n"), "{failed:?}");
-    config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
+    assert_reports(
+        &failed,
+        1,
+        "gate: baseline: no collision in the paper's scenarios (it collides in paper-1",
+    );
+    assert!(
+        stdout(&failed).ends_with("0 of 1 gates hold.\n"),
+        "{failed:?}"
+    );
+    config(
+        false,
+        "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n",
+    );
     let held = run_ok(folder.path(), "assess a.toml --out two");
     assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
 }
@@ -118,35 +181,94 @@ fn gates_decide_and_evidence_is_kept() {
 fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
     let folder = temp_folder();
     let cases = [
-        ("version = 1\ndraws = \"many\"\n", "error: a.toml:2: draws: invalid type"),
-        ("version = 1\n\nspeed = 3\n", "error: a.toml:3: speed: unknown field `speed`"),
-        ("version = 2\n", "error: a.toml:1: version: version 2 is not supported"),
-        ("version = 1\ncontrollers = [\"hal\"]\n", "error: a.toml:2: controllers[0]: there is no controller `hal`"),
-        ("version = 1\ncontrollers = []\n", "error: a.toml:2: controllers: must name at least one"),
-        ("version = 1\nscenarios = [\"nowhere\"]\n", "error: a.toml:2: scenarios[0]: "),
-        ("version = 1\nsubject = \"hal\"\n", "error: a.toml:2: subject: `hal` is not among `controllers`"),
-        ("version = 1\n\nsearch = { spaces = [\"moon\"] }\n", "error: a.toml:3: search.spaces[0]: `moon` is neither"),
-        ("version = 1\nrates = { confidence = 1.5 }\n", "error: a.toml:2: rates.confidence: must be between"),
-        ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
+        (
+            "version = 1\ndraws = \"many\"\n",
+            "error: a.toml:2: draws: invalid type",
+        ),
+        (
+            "version = 1\n\nspeed = 3\n",
+            "error: a.toml:3: speed: unknown field `speed`",
+        ),
+        (
+            "version = 2\n",
+            "error: a.toml:1: version: version 2 is not supported",
+        ),
+        (
+            "version = 1\ncontrollers = [\"hal\"]\n",
+            "error: a.toml:2: controllers[0]: there is no controller `hal`",
+        ),
+        (
+            "version = 1\ncontrollers = []\n",
+            "error: a.toml:2: controllers: must name at least one",
+        ),
+        (
+            "version = 1\nscenarios = [\"nowhere\"]\n",
+            "error: a.toml:2: scenarios[0]: ",
+        ),
+        (
+            "version = 1\nsubject = \"hal\"\n",
+            "error: a.toml:2: subject: `hal` is not among `controllers`",
+        ),
+        (
+            "version = 1\n\nsearch = { spaces = [\"moon\"] }\n",
+            "error: a.toml:3: search.spaces[0]: `moon` is neither",
+        ),
+        (
+            "version = 1\nrates = { confidence = 1.5 }\n",
+            "error: a.toml:2: rates.confidence: must be between",
+        ),
+        (
+            "version = 1\ncertificates = [\"nowhere.json\"]\n",
+            "error: a.toml:2: certificates[0]: nowhere.json: ",
+        ),
         (
             "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = \
              3\n",
             "error: a.toml:4: gates[1]: unknown field `speed`",
         ),
-        ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:3: gates[0].require: unknown variant `luck`"),
+        (
+            "version = 1\n[[gates]]\nrequire = \"luck\"\n",
+            "error: a.toml:3: gates[0].require: unknown variant `luck`",
+        ),
     ];
     for (config, expected) in cases {
         fs::write(folder.path().join("a.toml"), config).unwrap();
-        assert_refused(&run_crumple(folder.path(), "assess a.toml --out report"), expected);
+        assert_refused(
+            &run_crumple(folder.path(), "assess a.toml --out report"),
+            expected,
+        );
     }
     let truncated = platoon_csv();
-    fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
+    fs::write(
+        folder.path().join("cut.csv"),
+        &truncated[..truncated.len() - 12],
+    )
+    .unwrap();
     fs::write(folder.path().join("empty.csv"), "").unwrap();
-    assert_refused(&run_crumple(folder.path(), "import empty.csv --out episodes"), "error: empty.csv: ");
-    assert_refused(&run_crumple(folder.path(), "import missing.csv --out episodes"), "error: missing.csv: ");
-    assert_refused(&run_crumple(folder.path(), "import cut.csv --min-brake -1"), "error: --min-brake: ");
-    assert_eq!(file_names_in(folder.path()), ["a.toml", "cut.csv", "empty.csv"], "nothing was written");
+    assert_refused(
+        &run_crumple(folder.path(), "import empty.csv --out episodes"),
+        "error: empty.csv: ",
+    );
+    assert_refused(
+        &run_crumple(folder.path(), "import missing.csv --out episodes"),
+        "error: missing.csv: ",
+    );
+    assert_refused(
+        &run_crumple(folder.path(), "import cut.csv --min-brake -1"),
+        "error: --min-brake: ",
+    );
+    assert_eq!(
+        file_names_in(folder.path()),
+        ["a.toml", "cut.csv", "empty.csv"],
+        "nothing was written"
+    );
     let cut = run_crumple(folder.path(), "import cut.csv --out episodes");
-    assert_eq!(exit_code(&cut), 0, "a logger that stops within a line loses that line");
-    assert!(stderr(&cut).contains("cut.csv:156: the file ends within this line, so it was left out"));
+    assert_eq!(
+        exit_code(&cut),
+        0,
+        "a logger that stops within a line loses that line"
+    );
+    assert!(
+        stderr(&cut).contains("cut.csv:156: the file ends within this line, so it was left out")
+    );
 }

@@ -9,26 +9,57 @@ fn pages_and_completions_know_every_command() {
     assert!(commands.len() > 15, "{commands:?}");
     run_ok(folder.path(), "man --out man");
     for command in &commands {
-        let page = fs::read_to_string(folder.path().join(format!("man/crumple-{command}.1"))).unwrap();
-        assert!(page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"), "{command}");
+        let page =
+            fs::read_to_string(folder.path().join(format!("man/crumple-{command}.1"))).unwrap();
+        assert!(
+            page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"),
+            "{command}"
+        );
     }
     assert!(folder.path().join("man/crumple-verify-rate.1").exists());
     // The synopsis is the usage of `--help`: required options without brackets, with their values.
     for words in ["suite run", "verify rate", "simulate"] {
         let help = run_crumple(folder.path(), &format!("{words} --help"));
-        let usage = stdout(&help).lines().find_map(|line| line.strip_prefix("Usage: ")).expect("a usage").to_owned();
-        let page =
-            fs::read_to_string(folder.path().join(format!("man/crumple-{}.1", words.replace(' ', "-")))).unwrap();
-        let synopsis = page.split(".SH SYNOPSIS\n").nth(1).unwrap().split("\n.SH").next().unwrap();
-        let plain = synopsis.replace("\\fB", "").replace("\\fR", "").replace("\\fI", "").replace("\\-", "-");
-        assert_eq!(plain.split_whitespace().collect::<Vec<_>>(), usage.split_whitespace().collect::<Vec<_>>());
+        let usage = stdout(&help)
+            .lines()
+            .find_map(|line| line.strip_prefix("Usage: "))
+            .expect("a usage")
+            .to_owned();
+        let page = fs::read_to_string(
+            folder
+                .path()
+                .join(format!("man/crumple-{}.1", words.replace(' ', "-"))),
+        )
+        .unwrap();
+        let synopsis = page
+            .split(".SH SYNOPSIS\n")
+            .nth(1)
+            .unwrap()
+            .split("\n.SH")
+            .next()
+            .unwrap();
+        let plain = synopsis
+            .replace("\\fB", "")
+            .replace("\\fR", "")
+            .replace("\\fI", "")
+            .replace("\\-", "-");
+        assert_eq!(
+            plain.split_whitespace().collect::<Vec<_>>(),
+            usage.split_whitespace().collect::<Vec<_>>()
+        );
     }
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = run_ok(folder.path(), &format!("completions {shell}"));
-        let missing: Vec<_> = commands.iter().filter(|command| !stdout(&script).contains(*command)).collect();
+        let missing: Vec<_> = commands
+            .iter()
+            .filter(|command| !stdout(&script).contains(*command))
+            .collect();
         assert!(missing.is_empty(), "{shell}: {missing:?}");
     }
-    assert_refused(&run_crumple(folder.path(), "completions tcsh"), "invalid value 'tcsh'");
+    assert_refused(
+        &run_crumple(folder.path(), "completions tcsh"),
+        "invalid value 'tcsh'",
+    );
 }
 
 /// Completions offer the built-in names; the program and the scripts still take files.
@@ -42,7 +73,11 @@ fn completions_have_the_built_in_names() {
             ". ./crumple.bash; COMP_WORDS=(crumple {words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); _crumple crumple \
              \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD - 1]}}\"; echo \"${{COMPREPLY[@]}}\""
         );
-        let output = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output().unwrap();
+        let output = Command::new("bash")
+            .args(["-c", &script])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
         stdout(&output).trim().to_owned()
     };
     for (words, expected) in [
@@ -61,7 +96,13 @@ fn completions_have_the_built_in_names() {
     }
     assert!(stdout(&bash).contains("-o default crumple"));
     for (shell, parts) in [
-        ("zsh", [":{compadd -- baseline baseline-unlatched ", " paper-3; _files}"]),
+        (
+            "zsh",
+            [
+                ":{compadd -- baseline baseline-unlatched ",
+                " paper-3; _files}",
+            ],
+        ),
         (
             "fish",
             [
@@ -72,8 +113,16 @@ fn completions_have_the_built_in_names() {
     ] {
         let script = run_ok(folder.path(), &format!("completions {shell}"));
         assert_contains(stdout(&script), &parts);
-        for without_files in [" -r -f -a \"baseline", " -r -f -a \"paper", ":(baseline ", ":(paper"] {
-            assert!(!stdout(&script).contains(without_files), "{shell}: {without_files}");
+        for without_files in [
+            " -r -f -a \"baseline",
+            " -r -f -a \"paper",
+            ":(baseline ",
+            ":(paper",
+        ] {
+            assert!(
+                !stdout(&script).contains(without_files),
+                "{shell}: {without_files}"
+            );
         }
     }
 }
@@ -84,9 +133,14 @@ fn help_calls_a_collision_a_collision() {
     let folder = temp_folder();
     run_ok(folder.path(), "man --out man");
     for page in file_names_in(&folder.path().join("man")) {
-        let text = fs::read_to_string(folder.path().join("man").join(&page)).unwrap().replace("\\-", "-");
+        let text = fs::read_to_string(folder.path().join("man").join(&page))
+            .unwrap()
+            .replace("\\-", "-");
         let text = text.replace("no-contact-in-paper-scenarios", "");
-        let found: Vec<_> = text.lines().filter(|line| line.to_lowercase().contains("contact")).collect();
+        let found: Vec<_> = text
+            .lines()
+            .filter(|line| line.to_lowercase().contains("contact"))
+            .collect();
         assert!(found.is_empty(), "{page}: {found:?}");
     }
 }
@@ -95,15 +149,31 @@ fn help_calls_a_collision_a_collision() {
 #[test]
 fn doctor_names_missing_programs() {
     let folder = temp_folder();
-    let output = command(folder.path(), "doctor --format json").env("PATH", "/nowhere").output().unwrap();
+    let output = command(folder.path(), "doctor --format json")
+        .env("PATH", "/nowhere")
+        .output()
+        .unwrap();
     assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
     let report = &json_objects(&output)[0];
     // The first is crumple's FMU host, next to the program.
-    assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
+    assert!(
+        report["needs"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .skip(1)
+            .all(|need| need["found"].is_null())
+    );
     assert!(report["fused_multiply_add"].is_boolean());
-    assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
+    assert!(
+        report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1
+    );
     let text = run_crumple(folder.path(), "doctor");
-    assert!(stdout(&text).contains("cargo-fuzz") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
+    assert!(
+        stdout(&text).contains("cargo-fuzz") && stdout(&text).starts_with("crumple 0."),
+        "{}",
+        stdout(&text)
+    );
 }
 
 /// The printed file can replace the name.
@@ -125,12 +195,21 @@ fn built_in_items_are_shown_as_files() {
     show("traffic");
     runs("verify rate --controller idm --space mine.toml --runs 5 --out rate");
     show("fast");
-    let trained = run_crumple(folder.path(), "train --preset mine.toml --seed 1 --episodes 1 --out runs");
+    let trained = run_crumple(
+        folder.path(),
+        "train --preset mine.toml --seed 1 --episodes 1 --out runs",
+    );
     assert_ne!(exit_code(&trained), 2, "{}", stderr(&trained));
     show("un-r152");
-    assert_eq!(runs("suite run mine.toml --controller idm"), runs("suite run un-r152 --controller idm"));
+    assert_eq!(
+        runs("suite run mine.toml --controller idm"),
+        runs("suite run un-r152 --controller idm")
+    );
     show("openacc");
-    let recording = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
+    let recording = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/corpora/recordings/synthetic-platoon.csv"
+    );
     runs(&format!("import '{recording}' --map mine.toml"));
     show("paper-2 --kind box");
     let reached = run_crumple(folder.path(), "verify reach --box mine.toml --depth 0");
@@ -143,7 +222,10 @@ fn built_in_items_are_shown_as_files() {
     runs("simulate two.toml --expect safe");
 
     let shown = run_crumple(folder.path(), "show paper");
-    assert!(stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"), "{shown:?}");
+    assert!(
+        stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"),
+        "{shown:?}"
+    );
     assert!(show("paper --kind preset").contains("actor_rate"));
     assert!(show("retrain").contains("[td3]"));
     let unknown = run_crumple(folder.path(), "show paper-4");

@@ -13,14 +13,31 @@ fn an_escape_is_written_replayed_and_checked() {
     assert_eq!(exit_code(&avoided), 0);
     let report = json_objects(&avoided).remove(0);
     assert_eq!(report["verdict"], "avoidable");
-    assert!((report["best_min_gap_m"].as_f64().unwrap() - 8.4).abs() < 0.2, "{report}");
-    assert!((report["trigger_time_s"].as_f64().unwrap() - 3.2).abs() < 0.2, "{report}");
-    assert_eq!(exit_code(&run("simulate escape.toml --dt 0.001 --expect safe")), 0);
+    assert!(
+        (report["best_min_gap_m"].as_f64().unwrap() - 8.4).abs() < 0.2,
+        "{report}"
+    );
+    assert!(
+        (report["trigger_time_s"].as_f64().unwrap() - 3.2).abs() < 0.2,
+        "{report}"
+    );
+    assert_eq!(
+        exit_code(&run("simulate escape.toml --dt 0.001 --expect safe")),
+        0
+    );
     assert_eq!(exit_code(&run("check proof.json --scenario paper-1")), 0);
     assert_eq!(exit_code(&run("check proof.json --scenario paper-2")), 1);
-    assert_prints(&run("check proof.json --work-limit 0"), 1, &["the check takes more than the allowed 0 operations"]);
+    assert_prints(
+        &run("check proof.json --work-limit 0"),
+        1,
+        &["the check takes more than the allowed 0 operations"],
+    );
     let proof = fs::read_to_string(folder.path().join("proof.json")).unwrap();
-    fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
+    fs::write(
+        folder.path().join("forged.json"),
+        proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4"),
+    )
+    .unwrap();
     let forged = run("check forged.json");
     assert_eq!(exit_code(&forged), 1, "{}", stdout(&forged));
     fs::write(folder.path().join("other.json"), "{}").unwrap();
@@ -33,20 +50,42 @@ fn an_escape_is_written_replayed_and_checked() {
 fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
     let folder = temp_folder();
     let gap_m = |grid: &str| {
-        let found = run_ok(folder.path(), &format!("avoid paper-2 --grid {grid} --format json"));
+        let found = run_ok(
+            folder.path(),
+            &format!("avoid paper-2 --grid {grid} --format json"),
+        );
         let report = json_objects(&found).remove(0);
-        let (kept_m, bound_m) =
-            (report["best_min_gap_m"].as_f64().unwrap(), report["min_gap_bound_m"].as_f64().unwrap());
+        let (kept_m, bound_m) = (
+            report["best_min_gap_m"].as_f64().unwrap(),
+            report["min_gap_bound_m"].as_f64().unwrap(),
+        );
         assert!(kept_m <= bound_m, "{report}");
-        assert!(report["escape_is_best_for"].as_str().unwrap().contains("found on this grid"), "{report}");
+        assert!(
+            report["escape_is_best_for"]
+                .as_str()
+                .unwrap()
+                .contains("found on this grid"),
+            "{report}"
+        );
         kept_m
     };
     assert!(gap_m("0.02") > gap_m("0.1") + 0.01);
     let words = run_crumple(folder.path(), "avoid paper-2");
-    assert!(stdout(&words).contains("no driver keeps more than 9.20 m, proved"), "{}", stdout(&words));
-    run_ok(folder.path(), "avoid paper-2 --bound-certificate bound.json");
+    assert!(
+        stdout(&words).contains("no driver keeps more than 9.20 m, proved"),
+        "{}",
+        stdout(&words)
+    );
+    run_ok(
+        folder.path(),
+        "avoid paper-2 --bound-certificate bound.json",
+    );
     let checked = run_crumple(folder.path(), "check bound.json --scenario paper-2");
-    assert_prints(&checked, 0, &["for every command, some gap is at most 9.19"]);
+    assert_prints(
+        &checked,
+        0,
+        &["for every command, some gap is at most 9.19"],
+    );
     let other = run_crumple(folder.path(), "check bound.json --scenario paper-1");
     assert_eq!(exit_code(&other), 1, "{other:?}");
 }
@@ -60,12 +99,22 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
             spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
             spec.vehicles.truncate(vehicles);
         });
-        fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
-        run_ok(folder.path(), &format!("avoid followed.toml --bound-certificate {name}"));
+        fs::write(
+            folder.path().join("followed.toml"),
+            file::to_toml(&paper.unwrap()).unwrap(),
+        )
+        .unwrap();
+        run_ok(
+            folder.path(),
+            &format!("avoid followed.toml --bound-certificate {name}"),
+        );
         stdout(&run_crumple(folder.path(), &format!("check {name}"))).to_owned()
     };
     let message = followed(3, "three.json");
-    assert!(message.contains("  behind: 1 vehicle, not part of the claim\n"), "{message}");
+    assert!(
+        message.contains("  behind: 1 vehicle, not part of the claim\n"),
+        "{message}"
+    );
     let message = followed(2, "two.json");
     assert!(message.contains("  behind: no vehicle\n"), "{message}");
 }
@@ -78,11 +127,22 @@ fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
     fs::write(folder.path().join("law.toml"), scenario).unwrap();
     let run = |arguments: &str| run_crumple(folder.path(), &format!("avoid law.toml {arguments}"));
     let report = json_objects(&run("--format json --out escape.toml")).remove(0);
-    assert_eq!((&report["escape_found_by"], &report["optimality"]), (&"closed-loop".into(), &"best-found".into()));
+    assert_eq!(
+        (&report["escape_found_by"], &report["optimality"]),
+        (&"closed-loop".into(), &"best-found".into())
+    );
     let simulations = report["simulations"].as_u64().expect("a number");
     let optimised = report["escape_is_best_for"].as_str().expect("words");
-    assert!(optimised.ends_with(&format!("in the loop, best of {simulations} simulated profiles")), "{optimised}");
-    assert_eq!(report["emergency_brake_fires"], !report["trigger_time_s"].is_null());
+    assert!(
+        optimised.ends_with(&format!(
+            "in the loop, best of {simulations} simulated profiles"
+        )),
+        "{optimised}"
+    );
+    assert_eq!(
+        report["emergency_brake_fires"],
+        !report["trigger_time_s"].is_null()
+    );
     let words = run("");
     assert_eq!(
         stdout(&words).contains("no emergency brake behind fires"),
@@ -90,7 +150,11 @@ fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
         "{}",
         stdout(&words)
     );
-    assert!(stdout(&words).contains(" m, best found\n") && stdout(&words).contains(optimised), "{}", stdout(&words));
+    assert!(
+        stdout(&words).contains(" m, best found\n") && stdout(&words).contains(optimised),
+        "{}",
+        stdout(&words)
+    );
     run_ok(folder.path(), "simulate escape.toml --expect safe");
 }
 
@@ -98,24 +162,54 @@ fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
 #[test]
 fn simulations_beyond_the_budget_are_reported() {
     let folder = temp_folder();
-    let attack = |more: &str| run_ok(folder.path(), &format!("worst-case paper-1 --controller idm {more}"));
+    let attack = |more: &str| {
+        run_ok(
+            folder.path(),
+            &format!("worst-case paper-1 --controller idm {more}"),
+        )
+    };
     let report = json_objects(&attack("--budget 1 --format json")).remove(0);
     assert!(report["evaluations"].as_u64() > Some(1), "{report}");
-    assert_eq!((&report["budget"], &report["is_over_budget"]), (&1.into(), &true.into()));
+    assert_eq!(
+        (&report["budget"], &report["is_over_budget"]),
+        (&1.into(), &true.into())
+    );
     assert!(stdout(&attack("--budget 1")).contains("more simulations than --budget 1: "));
     let report = json_objects(&attack("--format json")).remove(0);
-    assert_eq!((&report["is_over_budget"], report["over_budget_because"].is_null()), (&false.into(), true), "{report}");
+    assert_eq!(
+        (
+            &report["is_over_budget"],
+            report["over_budget_because"].is_null()
+        ),
+        (&false.into(), true),
+        "{report}"
+    );
 }
 
 #[test]
 fn a_worst_case_is_written_and_collides() {
     let folder = temp_folder();
-    let found =
-        run_ok(folder.path(), "worst-case paper-1 --controller idm --budget 500 --out worst.toml --format json");
+    let found = run_ok(
+        folder.path(),
+        "worst-case paper-1 --controller idm --budget 500 --out worst.toml --format json",
+    );
     let report = json_objects(&found).remove(0);
-    assert_eq!((&report["found"], &report["method"]), (&true.into(), &"sequential".into()));
+    assert_eq!(
+        (&report["found"], &report["method"]),
+        (&true.into(), &"sequential".into())
+    );
     assert_eq!(report["optimality"], "best-found");
-    let words = run_crumple(folder.path(), "worst-case paper-1 --controller idm --budget 500");
-    assert!(stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"), "{}", stdout(&words));
-    run_ok(folder.path(), "simulate worst.toml --controller idm --expect collision");
+    let words = run_crumple(
+        folder.path(),
+        "worst-case paper-1 --controller idm --budget 500",
+    );
+    assert!(
+        stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"),
+        "{}",
+        stdout(&words)
+    );
+    run_ok(
+        folder.path(),
+        "simulate worst.toml --controller idm --expect collision",
+    );
 }

@@ -63,6 +63,11 @@ impl WhiteJerk {
     pub(super) fn prediction_error(&self, tuning: &Tuning, filter: &Filter) -> [f64; 3] {
         // Without a measurement the filter returns its prediction.
         let predicted = filter.clone().update(tuning, None);
-        (Vector3::new(predicted.distance_m, predicted.rate_mps, predicted.acceleration_mps2) - self.state).into()
+        (Vector3::new(
+            predicted.distance_m,
+            predicted.rate_mps,
+            predicted.acceleration_mps2,
+        ) - self.state)
+            .into()
     }
 }

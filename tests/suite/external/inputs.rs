@@ -73,7 +73,9 @@ const OUTPUTS: [&str; 3] = ["o", "o.toml", "pages"];
 
 impl InputFolder {
     pub(super) fn new() -> Self {
-        let inputs = Self { folder: temp_folder() };
+        let inputs = Self {
+            folder: temp_folder(),
+        };
         inputs.write_files();
         inputs.make_run_folders();
         assert!(inputs.has_started(), "the work was made with the program");
@@ -87,11 +89,19 @@ impl InputFolder {
     pub(super) fn run(&self, words: &str) -> CommandOutput {
         for output in OUTPUTS {
             let path = self.folder().join(output);
-            let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+            let _ = if path.is_dir() {
+                fs::remove_dir_all(path)
+            } else {
+                fs::remove_file(path)
+            };
         }
         let output = run_crumple(self.folder(), words);
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        CommandOutput { code: exit_code(&output), stdout: text(&output.stdout), stderr: text(&output.stderr) }
+        CommandOutput {
+            code: exit_code(&output),
+            stdout: text(&output.stdout),
+            stderr: text(&output.stderr),
+        }
     }
 
     pub(super) fn has_started(&self) -> bool {
@@ -105,15 +115,36 @@ impl InputFolder {
     fn write_files(&self) {
         self.write("ev", PROGRAM);
         fs::set_permissions(self.folder().join("ev"), fs::Permissions::from_mode(0o755)).unwrap();
-        self.write("evil.toml", "version = 1\ncommand = [\"./ev\"]\nfiles = [\"ev\"]\n");
+        self.write(
+            "evil.toml",
+            "version = 1\ncommand = [\"./ev\"]\nfiles = [\"ev\"]\n",
+        );
         let library = library_member(3, "evil");
-        self.write("evil.fmu", zip_archive(&[("modelDescription.xml", FMU.as_bytes()), (&library, b"no library")]));
-        let short = built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 0.5).unwrap();
+        self.write(
+            "evil.fmu",
+            zip_archive(&[
+                ("modelDescription.xml", FMU.as_bytes()),
+                (&library, b"no library"),
+            ]),
+        );
+        let short = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.duration_s = 0.5)
+            .unwrap();
         let text = file::to_toml(&short).unwrap();
         self.write("plain-base.toml", &text);
-        for (name, path) in [("driven.toml", "evil.toml"), ("driven-fmu.toml", "evil.fmu")] {
+        for (name, path) in [
+            ("driven.toml", "evil.toml"),
+            ("driven-fmu.toml", "evil.fmu"),
+        ] {
             assert!(text.contains("\"baseline\""), "{text}");
-            self.write(name, text.replace("\"baseline\"", &format!("{{ file = {{ path = \"{path}\" }} }}")));
+            self.write(
+                name,
+                text.replace(
+                    "\"baseline\"",
+                    &format!("{{ file = {{ path = \"{path}\" }} }}"),
+                ),
+            );
         }
         let mut json = serde_json::to_value(short.spec()).unwrap();
         json["vehicles"][2]["driver"] = serde_json::json!({ "file": { "path": "evil.toml" } });
@@ -122,14 +153,24 @@ impl InputFolder {
         self.write("plain.toml", space_toml("plain", "plain-base.toml"));
         self.write(
             "suite.toml",
-            replace_passages(&standing_suite(), &[("[60.0, 75.0]", "[60.0]"), (", tolerance = 2.0", "")]),
+            replace_passages(
+                &standing_suite(),
+                &[("[60.0, 75.0]", "[60.0]"), (", tolerance = 2.0", "")],
+            ),
         );
         let idm = "controllers = [\"idm\"]";
-        self.write("scenarios.toml", assessment_toml(idm, "scenarios = [\"driven.toml\"]"));
-        let spaces = assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]");
+        self.write(
+            "scenarios.toml",
+            assessment_toml(idm, "scenarios = [\"driven.toml\"]"),
+        );
+        let spaces = assessment_toml(idm, "")
+            .replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]");
         self.write("spaces.toml", spaces);
         let preset = crate::tiny::training();
-        self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
+        self.write(
+            "preset.toml",
+            format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"),
+        );
     }
 
     /// Makes a campaign and a certificate, with permission to start the program.

@@ -21,18 +21,25 @@ const DEFAULT_TRIED_CALLS: usize = 1;
 /// A command that can resume its work in the folder `run`, and its preset.
 struct ResumableCommand(&'static str, Option<fn() -> String>);
 
-const CAMPAIGN: ResumableCommand = ResumableCommand("falsify --controller baseline --space paper --budget 60", None);
+const CAMPAIGN: ResumableCommand = ResumableCommand(
+    "falsify --controller baseline --space paper --budget 60",
+    None,
+);
 
-const COUNT: ResumableCommand =
-    ResumableCommand("verify rate --controller idm --space paper --runs 400 --confidence 0.9", None);
+const COUNT: ResumableCommand = ResumableCommand(
+    "verify rate --controller idm --space paper --runs 400 --confidence 0.9",
+    None,
+);
 
 const ESTIMATE: ResumableCommand = ResumableCommand(
     "verify rate --controller match-leader --rare --estimator truth --samples 50 --repetitions 20",
     None,
 );
 
-const TRAINING: ResumableCommand =
-    ResumableCommand("train --preset tiny.toml --seed 1 --episodes 33", Some(tiny::training));
+const TRAINING: ResumableCommand = ResumableCommand(
+    "train --preset tiny.toml --seed 1 --episodes 33",
+    Some(tiny::training),
+);
 
 /// In this space an avoidable collision is quickly found to be avoidable, and every round searches for some.
 const RETRAINING: ResumableCommand = ResumableCommand(
@@ -47,14 +54,20 @@ impl ResumableCommand {
     fn new_folder(&self) -> tempfile::TempDir {
         let place = scratch_folder();
         if let Some(preset) = self.1 {
-            fs::write(place.path().join("tiny.toml"), tiny::with_small_memory(&preset())).unwrap();
+            fs::write(
+                place.path().join("tiny.toml"),
+                tiny::with_small_memory(&preset()),
+            )
+            .unwrap();
         }
         place
     }
 
     fn command(&self, place: &Path) -> Command {
         let mut command = command(place, self.0);
-        command.args(["--resume", "--quiet", "--out"]).arg(place.join("run"));
+        command
+            .args(["--resume", "--quiet", "--out"])
+            .arg(place.join("run"));
         command.env("RAYON_NUM_THREADS", "1");
         command
     }
@@ -62,26 +75,47 @@ impl ResumableCommand {
     fn assert_completes(&self, place: &Path, genuine: &FolderFiles, what: &str) {
         let ended = self.command(place).output().unwrap();
         // A gate may fail, as without faults.
-        assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", describe_output(&ended));
+        assert!(
+            matches!(ended.status.code(), Some(0 | 1)),
+            "{what}: {}",
+            describe_output(&ended)
+        );
         assert_same_contents(&read_files(&place.join("run")), genuine, what);
     }
 
     fn run_without_faults(&self, shim: &Path) -> (FolderFiles, Vec<u8>) {
         let place = self.new_folder();
         let trace = place.path().join("trace");
-        let ended = with_shim(&mut self.command(place.path()), shim, &place.path().join("run"))
-            .env("FAULT_TRACE", &trace)
-            .output()
-            .unwrap();
-        assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", describe_output(&ended));
-        let renamed = String::from_utf8_lossy(&fs::read(&trace).unwrap()).matches("\nrename ").count();
+        let ended = with_shim(
+            &mut self.command(place.path()),
+            shim,
+            &place.path().join("run"),
+        )
+        .env("FAULT_TRACE", &trace)
+        .output()
+        .unwrap();
+        assert!(
+            matches!(ended.status.code(), Some(0 | 1)),
+            "{}",
+            describe_output(&ended)
+        );
+        let renamed = String::from_utf8_lossy(&fs::read(&trace).unwrap())
+            .matches("\nrename ")
+            .count();
         assert!(renamed > 5, "what it does is seen");
-        (read_files(&place.path().join("run")), fs::read(&trace).unwrap())
+        (
+            read_files(&place.path().join("run")),
+            fs::read(&trace).unwrap(),
+        )
     }
 }
 
 fn describe_output(output: &Output) -> String {
-    format!("{:?}: {}", output.status, String::from_utf8_lossy(&output.stderr))
+    format!(
+        "{:?}: {}",
+        output.status,
+        String::from_utf8_lossy(&output.stderr)
+    )
 }
 
 fn with_shim<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> &'a mut Command {
@@ -104,21 +138,38 @@ fn build_shim(folder: &Path) -> PathBuf {
 
 /// Selects the calls to try: `FAULTS` is a number of calls, which are spread over all, or `PART/PARTS` of all.
 fn selected_calls(calls: usize, salt: usize) -> Vec<usize> {
-    let number = |name| std::env::var(name).ok().and_then(|number| number.parse::<usize>().ok());
+    let number = |name| {
+        std::env::var(name)
+            .ok()
+            .and_then(|number| number.parse::<usize>().ok())
+    };
     if let Some((part, parts)) = std::env::var("FAULTS").unwrap_or_default().split_once('/') {
-        let [part, parts] = [part, parts].map(|number| number.parse::<usize>().expect("FAULTS is PART/PARTS"));
-        let part = (1..=calls).filter(|call| call % parts == part % parts).collect::<Vec<_>>();
+        let [part, parts] =
+            [part, parts].map(|number| number.parse::<usize>().expect("FAULTS is PART/PARTS"));
+        let part = (1..=calls)
+            .filter(|call| call % parts == part % parts)
+            .collect::<Vec<_>>();
         println!("{} of {calls} calls", part.len());
         return part;
     }
     let wanted = number("FAULTS").unwrap_or(DEFAULT_TRIED_CALLS).min(calls);
-    let from = number("FAULTS_SEED").unwrap_or_default().wrapping_add(salt).wrapping_mul(7919);
-    (0..wanted).map(|place| 1 + (place * calls / wanted).wrapping_add(from) % calls).collect()
+    let from = number("FAULTS_SEED")
+        .unwrap_or_default()
+        .wrapping_add(salt)
+        .wrapping_mul(7919);
+    (0..wanted)
+        .map(|place| 1 + (place * calls / wanted).wrapping_add(from) % calls)
+        .collect()
 }
 
 fn call_count(trace: &[u8]) -> usize {
     let text = String::from_utf8_lossy(trace);
-    text.trim_end().rsplit_once("calls ").unwrap().1.parse().unwrap()
+    text.trim_end()
+        .rsplit_once("calls ")
+        .unwrap()
+        .1
+        .parse()
+        .unwrap()
 }
 
 /// Injects a full disk, a failing disk, a sudden end and a power failure at the selected calls.
@@ -130,7 +181,10 @@ fn assert_survives(kept: &ResumableCommand) {
     let calls = call_count(&trace);
     for (salt, fault) in ["enospc", "eio", "kill"].into_iter().enumerate() {
         for at in selected_calls(calls, salt) {
-            let (place, what) = (kept.new_folder(), format!("{fault} at call {at} of {calls}"));
+            let (place, what) = (
+                kept.new_folder(),
+                format!("{fault} at call {at} of {calls}"),
+            );
             let mut command = kept.command(place.path());
             let faulty = with_shim(&mut command, &shim, &place.path().join("run"))
                 .env("FAULT_AT", at.to_string())
@@ -142,7 +196,11 @@ fn assert_survives(kept: &ResumableCommand) {
                 _ => panic!("{what}: {}", describe_output(&ended)),
             }
             if ended.status.code() == Some(3) {
-                assert!(describe_output(&ended).contains("run"), "{what} names no file: {}", describe_output(&ended));
+                assert!(
+                    describe_output(&ended).contains("run"),
+                    "{what} names no file: {}",
+                    describe_output(&ended)
+                );
             }
             kept.assert_completes(place.path(), &genuine, &what);
         }
@@ -150,7 +208,11 @@ fn assert_survives(kept: &ResumableCommand) {
 }
 
 /// Injects a power failure at the selected calls, with all or a part of the unsynchronised changes lost.
-fn assert_survives_power_loss(kept: &ResumableCommand, genuine: &FolderFiles, changes: &[power::DiskOperation]) {
+fn assert_survives_power_loss(
+    kept: &ResumableCommand,
+    genuine: &FolderFiles,
+    changes: &[power::DiskOperation],
+) {
     for (salt, loss) in power::PowerLoss::ALL.into_iter().enumerate() {
         for at in selected_calls(changes.len(), salt) {
             let place = kept.new_folder();

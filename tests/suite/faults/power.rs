@@ -43,7 +43,11 @@ pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
             }
             _ => {}
         }
-        operations.push(DiskOperation { name: name.to_owned(), arguments: arguments.to_owned(), bytes });
+        operations.push(DiskOperation {
+            name: name.to_owned(),
+            arguments: arguments.to_owned(),
+            bytes,
+        });
     }
     operations
 }
@@ -80,7 +84,11 @@ pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) 
     for change in changes {
         disk.apply(change);
     }
-    let names = if matches!(loss, PowerLoss::Everything | PowerLoss::Names) { &disk.durable } else { &disk.now };
+    let names = if matches!(loss, PowerLoss::Everything | PowerLoss::Names) {
+        &disk.durable
+    } else {
+        &disk.now
+    };
     let contents = |file: usize| {
         let DurableContents { now, durable } = &disk.files[file];
         match loss {
@@ -93,18 +101,32 @@ pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) 
             }
         }
     };
-    let left = names.iter().filter(|(path, _)| **path != disk.root).map(|(path, node)| {
-        let name = path.strip_prefix(&disk.root).unwrap().trim_start_matches('/').to_owned();
-        match node {
-            DiskNode::File(file) => (name, Some(contents(*file))),
-            DiskNode::Folder => (name, None),
-        }
-    });
+    let left = names
+        .iter()
+        .filter(|(path, _)| **path != disk.root)
+        .map(|(path, node)| {
+            let name = path
+                .strip_prefix(&disk.root)
+                .unwrap()
+                .trim_start_matches('/')
+                .to_owned();
+            match node {
+                DiskNode::File(file) => (name, Some(contents(*file))),
+                DiskNode::Folder => (name, None),
+            }
+        });
     SurvivingFiles(left.collect())
 }
 
 impl Disk {
-    fn apply(&mut self, DiskOperation { name, arguments, bytes }: &DiskOperation) {
+    fn apply(
+        &mut self,
+        DiskOperation {
+            name,
+            arguments,
+            bytes,
+        }: &DiskOperation,
+    ) {
         let number = |text: &str| text.parse::<usize>().unwrap();
         let two = |separator: char| arguments.split_once(separator).unwrap();
         let owned = |(one, other): (&str, &str)| (one.to_owned(), other.to_owned());
@@ -118,12 +140,14 @@ impl Disk {
             }
             // A file was opened, created if missing, truncated if requested.
             "open" => {
-                let (handle, (emptied, path)) = (number(two(' ').0), two(' ').1.split_once(' ').unwrap());
+                let (handle, (emptied, path)) =
+                    (number(two(' ').0), two(' ').1.split_once(' ').unwrap());
                 let file = match self.now.get(path) {
                     Some(DiskNode::File(file)) => *file,
                     _ => {
                         self.files.push(DurableContents::default());
-                        self.now.insert(path.to_owned(), DiskNode::File(self.files.len() - 1));
+                        self.now
+                            .insert(path.to_owned(), DiskNode::File(self.files.len() - 1));
                         self.files.len() - 1
                     }
                 };
@@ -146,12 +170,17 @@ impl Disk {
                 self.open_files.remove(&number(arguments));
             }
             "write" => {
-                let (handle, offset) = (number(two(' ').0), number(two(' ').1.split(' ').next().unwrap()));
+                let (handle, offset) = (
+                    number(two(' ').0),
+                    number(two(' ').1.split(' ').next().unwrap()),
+                );
                 let now = &mut self.files[self.open_files[&handle]].now;
                 now.resize(now.len().max(offset + bytes.len()), 0);
                 now[offset..offset + bytes.len()].copy_from_slice(bytes);
             }
-            "cut" => self.files[self.open_files[&number(two(' ').0)]].now.resize(number(two(' ').1), 0),
+            "cut" => self.files[self.open_files[&number(two(' ').0)]]
+                .now
+                .resize(number(two(' ').1), 0),
             // The contents of a file, or the names in a folder, were synchronised.
             "sync" => match self.open_files.get(&number(arguments)) {
                 Some(&file) => self.files[file].durable = self.files[file].now.clone(),
@@ -173,9 +202,18 @@ impl Disk {
 
     /// Synchronises the names in a folder, without its subfolders.
     fn sync_names(&mut self, folder: &str) {
-        let is_in = |path: &str| path.rsplit_once('/').is_some_and(|(parent, _)| parent == folder);
-        self.durable.retain(|path, _| !is_in(path) || self.now.contains_key(path));
-        self.durable.extend(self.now.iter().filter(|(path, _)| is_in(path)).map(|(path, node)| (path.clone(), *node)));
+        let is_in = |path: &str| {
+            path.rsplit_once('/')
+                .is_some_and(|(parent, _)| parent == folder)
+        };
+        self.durable
+            .retain(|path, _| !is_in(path) || self.now.contains_key(path));
+        self.durable.extend(
+            self.now
+                .iter()
+                .filter(|(path, _)| is_in(path))
+                .map(|(path, node)| (path.clone(), *node)),
+        );
     }
 }
 
@@ -186,7 +224,9 @@ impl SurvivingFiles {
             let path = folder.join(name);
             match contents {
                 // Contents of a lost folder are lost, too.
-                Some(bytes) if path.parent().is_some_and(Path::is_dir) => fs::write(path, bytes).unwrap(),
+                Some(bytes) if path.parent().is_some_and(Path::is_dir) => {
+                    fs::write(path, bytes).unwrap()
+                }
                 None if path.parent().is_some_and(Path::is_dir) => fs::create_dir(path).unwrap(),
                 _ => {}
             }

@@ -15,8 +15,12 @@ use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-use crate::command_line::{assert_refused, command, exit_code, run_crumple, stderr, stdout, temp_folder};
-use crate::processes::{draw_scenarios, find_controller, simulate_in_lockstep, simulate_with_truth};
+use crate::command_line::{
+    assert_refused, command, exit_code, run_crumple, stderr, stdout, temp_folder,
+};
+use crate::processes::{
+    draw_scenarios, find_controller, simulate_in_lockstep, simulate_with_truth,
+};
 
 const EXAMPLE: &str = include_str!("../../../examples/controllers/fmu/follower.c");
 const EXAMPLE_XML: &str = include_str!("../../../examples/controllers/fmu/modelDescription.xml");
@@ -24,8 +28,16 @@ const ODD: &str = include_str!("odd.c");
 const ODD_XML: &str = include_str!("odd.xml");
 
 pub(crate) fn library_member(edition: u32, name: &str) -> String {
-    let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
-    let extension = if cfg!(target_os = "macos") { "dylib" } else { "so" };
+    let system = if cfg!(target_os = "macos") {
+        "darwin"
+    } else {
+        std::env::consts::OS
+    };
+    let extension = if cfg!(target_os = "macos") {
+        "dylib"
+    } else {
+        "so"
+    };
     let folder = match edition {
         2 => format!("{system}{}", usize::BITS),
         _ => format!("{}-{system}", std::env::consts::ARCH),
@@ -38,7 +50,10 @@ fn compile_library(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
     let (from, to) = (folder.join("source.c"), folder.join("library.so"));
     fs::write(&from, source).unwrap();
     let paths = ["-o", to.to_str().unwrap(), from.to_str().unwrap(), "-lm"];
-    let done = Command::new("cc").args(["-O2", "-shared", "-fPIC", what]).args(paths).output();
+    let done = Command::new("cc")
+        .args(["-O2", "-shared", "-fPIC", what])
+        .args(paths)
+        .output();
     match done {
         Ok(done) if done.status.success() => Some(fs::read(to).unwrap()),
         Ok(done) => panic!("{}", String::from_utf8_lossy(&done.stderr)),
@@ -52,7 +67,9 @@ fn compile_library(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
 pub(crate) fn zip_archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
-        archive.start_file(*name, SimpleFileOptions::default()).unwrap();
+        archive
+            .start_file(*name, SimpleFileOptions::default())
+            .unwrap();
         archive.write_all(bytes).unwrap();
     }
     archive.finish().unwrap().into_inner()
@@ -66,15 +83,30 @@ fn write_fmu(path: &Path, xml: &str, members: &[(&str, &[u8])]) {
 fn example_fmu_folder() -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), EXAMPLE, "-DEXAMPLE")?;
-    write_fmu(&folder.path().join("follower.fmu"), EXAMPLE_XML, &[(&library_member(2, "follower"), &library)]);
+    write_fmu(
+        &folder.path().join("follower.fmu"),
+        EXAMPLE_XML,
+        &[(&library_member(2, "follower"), &library)],
+    );
     Some(folder)
 }
 
 fn odd_fmu_folder(what: &str) -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), ODD, &format!("-DWHAT={what}"))?;
-    let xml = ODD_XML.replace("\"ONCE\"", if what == "ONCE" { "\"true\"" } else { "\"false\"" });
-    write_fmu(&folder.path().join("odd.fmu"), &xml, &[(&library_member(3, "odd"), &library)]);
+    let xml = ODD_XML.replace(
+        "\"ONCE\"",
+        if what == "ONCE" {
+            "\"true\""
+        } else {
+            "\"false\""
+        },
+    );
+    write_fmu(
+        &folder.path().join("odd.fmu"),
+        &xml,
+        &[(&library_member(3, "odd"), &library)],
+    );
     fs::write(folder.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     Some(folder)
 }
@@ -103,19 +135,35 @@ variable = "rate"
 /// engines.
 #[test]
 fn one_controller_drives_the_same_as_fmi_2_fmi_3_and_built_in() {
-    let Some(example) = example_fmu_folder() else { return };
+    let Some(example) = example_fmu_folder() else {
+        return;
+    };
     let source = include_str!("../../../examples/controllers/follower.c");
     fs::write(example.path().join("process.c"), source).unwrap();
     let arguments = ["-O2", "-o", "process", "process.c", "-lm"];
-    assert!(Command::new("cc").args(arguments).current_dir(example.path()).status().unwrap().success());
+    assert!(
+        Command::new("cc")
+            .args(arguments)
+            .current_dir(example.path())
+            .status()
+            .unwrap()
+            .success()
+    );
     let scenarios = draw_scenarios(5, 25);
-    let expected = simulate_in_lockstep(&find_controller("exec:./process", example.path()).kind, &scenarios);
+    let expected = simulate_in_lockstep(
+        &find_controller("exec:./process", example.path()).kind,
+        &scenarios,
+    );
     let by_fmi_2 = find_controller("follower.fmu", example.path()).kind;
     assert_eq!(simulate_in_lockstep(&by_fmi_2, &scenarios), expected);
     assert_eq!(simulate_with_truth(&by_fmi_2, &scenarios[7]), expected[7]);
     for what in ["NOTHING", "ONCE", "PRINT", "WARN"] {
         let odd = odd_fmu_folder(what).unwrap();
-        assert_eq!(simulate_in_lockstep(&find_controller("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
+        assert_eq!(
+            simulate_in_lockstep(&find_controller("odd.toml", odd.path()).kind, &scenarios),
+            expected,
+            "{what}"
+        );
     }
 }
 
@@ -123,10 +171,15 @@ fn one_controller_drives_the_same_as_fmi_2_fmi_3_and_built_in() {
 /// form.
 #[test]
 fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
-    let Some(odd) = odd_fmu_folder("LATER") else { return };
+    let Some(odd) = odd_fmu_folder("LATER") else {
+        return;
+    };
     let text = ODD_CONTROLLER.replace("fmu =", "decision_interval_s = 0.1\nfmu =");
     fs::write(odd.path().join("odd.toml"), text).unwrap();
-    let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 2.0).unwrap();
+    let scenario = built_in_scenario("paper-1")
+        .unwrap()
+        .edited(|spec| spec.duration_s = 2.0)
+        .unwrap();
     let controller = find_controller("odd.toml", odd.path()).kind;
     let simulated = simulate_with_truth(&controller, &scenario);
     let trace = simulated.trace.as_ref().unwrap();
@@ -137,8 +190,14 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
         let (gap_m, speed_mps) = (gaps_m[k].unwrap(), own.speed_mps[k]);
         let wanted = 0.3 * (gap_m - 4.0 - 1.4 * speed_mps) + 0.9 * (ahead.speed_mps[k] - speed_mps);
         filtered_mps2 += (wanted.min(2.0).min(30.0 - speed_mps).max(-7.5) - filtered_mps2) * decay;
-        assert!((own.acceleration_mps2[k] - filtered_mps2).abs() < 1e-9, "{k}");
-        assert!((own.acceleration_mps2[k + 9] - filtered_mps2).abs() < 1e-9, "{k}");
+        assert!(
+            (own.acceleration_mps2[k] - filtered_mps2).abs() < 1e-9,
+            "{k}"
+        );
+        assert!(
+            (own.acceleration_mps2[k + 9] - filtered_mps2).abs() < 1e-9,
+            "{k}"
+        );
         checked += 1;
     }
     assert_eq!(checked, 20);
@@ -149,37 +208,85 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
 fn any_fmu_error_ends_the_run() {
     let cases = [
         ("CRASH", 0.03, "ended by signal 6", ""),
-        ("NO_NUMBER", 0.03, "exit code 2", "its output is NaN, at 0.03 s"),
-        ("TO_DISCARD", 0.03, "exit code 2", "the FMU discarded it (fmi3DoStep)"),
-        ("TO_FAIL", 0.03, "exit code 2", "the FMU reports an error (fmi3DoStep)"),
-        ("TO_END", 0.03, "exit code 2", "the FMU requested the end of the simulation at 0.04 s"),
+        (
+            "NO_NUMBER",
+            0.03,
+            "exit code 2",
+            "its output is NaN, at 0.03 s",
+        ),
+        (
+            "TO_DISCARD",
+            0.03,
+            "exit code 2",
+            "the FMU discarded it (fmi3DoStep)",
+        ),
+        (
+            "TO_FAIL",
+            0.03,
+            "exit code 2",
+            "the FMU reports an error (fmi3DoStep)",
+        ),
+        (
+            "TO_END",
+            0.03,
+            "exit code 2",
+            "the FMU requested the end of the simulation at 0.04 s",
+        ),
         ("HANG", 0.03, "gave no answer within 0.5 s", ""),
-        ("NO_INSTANCE", 0.0, "exit code 2", "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)"),
+        (
+            "NO_INSTANCE",
+            0.0,
+            "exit code 2",
+            "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)",
+        ),
     ];
     for (what, time_s, why, last) in cases {
-        let Some(odd) = odd_fmu_folder(what) else { return };
-        let failed =
-            simulate_with_truth(&find_controller("odd.toml", odd.path()).kind, &built_in_scenario("paper-1").unwrap())
-                .outcome;
-        let failed = failed.failed_controller().unwrap_or_else(|| panic!("{what} drives on"));
+        let Some(odd) = odd_fmu_folder(what) else {
+            return;
+        };
+        let failed = simulate_with_truth(
+            &find_controller("odd.toml", odd.path()).kind,
+            &built_in_scenario("paper-1").unwrap(),
+        )
+        .outcome;
+        let failed = failed
+            .failed_controller()
+            .unwrap_or_else(|| panic!("{what} drives on"));
         let message = failed.to_string();
-        assert!((failed.time_s - time_s).abs() < 1e-9 && message.contains("`odd.fmu`"), "{what}: {message}");
-        assert!(message.contains(why) && message.contains(last), "{what}: {message}");
+        assert!(
+            (failed.time_s - time_s).abs() < 1e-9 && message.contains("`odd.fmu`"),
+            "{what}: {message}"
+        );
+        assert!(
+            message.contains(why) && message.contains(last),
+            "{what}: {message}"
+        );
     }
 }
 
 /// The identity does not depend on the path.
 #[test]
 fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
-    let Some(odd) = odd_fmu_folder("NOTHING") else { return };
-    let identity = |folder: &Path| find_controller("odd.toml", folder).kind.identity().expect("has one");
+    let Some(odd) = odd_fmu_folder("NOTHING") else {
+        return;
+    };
+    let identity = |folder: &Path| {
+        find_controller("odd.toml", folder)
+            .kind
+            .identity()
+            .expect("has one")
+    };
     let first = identity(odd.path());
     let elsewhere = temp_folder();
     for name in ["odd.toml", "odd.fmu"] {
         fs::copy(odd.path().join(name), elsewhere.path().join(name)).unwrap();
     }
     assert_eq!(identity(elsewhere.path()), first);
-    fs::write(elsewhere.path().join("odd.toml"), ODD_CONTROLLER.replace("= 30.0", "= 29.0")).unwrap();
+    fs::write(
+        elsewhere.path().join("odd.toml"),
+        ODD_CONTROLLER.replace("= 30.0", "= 29.0"),
+    )
+    .unwrap();
     assert_ne!(identity(elsewhere.path()), first);
     let search = "falsify --controller odd.toml --budget 2 --out found --format json";
     let found = run_crumple(odd.path(), search);
@@ -188,38 +295,83 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
 
 #[test]
 fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
-    let Some(odd) = odd_fmu_folder("NOTHING") else { return };
+    let Some(odd) = odd_fmu_folder("NOTHING") else {
+        return;
+    };
     let cases = [
         (
             "\"speed\"",
             "\"Speed\"",
             "odd.toml:7: inputs[0]: the FMU has no `Speed` among its inputs: distance, rate, speed, ahead",
         ),
-        ("\"rate\"", "\"speed\"", "odd.toml:16: inputs[3]: the FMU's input `speed` is set twice"),
-        ("variable = \"rate\"", "", "inputs[3]: the FMU has no `relative_speed_ahead_mps` among its inputs"),
+        (
+            "\"rate\"",
+            "\"speed\"",
+            "odd.toml:16: inputs[3]: the FMU's input `speed` is set twice",
+        ),
+        (
+            "variable = \"rate\"",
+            "",
+            "inputs[3]: the FMU has no `relative_speed_ahead_mps` among its inputs",
+        ),
         (
             "variable = \"command\", ",
             "",
             "output.variable: the FMU has no `acceleration_mps2` among its outputs: command, spare",
         ),
-        ("lanes = 1", "lanes = 1.5", "parameters.lanes: 1.5 is not a value of a parameter that is integer"),
-        ("lanes", "roads", "the FMU has no `roads` among its parameters"),
-        ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
-        ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
-        ("fmu = ", "command = [\"a\"]\nfmu = ", "odd.toml:2: command: `fmu` is given already: keep one of them"),
+        (
+            "lanes = 1",
+            "lanes = 1.5",
+            "parameters.lanes: 1.5 is not a value of a parameter that is integer",
+        ),
+        (
+            "lanes",
+            "roads",
+            "the FMU has no `roads` among its parameters",
+        ),
+        (
+            "fmu = ",
+            "history = 2\nfmu = ",
+            "odd.toml:2: history: is not for an FMU",
+        ),
+        (
+            "fmu = ",
+            "files = [\"a\"]\nfmu = ",
+            "odd.toml:2: files: is not for an FMU",
+        ),
+        (
+            "fmu = ",
+            "command = [\"a\"]\nfmu = ",
+            "odd.toml:2: command: `fmu` is given already: keep one of them",
+        ),
         ("odd.fmu", "none.fmu", "odd.toml:2: fmu: there is no file "),
         ("odd.fmu", ".", "odd.toml:2: fmu: "),
         ("odd.fmu", ".", " cannot be read: is not a regular file"),
-        ("odd.fmu", "bad.fmu", "bad.fmu is not an FMU: it is not a zip archive, or it was cut off"),
+        (
+            "odd.fmu",
+            "bad.fmu",
+            "bad.fmu is not an FMU: it is not a zip archive, or it was cut off",
+        ),
     ];
     fs::write(odd.path().join("bad.fmu"), "no archive").unwrap();
     for (was, is, message) in cases {
-        fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
-        let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();
+        fs::write(
+            odd.path().join("odd.toml"),
+            ODD_CONTROLLER.replacen(was, is, 1),
+        )
+        .unwrap();
+        let error = NamedController::find_for_user("odd.toml", odd.path())
+            .expect_err(is)
+            .to_string();
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
-    let bare = NamedController::find_for_user("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
-    assert!(bare.contains("odd.fmu: inputs: its input `distance` has not the name of a quantity"), "{bare}");
+    let bare = NamedController::find_for_user("odd.fmu", odd.path())
+        .expect_err("needs wiring")
+        .to_string();
+    assert!(
+        bare.contains("odd.fmu: inputs: its input `distance` has not the name of a quantity"),
+        "{bare}"
+    );
     let mut absent = command(odd.path(), "simulate paper-1 --controller odd.toml");
     let absent = absent.env("CRUMPLE_FMU", "/nowhere").output().unwrap();
     fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
@@ -229,14 +381,20 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
 /// Each of 200 damaged files, and each unusual archive, gives one clear error and exit code 2.
 #[test]
 fn damaged_fmus_are_refused() {
-    let Some(example) = example_fmu_folder() else { return };
+    let Some(example) = example_fmu_folder() else {
+        return;
+    };
     let path = example.path().join("follower.fmu");
     let whole = fs::read(&path).unwrap();
-    let refused = |what: &str| match NamedController::find_for_user("follower.fmu", example.path()) {
+    let refused = |what: &str| match NamedController::find_for_user("follower.fmu", example.path())
+    {
         Ok(_) => None,
         Err(error) => {
             let error = error.to_string();
-            assert!(error.contains("follower.fmu: ") && !error.contains('\n'), "{what}: {error:?}");
+            assert!(
+                error.contains("follower.fmu: ") && !error.contains('\n'),
+                "{what}: {error:?}"
+            );
             Some(error)
         }
     };
@@ -249,7 +407,11 @@ fn damaged_fmus_are_refused() {
         } else {
             // The parts that are read before driving: the description at the start, the central directory at the end.
             let place = random.random_range(0..1200);
-            let place = if place < 900 { place } else { whole.len() - (place - 899) };
+            let place = if place < 900 {
+                place
+            } else {
+                whole.len() - (place - 899)
+            };
             bytes[place] ^= 1 << random.random_range(0..8);
         }
         fs::write(&path, bytes).unwrap();
@@ -263,18 +425,42 @@ fn damaged_fmus_are_refused() {
     let big = EXAMPLE_XML.replace("</fmi", &(" ".repeat(17 << 20) + "</fmi"));
     let model = |was: &str, is: &str| EXAMPLE_XML.replacen(was, is, 1);
     let described = [
-        (model("<CoSimulation", "<ModelExchange"), "does not support co-simulation"),
+        (
+            model("<CoSimulation", "<ModelExchange"),
+            "does not support co-simulation",
+        ),
         (
             model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""),
             "FMI version \"1.0\" is not supported; crumple reads FMI 2.0 and 3.0",
         ),
-        (model("modelIdentifier=\"follower\"", "modelIdentifier=\"../follower\""), "is no identifier of C"),
-        (model("modelIdentifier=\"follower\"", "modelIdentifier=\"other\""), "has no library for this platform"),
-        (model("canHandle", "needsExecutionTool=\"true\" canHandle"), "cannot run without the tool that exported it"),
-        (model("valueReference=\"0\"", "valueReference=\"-1\""), "line 12: valueReference \"-1\" is no whole number"),
-        (model("name=\"speed_mps\"", "name=\"gap_ahead_m\""), "there are two variables \"gap_ahead_m\""),
         (
-            model("<?xml version=\"1.0\" encoding=\"UTF-8\"?>", "<!DOCTYPE a [<!ENTITY b \"c\">]>"),
+            model(
+                "modelIdentifier=\"follower\"",
+                "modelIdentifier=\"../follower\"",
+            ),
+            "is no identifier of C",
+        ),
+        (
+            model("modelIdentifier=\"follower\"", "modelIdentifier=\"other\""),
+            "has no library for this platform",
+        ),
+        (
+            model("canHandle", "needsExecutionTool=\"true\" canHandle"),
+            "cannot run without the tool that exported it",
+        ),
+        (
+            model("valueReference=\"0\"", "valueReference=\"-1\""),
+            "line 12: valueReference \"-1\" is no whole number",
+        ),
+        (
+            model("name=\"speed_mps\"", "name=\"gap_ahead_m\""),
+            "there are two variables \"gap_ahead_m\"",
+        ),
+        (
+            model(
+                "<?xml version=\"1.0\" encoding=\"UTF-8\"?>",
+                "<!DOCTYPE a [<!ENTITY b \"c\">]>",
+            ),
             "modelDescription.xml, line 1: has a document type declaration",
         ),
         (
@@ -291,7 +477,12 @@ fn damaged_fmus_are_refused() {
     let xml = EXAMPLE_XML.as_bytes();
     fs::write(
         &path,
-        zip_archive(&[("resources/../../evil", xml), ("modelDescription.xml", xml), (&library, xml), (&far, xml)]),
+        zip_archive(&[
+            ("resources/../../evil", xml),
+            ("modelDescription.xml", xml),
+            (&library, xml),
+            (&far, xml),
+        ]),
     )
     .unwrap();
     let ran = run_crumple(example.path(), "simulate paper-1 --controller follower.fmu");

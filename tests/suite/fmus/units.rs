@@ -19,16 +19,34 @@ const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3
 /// Returns the C source of an FMU that computes in SI units with other units outside. Its table begins at reference
 /// `first`.
 fn convert_units_in_source(source: &str, first: u32) -> String {
-    let of = |table: &str| format!("(references[one] - {first} < 6u ? {table}[references[one] - {first}]");
+    let of = |table: &str| {
+        format!("(references[one] - {first} < 6u ? {table}[references[one] - {first}]")
+    };
     let (factor, offset) = (of("FACTOR") + " : 1.0)", of("OFFSET") + " : 0.0)");
-    let source = source.replace("= values[one];", &format!("= values[one] * {factor} + {offset};"));
+    let source = source.replace(
+        "= values[one];",
+        &format!("= values[one] * {factor} + {offset};"),
+    );
     let got = "values[references[one]];";
     assert_eq!(source.matches(got).count(), 1);
-    let begin = source.find("values[one] = ((Follower").expect("reads a value");
-    let read = source.get(begin..).and_then(|rest| rest.split_once(';')).expect("a statement").0.to_owned();
+    let begin = source
+        .find("values[one] = ((Follower")
+        .expect("reads a value");
+    let read = source
+        .get(begin..)
+        .and_then(|rest| rest.split_once(';'))
+        .expect("a statement")
+        .0
+        .to_owned();
     let value = read.strip_prefix("values[one] = ").expect("an assignment");
-    let source = source.replace(&read, &format!("values[one] = ({value} - {offset}) / {factor}"));
-    source.replace("typedef struct {\n    double values", &format!("{UNIT_TABLE}typedef struct {{\n    double values"))
+    let source = source.replace(
+        &read,
+        &format!("values[one] = ({value} - {offset}) / {factor}"),
+    );
+    source.replace(
+        "typedef struct {\n    double values",
+        &format!("{UNIT_TABLE}typedef struct {{\n    double values"),
+    )
 }
 
 /// Returns the description of the example with other units; the set speed gets its unit from a declared type.
@@ -36,8 +54,15 @@ fn other_units_xml() -> String {
     let begin = EXAMPLE_XML.find("<UnitDefinitions>").unwrap();
     let end = EXAMPLE_XML.find("<ModelVariables>").unwrap();
     let types = "<TypeDefinitions><SimpleType name=\"Speed\"><Real unit=\"km/h\"/></SimpleType></TypeDefinitions>\n  ";
-    let text = format!("{}{OTHER_UNITS}\n  {types}{}", &EXAMPLE_XML[..begin], &EXAMPLE_XML[end..]);
-    let text = text.replace("unit=\"m/s\" start=\"30\"", "declaredType=\"Speed\" start=\"108\"");
+    let text = format!(
+        "{}{OTHER_UNITS}\n  {types}{}",
+        &EXAMPLE_XML[..begin],
+        &EXAMPLE_XML[end..]
+    );
+    let text = text.replace(
+        "unit=\"m/s\" start=\"30\"",
+        "declaredType=\"Speed\" start=\"108\"",
+    );
     text.replace("unit=\"m\"", "unit=\"ft\"")
         .replace("unit=\"m/s\"", "unit=\"km/h\"")
         .replace("unit=\"m/s2\"", "unit=\"g\"")
@@ -48,9 +73,15 @@ fn other_units_xml() -> String {
 fn other_units_odd_xml() -> String {
     let types = "<TypeDefinitions><Float64Type name=\"Speed\" unit=\"km/h\"/></TypeDefinitions>";
     let text = ODD_XML.replace("\"ONCE\"", "\"false\"");
-    let text = text.replace("  <ModelVariables>", &format!("  {OTHER_UNITS}\n  {types}\n  <ModelVariables>"));
+    let text = text.replace(
+        "  <ModelVariables>",
+        &format!("  {OTHER_UNITS}\n  {types}\n  <ModelVariables>"),
+    );
     let with = |text: String, name: &str, unit: &str| {
-        text.replace(&format!("name=\"{name}\" "), &format!("name=\"{name}\" {unit} "))
+        text.replace(
+            &format!("name=\"{name}\" "),
+            &format!("name=\"{name}\" {unit} "),
+        )
     };
     let units = [
         ("distance", "unit=\"ft\""),
@@ -60,41 +91,74 @@ fn other_units_odd_xml() -> String {
         ("gap.time", "unit=\"late\""),
         ("set speed", "declaredType=\"Speed\""),
     ];
-    units.into_iter().fold(text, |text, (name, unit)| with(text, name, unit))
+    units
+        .into_iter()
+        .fold(text, |text, (name, unit)| with(text, name, unit))
 }
 
-const PARAMETERS: &str =
-    "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, set_speed_mps = 26.0 }\n";
+const PARAMETERS: &str = "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, set_speed_mps = 26.0 }\n";
 
 fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64 {
     let (one, other) = (one.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());
     let positions = |trace: &crumple_world::sim::Trace| trace.vehicles[1].position_m.clone();
-    positions(one).iter().zip(positions(other)).map(|(one, other)| (one - other).abs()).fold(0.0, f64::max)
+    positions(one)
+        .iter()
+        .zip(positions(other))
+        .map(|(one, other)| (one - other).abs())
+        .fold(0.0, f64::max)
 }
 
 #[test]
 fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
-    let Some(plain) = example_fmu_folder() else { return };
+    let Some(plain) = example_fmu_folder() else {
+        return;
+    };
     fs::write(plain.path().join("f.toml"), PARAMETERS).unwrap();
     let scenario = built_in_scenario("paper-1").unwrap();
     let expected = simulate_with_truth(&find_controller("f.toml", plain.path()).kind, &scenario);
 
     let two = temp_folder();
-    let library = compile_library(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
-    write_fmu(&two.path().join("follower.fmu"), &other_units_xml(), &[(&library_member(2, "follower"), &library)]);
+    let library = compile_library(
+        two.path(),
+        &convert_units_in_source(EXAMPLE, 0),
+        "-DEXAMPLE",
+    )
+    .unwrap();
+    write_fmu(
+        &two.path().join("follower.fmu"),
+        &other_units_xml(),
+        &[(&library_member(2, "follower"), &library)],
+    );
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
     let found = simulate_with_truth(&find_controller("f.toml", two.path()).kind, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
-    assert!(expected.outcome.failed_controller().is_none() && apart_m < 1e-9, "FMI 2: {apart_m} m");
+    assert!(
+        expected.outcome.failed_controller().is_none() && apart_m < 1e-9,
+        "FMI 2: {apart_m} m"
+    );
     // Without a controller file the variables are named like quantities, and are converted too.
-    let by_names = |folder: &Path| simulate_with_truth(&find_controller("follower.fmu", folder).kind, &scenario);
+    let by_names = |folder: &Path| {
+        simulate_with_truth(&find_controller("follower.fmu", folder).kind, &scenario)
+    };
     let apart_m = largest_difference_m(&by_names(plain.path()), &by_names(two.path()));
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
 
     let three = temp_folder();
-    let library = compile_library(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
-    write_fmu(&three.path().join("odd.fmu"), &other_units_odd_xml(), &[(&library_member(3, "odd"), &library)]);
-    let text = ODD_CONTROLLER.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
+    let library = compile_library(
+        three.path(),
+        &convert_units_in_source(ODD, 1),
+        "-DWHAT=NOTHING",
+    )
+    .unwrap();
+    write_fmu(
+        &three.path().join("odd.fmu"),
+        &other_units_odd_xml(),
+        &[(&library_member(3, "odd"), &library)],
+    );
+    let text = ODD_CONTROLLER.replace(
+        "\"set speed\" = 30.0",
+        "\"gap.time\" = 1.0, \"set speed\" = 26.0",
+    );
     fs::write(three.path().join("odd.toml"), text).unwrap();
     let found = simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
@@ -106,7 +170,11 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 fn units_that_cannot_be_converted_are_refused_by_name() {
     let place = temp_folder();
     let found = |xml: &str, toml: &str| {
-        write_fmu(&place.path().join("follower.fmu"), xml, &[(&library_member(2, "follower"), b"")]);
+        write_fmu(
+            &place.path().join("follower.fmu"),
+            xml,
+            &[(&library_member(2, "follower"), b"")],
+        );
         fs::write(place.path().join("f.toml"), toml).unwrap();
         NamedController::find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
     };
@@ -126,20 +194,56 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
             plain.clone(),
             "f.toml:4: inputs[0]: the FMU's `gap_ahead_m` has the unit `furlong`, which the FMU does not define",
         ),
-        (gap_in("parsec"), plain.clone(), "the unit `parsec`, which the FMU does not define"),
-        (gap_in("km/h"), plain.clone(), "has the unit `km/h` (m.s-1 in SI units), and gap_ahead_m is in m"),
-        (gap_in("deg"), plain.clone(), "has the unit `deg` (rad in SI units), and gap_ahead_m is in m"),
+        (
+            gap_in("parsec"),
+            plain.clone(),
+            "the unit `parsec`, which the FMU does not define",
+        ),
+        (
+            gap_in("km/h"),
+            plain.clone(),
+            "has the unit `km/h` (m.s-1 in SI units), and gap_ahead_m is in m",
+        ),
+        (
+            gap_in("deg"),
+            plain.clone(),
+            "has the unit `deg` (rad in SI units), and gap_ahead_m is in m",
+        ),
         (
             gap_in("1"),
             plain.clone(),
             "has the unit `1` (1 in SI units), and gap_ahead_m is in m; a plain number needs a `scale`",
         ),
-        (other_units_xml(), wired("speed_mps", "", ""), "has the unit `ft` (m in SI units), and speed_mps is in m.s-1"),
-        (other_units_xml(), wired("gap_ahead_m", "scale = 0.3048", ""), "`scale` must be 1 or -1, found 0.3048"),
-        (answer_in("furlong"), plain.clone(), "output.variable: the FMU's `acceleration_mps2` has the unit `furlong`"),
-        (answer_in("km/h"), plain.clone(), "has the unit `km/h` (m.s-1 in SI units), and the answer is in m.s-2"),
-        (answer_in("1"), plain.clone(), "a plain number needs a `scale_mps2`"),
-        (other_units_xml(), wired("gap_ahead_m", "", "scale_mps2 = 9.8"), "`scale_mps2` must be 1 or -1, found 9.8"),
+        (
+            other_units_xml(),
+            wired("speed_mps", "", ""),
+            "has the unit `ft` (m in SI units), and speed_mps is in m.s-1",
+        ),
+        (
+            other_units_xml(),
+            wired("gap_ahead_m", "scale = 0.3048", ""),
+            "`scale` must be 1 or -1, found 0.3048",
+        ),
+        (
+            answer_in("furlong"),
+            plain.clone(),
+            "output.variable: the FMU's `acceleration_mps2` has the unit `furlong`",
+        ),
+        (
+            answer_in("km/h"),
+            plain.clone(),
+            "has the unit `km/h` (m.s-1 in SI units), and the answer is in m.s-2",
+        ),
+        (
+            answer_in("1"),
+            plain.clone(),
+            "a plain number needs a `scale_mps2`",
+        ),
+        (
+            other_units_xml(),
+            wired("gap_ahead_m", "", "scale_mps2 = 9.8"),
+            "`scale_mps2` must be 1 or -1, found 9.8",
+        ),
         (
             other_units_xml(),
             wired("gap_ahead_m", "", "squash = \"tanh\""),
@@ -159,7 +263,10 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (gap_in("m"), plain.clone()),
         (gap_in("1"), wired("gap_ahead_m", "scale = 100.0", "")),
         (gap_in("%"), wired("is_ahead", "", "")),
-        (other_units_xml(), wired("gap_ahead_m", "scale = -1.0\noffset = 3.0", "")),
+        (
+            other_units_xml(),
+            wired("gap_ahead_m", "scale = -1.0\noffset = 3.0", ""),
+        ),
         (answer_in("%"), wired("gap_ahead_m", "", "scale_mps2 = 3.0")),
         (answer_in("m/s²"), plain.clone()),
         // An unset parameter keeps its start value, in any unit.
@@ -176,15 +283,30 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
 fn numbers_of_a_controller_file_are_in_si_units() {
     let place = temp_folder();
     let library = library_member(2, "follower");
-    write_fmu(&place.path().join("follower.fmu"), &other_units_xml(), &[(&library, b"")]);
+    write_fmu(
+        &place.path().join("follower.fmu"),
+        &other_units_xml(),
+        &[(&library, b"")],
+    );
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = \
         0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();
-    let ControllerKind::Process(process) = find_controller("f.toml", place.path()).kind else { panic!("a process") };
+    let ControllerKind::Process(process) = find_controller("f.toml", place.path()).kind else {
+        panic!("a process")
+    };
     let input = &process.setup().mapping.inputs[0];
     let close = |found: f64, expected: f64| (found - expected).abs() < 1e-12;
-    assert!(close(input.offset, 3.048) && close(input.scale, 0.3048), "{input:?}");
-    assert!(close(input.low, 0.0) && close(input.high, 200.0), "{input:?}");
+    assert!(
+        close(input.offset, 3.048) && close(input.scale, 0.3048),
+        "{input:?}"
+    );
+    assert!(
+        close(input.low, 0.0) && close(input.high, 200.0),
+        "{input:?}"
+    );
     let output = &process.setup().mapping.output;
-    assert!(close(output.scale_mps2, 9.80665) && output.low_mps2 == -30.0, "{output:?}");
+    assert!(
+        close(output.scale_mps2, 9.80665) && output.low_mps2 == -30.0,
+        "{output:?}"
+    );
 }

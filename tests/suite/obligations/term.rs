@@ -31,7 +31,11 @@ impl Term {
     }
 
     fn binary(operator: &str, one: Self, other: Self) -> Self {
-        Self(intern(format!("({operator} {} {})", one.text(), other.text())))
+        Self(intern(format!(
+            "({operator} {} {})",
+            one.text(),
+            other.text()
+        )))
     }
 }
 
@@ -59,7 +63,11 @@ impl Real for Term {
 
     fn from_f64(value: f64) -> Self {
         let size = format!("{:?}", value.abs());
-        Self(intern(if value < 0.0 { format!("(- {size})") } else { size }))
+        Self(intern(if value < 0.0 {
+            format!("(- {size})")
+        } else {
+            size
+        }))
     }
 
     fn greater_than(self, other: Self) -> Self {
@@ -72,6 +80,11 @@ impl Real for Term {
 
     fn select(truth: Self, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
         let (then, otherwise) = (then(), otherwise());
-        Self(intern(format!("(ite {} {} {})", truth.text(), then.text(), otherwise.text())))
+        Self(intern(format!(
+            "(ite {} {} {})",
+            truth.text(),
+            then.text(),
+            otherwise.text()
+        )))
     }
 }

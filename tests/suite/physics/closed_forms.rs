@@ -1,7 +1,9 @@
 //! Stopping distances and collision times against closed forms, to 1e-9.
 
 use crumple_fuzzing::RunSetup;
-use crumple_world::scenario::{Brake, Driver, LeadProfile, PiecewiseAcceleration, Scenario, VehicleClass, VehicleSpec};
+use crumple_world::scenario::{
+    Brake, Driver, LeadProfile, PiecewiseAcceleration, Scenario, VehicleClass, VehicleSpec,
+};
 use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
@@ -17,7 +19,11 @@ struct AcceleratedBody {
 
 impl AcceleratedBody {
     fn stop_time_s(self) -> f64 {
-        if self.a < 0.0 { self.v / -self.a } else { f64::INFINITY }
+        if self.a < 0.0 {
+            self.v / -self.a
+        } else {
+            f64::INFINITY
+        }
     }
 
     fn x_at(self, t: f64) -> f64 {
@@ -26,7 +32,11 @@ impl AcceleratedBody {
     }
 
     fn v_at(self, t: f64) -> f64 {
-        if t >= self.stop_time_s() { 0.0 } else { self.v + self.a * t }
+        if t >= self.stop_time_s() {
+            0.0
+        } else {
+            self.v + self.a * t
+        }
     }
 }
 
@@ -45,7 +55,11 @@ fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (
         if gap(to) <= 0.0 {
             for _ in 0..200 {
                 let middle = 0.5 * (from + to);
-                if gap(middle) <= 0.0 { to = middle } else { from = middle }
+                if gap(middle) <= 0.0 {
+                    to = middle
+                } else {
+                    from = middle
+                }
             }
             return (Some(to), 0.0);
         }
@@ -53,23 +67,45 @@ fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (
     (None, smallest)
 }
 
-fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f64, steps: u32) -> Scenario {
+fn two_vehicle_scenario(
+    front: AcceleratedBody,
+    rear: AcceleratedBody,
+    step_s: f64,
+    steps: u32,
+) -> Scenario {
     let vehicle = |body: AcceleratedBody| {
-        let profile = PiecewiseAcceleration { from_s: vec![0.0], accel_mps2: vec![body.a] };
+        let profile = PiecewiseAcceleration {
+            from_s: vec![0.0],
+            accel_mps2: vec![body.a],
+        };
         VehicleSpec {
             length_m: Some(4.0),
             max_brake_mps2: Some(30.0),
             max_accel_mps2: Some(30.0),
-            ..VehicleSpec::new(VehicleClass::Light, body.x, body.v, Driver::Profile(LeadProfile::Pieces(profile)))
+            ..VehicleSpec::new(
+                VehicleClass::Light,
+                body.x,
+                body.v,
+                Driver::Profile(LeadProfile::Pieces(profile)),
+            )
         }
     };
     let mut vehicles = vec![vehicle(front), vehicle(rear)];
     vehicles[0].position_m += 4.0;
-    Scenario::new(scenario_spec("two bodies", step_s, f64::from(steps) * step_s, vehicles)).expect("valid")
+    Scenario::new(scenario_spec(
+        "two bodies",
+        step_s,
+        f64::from(steps) * step_s,
+        vehicles,
+    ))
+    .expect("valid")
 }
 
 fn run(scenario: &Scenario) -> SimulationResult {
-    simulate_traced(scenario, &RunSetup::with_true_state().options(scenario.spec().step_s))
+    simulate_traced(
+        scenario,
+        &RunSetup::with_true_state().options(scenario.spec().step_s),
+    )
 }
 
 /// Returns a script that a vehicle at `v` can follow: without release, and with recorded speeds that start at the
@@ -81,7 +117,11 @@ fn make_feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
         LeadProfile::Recorded(recorded) => {
             let mut last = (0.0, v);
             for (&t, speed_mps) in recorded.time_s.iter().zip(&mut recorded.speed_mps) {
-                let most = if last.0 == 0.0 { 0.0 } else { 20.0 * (t - last.0) };
+                let most = if last.0 == 0.0 {
+                    0.0
+                } else {
+                    20.0 * (t - last.0)
+                };
                 *speed_mps = speed_mps.clamp(last.1 - most.min(last.1), last.1 + most);
                 last = (t, *speed_mps);
             }
@@ -107,13 +147,19 @@ fn scripted_speed_mps(profile: &LeadProfile, v: f64, t: f64) -> f64 {
         LeadProfile::Pieces(pieces) => {
             let ends = pieces.from_s.iter().skip(1).copied().chain([f64::INFINITY]);
             let pieces = pieces.from_s.iter().zip(ends).zip(&pieces.accel_mps2);
-            v + pieces.map(|((&from, to), a)| a * (t.min(to) - from).max(0.0)).sum::<f64>()
+            v + pieces
+                .map(|((&from, to), a)| a * (t.min(to) - from).max(0.0))
+                .sum::<f64>()
         }
         LeadProfile::Recorded(recorded) => {
             let samples: Vec<_> = recorded.time_s.iter().zip(&recorded.speed_mps).collect();
-            let between = samples.windows(2).find(|pair| (*pair[0].0..*pair[1].0).contains(&t));
+            let between = samples
+                .windows(2)
+                .find(|pair| (*pair[0].0..*pair[1].0).contains(&t));
             match between {
-                Some(pair) => pair[0].1 + (pair[1].1 - pair[0].1) * (t - pair[0].0) / (pair[1].0 - pair[0].0),
+                Some(pair) => {
+                    pair[0].1 + (pair[1].1 - pair[0].1) * (t - pair[0].0) / (pair[1].0 - pair[0].0)
+                }
                 None if t < *samples[0].0 => *samples[0].1,
                 None => *samples[samples.len() - 1].1,
             }
@@ -222,7 +268,18 @@ fn noise_is_as_large_as_stated() {
     let mean = |of: &dyn Fn(usize) -> f64| (0..1999).map(of).sum::<f64>() / 1999.0;
     // Each bound fails by chance once in ten thousand runs.
     assert!(mean(&|k| noise[k]).abs() < 4.0 * deviation_mps2 / 2000.0_f64.sqrt());
-    assert!((mean(&|k| noise[k].powi(2)).sqrt() / deviation_mps2 - 1.0).abs() < 4.0 / 4000.0_f64.sqrt());
-    assert!((mean(&|k| noise[k] * noise[k + 1]) / deviation_mps2.powi(2)).abs() < 4.0 / 2000.0_f64.sqrt());
-    assert!(trace.vehicles[1].acceleration_mps2.iter().all(|a| *a == 0.0), "nobody else has noise");
+    assert!(
+        (mean(&|k| noise[k].powi(2)).sqrt() / deviation_mps2 - 1.0).abs() < 4.0 / 4000.0_f64.sqrt()
+    );
+    assert!(
+        (mean(&|k| noise[k] * noise[k + 1]) / deviation_mps2.powi(2)).abs()
+            < 4.0 / 2000.0_f64.sqrt()
+    );
+    assert!(
+        trace.vehicles[1]
+            .acceleration_mps2
+            .iter()
+            .all(|a| *a == 0.0),
+        "nobody else has noise"
+    );
 }

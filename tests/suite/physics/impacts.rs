@@ -15,7 +15,9 @@ fn any_pile_up() -> impl Strategy<Value = Scenario> {
     let careless = prop::collection::vec((any::<bool>(), 0.0..20.0_f64), 6);
     (any_scenario(), careless).prop_map(|(scenario, careless)| {
         let crowd = |spec: &mut ScenarioSpec| {
-            for (index, (vehicle, (careless, extra_mps))) in spec.vehicles.iter_mut().zip(careless).enumerate() {
+            for (index, (vehicle, (careless, extra_mps))) in
+                spec.vehicles.iter_mut().zip(careless).enumerate()
+            {
                 vehicle.speed_mps = 5.0 * index as f64 + extra_mps;
                 if careless {
                     make_scripted(vehicle, LeadProfile::ConstantSpeed);
@@ -27,7 +29,10 @@ fn any_pile_up() -> impl Strategy<Value = Scenario> {
 }
 
 fn continuing_setup() -> RunSetup {
-    RunSetup { after_contact: AfterContact::Continue, ..RunSetup::with_true_state() }
+    RunSetup {
+        after_contact: AfterContact::Continue,
+        ..RunSetup::with_true_state()
+    }
 }
 
 proptest! {
@@ -81,6 +86,8 @@ fn pile_ups_pile_up() {
     let options = continuing_setup().options(0.01);
     let strategy = any_pile_up();
     let scenarios = first_values(200, &strategy);
-    let impacts: usize = scenarios.map(|scenario| simulate_traced(&scenario, &options).impacts.len()).sum();
+    let impacts: usize = scenarios
+        .map(|scenario| simulate_traced(&scenario, &options).impacts.len())
+        .sum();
     assert!(impacts > 200, "{impacts} impacts in 200 scenarios");
 }

@@ -4,7 +4,9 @@ mod closed_forms;
 mod impacts;
 mod symmetry;
 
-use crumple_fuzzing::oracle::{metrics_agree, monitor_agrees, motion_is_physical, step_size_changes_nothing};
+use crumple_fuzzing::oracle::{
+    metrics_agree, monitor_agrees, motion_is_physical, step_size_changes_nothing,
+};
 use crumple_world::sim::{SimulationResult, Trace};
 use proptest::prelude::*;
 

@@ -4,14 +4,16 @@ use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
 use crumple_fuzzing::{RunSetup, TestedController};
 use crumple_testing::generator::{DriverKind, ScenarioShape, make_scripted};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_world::scenario::{
+    Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+};
 use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, make_average, simulate_traced,
-    with_cases, without_learned_drivers, without_noise,
+    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, make_average,
+    simulate_traced, with_cases, without_learned_drivers, without_noise,
 };
 
 fn assert_same_impacts(
@@ -26,24 +28,37 @@ fn assert_same_impacts(
 /// Vehicles at one speed whose drivers keep it until the leader acts.
 fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
     let followers = prop::collection::vec((0..4_u8).prop_map(DriverKind::Controller), 1..4);
-    let shape =
-        (1..6_u8, followers, prop::sample::select(vec![0.01, 0.02, 0.05])).prop_map(|(leader, followers, step_s)| {
+    let shape = (
+        1..6_u8,
+        followers,
+        prop::sample::select(vec![0.01, 0.02, 0.05]),
+    )
+        .prop_map(|(leader, followers, step_s)| {
             let leader = [DriverKind::Profile(leader)];
-            ScenarioShape { step_s, drivers: leader.into_iter().chain(followers).collect() }
-        });
-    (shape.prop_flat_map(|shape| any_scenario_of_shape(&shape)), 5.0..40.0_f64).prop_map(|(scenario, speed_mps)| {
-        let steady = |spec: &mut ScenarioSpec| {
-            for vehicle in &mut spec.vehicles {
-                (vehicle.speed_mps, vehicle.acceleration_noise_mps2) = (speed_mps, 0.0);
-                if let Driver::Profile(LeadProfile::Recorded(RecordedSpeeds { speed_mps: recorded, .. })) =
-                    &mut vehicle.driver
-                {
-                    recorded[0] = speed_mps;
-                }
+            ScenarioShape {
+                step_s,
+                drivers: leader.into_iter().chain(followers).collect(),
             }
-        };
-        scenario.edited(steady).expect("still valid")
-    })
+        });
+    (
+        shape.prop_flat_map(|shape| any_scenario_of_shape(&shape)),
+        5.0..40.0_f64,
+    )
+        .prop_map(|(scenario, speed_mps)| {
+            let steady = |spec: &mut ScenarioSpec| {
+                for vehicle in &mut spec.vehicles {
+                    (vehicle.speed_mps, vehicle.acceleration_noise_mps2) = (speed_mps, 0.0);
+                    if let Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
+                        speed_mps: recorded,
+                        ..
+                    })) = &mut vehicle.driver
+                    {
+                        recorded[0] = speed_mps;
+                    }
+                }
+            };
+            scenario.edited(steady).expect("still valid")
+        })
 }
 
 /// Returns the largest difference of positions after `by_m` is added to those of the first result.
@@ -51,7 +66,10 @@ fn largest_shift_m(one: &SimulationResult, other: &SimulationResult, by_m: f64) 
     let vehicles = trace_of(one).vehicles.iter().zip(&trace_of(other).vehicles);
     let pairs = vehicles.flat_map(|(one, other)| one.position_m.iter().zip(&other.position_m));
     // NaN is the largest.
-    pairs.map(|(x, y)| (x + by_m - y).abs()).max_by(f64::total_cmp).unwrap_or(0.0)
+    pairs
+        .map(|(x, y)| (x + by_m - y).abs())
+        .max_by(f64::total_cmp)
+        .unwrap_or(0.0)
 }
 
 fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
@@ -168,12 +186,20 @@ proptest! {
 fn scenarios_of_the_symmetry_tests_are_neither_all_safe_nor_all_fatal() {
     use proptest::strategy::ValueTree;
     let mut runner = proptest::test_runner::TestRunner::deterministic();
-    let scenarios: [BoxedStrategy<Scenario>; 2] = [any_scenario().boxed(), any_steady_scenario().boxed()];
+    let scenarios: [BoxedStrategy<Scenario>; 2] =
+        [any_scenario().boxed(), any_steady_scenario().boxed()];
     for strategy in scenarios {
         let options = RunSetup::with_true_state().options(0.01);
         let collisions = (0..200)
-            .map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
+            .map(|_| {
+                simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options)
+                    .impacts
+                    .len()
+            })
             .sum::<usize>();
-        assert!((20..180).contains(&collisions), "{collisions} of 200 collide");
+        assert!(
+            (20..180).contains(&collisions),
+            "{collisions} of 200 collide"
+        );
     }
 }

@@ -4,11 +4,13 @@ use std::collections::HashSet;
 use std::sync::LazyLock;
 
 use crumple_fuzzing::oracle::{
-    avoidability_bound_holds, engines_agree, estimates_within_bounds, files_round_trip, impacts_are_inelastic,
-    metrics_agree, monitor_agrees, motion_is_physical, shield_prevents_front_collisions, step_size_changes_nothing,
+    avoidability_bound_holds, engines_agree, estimates_within_bounds, files_round_trip,
+    impacts_are_inelastic, metrics_agree, monitor_agrees, motion_is_physical,
+    shield_prevents_front_collisions, step_size_changes_nothing,
 };
 use crumple_fuzzing::{
-    Crumple, Invariant, ORACLES, ObservationSample, OracleFn, ScenarioFormat, System, TEST_CASE_BYTES, TestCase,
+    Crumple, Invariant, ORACLES, ObservationSample, OracleFn, ScenarioFormat, System,
+    TEST_CASE_BYTES, TestCase,
 };
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
@@ -19,7 +21,8 @@ use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, SimulationResult,
+    simulate,
 };
 use proptest::prelude::*;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
@@ -28,7 +31,10 @@ use crate::generate::{any_bytes, any_test_case, first_values, with_cases};
 
 /// A proof about another subject.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
-    Certificate::from_json(include_str!("../../../corpora/fuzz/certificate/unavoidable")).expect("a certificate")
+    Certificate::from_json(include_str!(
+        "../../../corpora/fuzz/certificate/unavoidable"
+    ))
+    .expect("a certificate")
 });
 
 pub(super) struct FaultySystem(pub(super) Fault);
@@ -82,18 +88,30 @@ impl System for FaultySystem {
             Fault::GapSign => {
                 // Without the vehicle's length a collision is detected 2 m or more too late.
                 let short = run.scenario().edited(|spec| {
-                    spec.vehicles.iter_mut().for_each(|vehicle| vehicle.length_m = Some(0.1));
+                    spec.vehicles
+                        .iter_mut()
+                        .for_each(|vehicle| vehicle.length_m = Some(0.1));
                 });
-                let mut result = simulate(&Run::new(&short.unwrap(), run.options().clone()).unwrap(), keep);
+                let mut result = simulate(
+                    &Run::new(&short.unwrap(), run.options().clone()).unwrap(),
+                    keep,
+                );
                 let vehicles = run.scenario().vehicles();
                 if let Some(trace) = &mut result.trace {
-                    trace.vehicles.iter_mut().zip(vehicles).for_each(|(track, v)| track.length_m = v.length_m());
+                    trace
+                        .vehicles
+                        .iter_mut()
+                        .zip(vehicles)
+                        .for_each(|(track, v)| track.length_m = v.length_m());
                 }
                 result
             }
             Fault::NoiseOnSubsteps if run.substeps() > 1 => {
                 let finer = run.scenario().edited(|spec| spec.step_s = run.dt_s());
-                let options = RunOptions { dt_s: None, ..run.options().clone() };
+                let options = RunOptions {
+                    dt_s: None,
+                    ..run.options().clone()
+                };
                 match finer.map(|finer| Run::new(&finer, options).map(|run| simulate(&run, keep))) {
                     Ok(Ok(result)) => result,
                     _ => simulate(run, keep),
@@ -108,14 +126,22 @@ impl System for FaultySystem {
         match self.0 {
             Fault::BatchOffByOne => results.rotate_left(1),
             Fault::BatchSeed => {
-                let reseeded: Vec<Scenario> =
-                    runs.iter().map(|run| run.scenario().edited(|spec| spec.seed ^= 4).unwrap()).collect();
-                let runs: Vec<_> =
-                    reseeded.iter().zip(runs).map(|(s, run)| Run::new(s, run.options().clone()).unwrap()).collect();
+                let reseeded: Vec<Scenario> = runs
+                    .iter()
+                    .map(|run| run.scenario().edited(|spec| spec.seed ^= 4).unwrap())
+                    .collect();
+                let runs: Vec<_> = reseeded
+                    .iter()
+                    .zip(runs)
+                    .map(|(s, run)| Run::new(s, run.options().clone()).unwrap())
+                    .collect();
                 results = sim::simulate_batch(&runs, keep, |_, simulated| simulated);
             }
             Fault::BatchSample => {
-                for trace in results.iter_mut().filter_map(|result| result.trace.as_mut()) {
+                for trace in results
+                    .iter_mut()
+                    .filter_map(|result| result.trace.as_mut())
+                {
                     trace.time_s.remove(0);
                 }
             }
@@ -124,16 +150,27 @@ impl System for FaultySystem {
         results
     }
 
-    fn for_each_observation(&self, run: &Run, each: &mut dyn FnMut(&ObservationSample<'_>) -> bool) {
+    fn for_each_observation(
+        &self,
+        run: &Run,
+        each: &mut dyn FnMut(&ObservationSample<'_>) -> bool,
+    ) {
         Crumple.for_each_observation(run, &mut |sight| {
-            let Observation { speed_mps: own_mps, .. } = sight.observation;
+            let Observation {
+                speed_mps: own_mps, ..
+            } = sight.observation;
             let mut seen = sight.observation;
             match (self.0, &mut seen.ahead) {
-                (Fault::RateSign, Some(ahead)) => ahead.speed_mps = own_mps - (ahead.speed_mps - own_mps),
+                (Fault::RateSign, Some(ahead)) => {
+                    ahead.speed_mps = own_mps - (ahead.speed_mps - own_mps)
+                }
                 (Fault::Reversing, _) if own_mps < 0.5 => seen.speed_mps = own_mps - 0.5,
                 _ => {}
             }
-            each(&ObservationSample { observation: seen, ..*sight })
+            each(&ObservationSample {
+                observation: seen,
+                ..*sight
+            })
         });
     }
 
@@ -156,18 +193,28 @@ impl System for FaultySystem {
         Some(avoidance)
     }
 
-    fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
+    fn file_round_trip(
+        &self,
+        scenario: &Scenario,
+        format: ScenarioFormat,
+    ) -> Result<Scenario, FileError> {
         let back = Crumple.file_round_trip(scenario, format)?;
         Ok(match self.0 {
             Fault::RoundedFile => back
-                .edited(|spec| spec.vehicles[0].speed_mps = (spec.vehicles[0].speed_mps * 1e6).round() / 1e6)
+                .edited(|spec| {
+                    spec.vehicles[0].speed_mps = (spec.vehicles[0].speed_mps * 1e6).round() / 1e6
+                })
                 .unwrap_or(back),
             Fault::SeedlessFile => back.edited(|spec| spec.seed = 0).unwrap_or(back),
             _ => back,
         })
     }
 
-    fn robustness_over_time(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
+    fn robustness_over_time(
+        &self,
+        formula: &Formula,
+        signals: &SampledSignals<'_>,
+    ) -> Result<Vec<f64>, MonitorError> {
         let mut over_time = Crumple.robustness_over_time(formula, signals)?;
         if self.0 == Fault::LateWindow {
             over_time.rotate_left(1);
@@ -175,7 +222,11 @@ impl System for FaultySystem {
         Ok(over_time)
     }
 
-    fn is_satisfied(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
+    fn is_satisfied(
+        &self,
+        formula: &Formula,
+        signals: &SampledSignals<'_>,
+    ) -> Result<bool, MonitorError> {
         Ok(self.0 == Fault::AlwaysSatisfied || Crumple.is_satisfied(formula, signals)?)
     }
 
@@ -188,13 +239,16 @@ impl System for FaultySystem {
 }
 
 fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> SimulationResult {
-    let Some(trace) = &mut result.trace else { return result };
+    let Some(trace) = &mut result.trace else {
+        return result;
+    };
     match fault {
         Fault::NoStandstill => {
             for track in &mut trace.vehicles {
                 for k in 1..track.speed_mps.len() {
                     let dt_s = trace.time_s[k] - trace.time_s[k - 1];
-                    let through_mps = track.speed_mps[k - 1] + track.acceleration_mps2[k - 1] * dt_s;
+                    let through_mps =
+                        track.speed_mps[k - 1] + track.acceleration_mps2[k - 1] * dt_s;
                     if track.speed_mps[k] == 0.0 && through_mps < 0.0 {
                         track.speed_mps[k] = through_mps;
                     }
@@ -204,7 +258,8 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
         Fault::Leap => {
             for track in &mut trace.vehicles {
                 let last = track.position_m.len() - 1;
-                track.position_m[last] += 0.5 * track.speed_mps[last] * (trace.time_s[last] - trace.time_s[last - 1]);
+                track.position_m[last] +=
+                    0.5 * track.speed_mps[last] * (trace.time_s[last] - trace.time_s[last - 1]);
             }
         }
         Fault::CoastingAccelerates => {
@@ -218,7 +273,9 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
         }
         Fault::ContactReleased => {
             for impact in &result.impacts {
-                let last_mps = trace.vehicles[impact.contact.rear_vehicle].speed_mps.last_mut();
+                let last_mps = trace.vehicles[impact.contact.rear_vehicle]
+                    .speed_mps
+                    .last_mut();
                 *last_mps.expect("every track has samples") *= 0.5;
             }
         }
@@ -240,7 +297,10 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
         Fault::FrictionIgnored => {
             let friction = run.scenario().spec().environment.friction;
             for (track, summary) in trace.vehicles.iter_mut().zip(&mut result.vehicles) {
-                track.acceleration_mps2.iter_mut().for_each(|a| *a = a.min(*a / friction));
+                track
+                    .acceleration_mps2
+                    .iter_mut()
+                    .for_each(|a| *a = a.min(*a / friction));
                 summary.max_brake_mps2 /= friction;
             }
         }
@@ -254,42 +314,106 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
 fn every_oracle_notices_its_fault() {
     let wrong: [(Fault, OracleFn, Invariant); 23] = [
         (Fault::GapSign, metrics_agree, Invariant::MetricsAgree),
-        (Fault::NoStandstill, motion_is_physical, Invariant::ForwardMotion),
+        (
+            Fault::NoStandstill,
+            motion_is_physical,
+            Invariant::ForwardMotion,
+        ),
         (Fault::Leap, motion_is_physical, Invariant::Continuity),
-        (Fault::CoastingAccelerates, motion_is_physical, Invariant::Energy),
-        (Fault::NoiseOnSubsteps, step_size_changes_nothing, Invariant::StepSize),
+        (
+            Fault::CoastingAccelerates,
+            motion_is_physical,
+            Invariant::Energy,
+        ),
+        (
+            Fault::NoiseOnSubsteps,
+            step_size_changes_nothing,
+            Invariant::StepSize,
+        ),
         (Fault::BatchOffByOne, engines_agree, Invariant::Engines),
         (Fault::BatchSeed, engines_agree, Invariant::Engines),
         (Fault::BatchSample, engines_agree, Invariant::Engines),
-        (Fault::ElasticImpact, impacts_are_inelastic, Invariant::Momentum),
-        (Fault::ContactReleased, impacts_are_inelastic, Invariant::Sticking),
+        (
+            Fault::ElasticImpact,
+            impacts_are_inelastic,
+            Invariant::Momentum,
+        ),
+        (
+            Fault::ContactReleased,
+            impacts_are_inelastic,
+            Invariant::Sticking,
+        ),
         (Fault::ContactForgotten, monitor_agrees, Invariant::Monitor),
-        (Fault::GapOfVehicleBehind, metrics_agree, Invariant::MetricsAgree),
+        (
+            Fault::GapOfVehicleBehind,
+            metrics_agree,
+            Invariant::MetricsAgree,
+        ),
         (Fault::FrictionIgnored, metrics_agree, Invariant::Limits),
-        (Fault::ContactRoleSwapped, metrics_agree, Invariant::ContactRole),
-        (Fault::RateSign, estimates_within_bounds, Invariant::Estimates),
-        (Fault::Reversing, estimates_within_bounds, Invariant::Estimates),
+        (
+            Fault::ContactRoleSwapped,
+            metrics_agree,
+            Invariant::ContactRole,
+        ),
+        (
+            Fault::RateSign,
+            estimates_within_bounds,
+            Invariant::Estimates,
+        ),
+        (
+            Fault::Reversing,
+            estimates_within_bounds,
+            Invariant::Estimates,
+        ),
         (Fault::RoundedFile, files_round_trip, Invariant::Files),
         (Fault::SeedlessFile, files_round_trip, Invariant::Files),
         (Fault::LateWindow, monitor_agrees, Invariant::Monitor),
         (Fault::AlwaysSatisfied, monitor_agrees, Invariant::Monitor),
-        (Fault::NoShield, shield_prevents_front_collisions, Invariant::Shield),
-        (Fault::HalvedBound, avoidability_bound_holds, Invariant::Avoidability),
-        (Fault::AlwaysUnavoidable, avoidability_bound_holds, Invariant::Avoidability),
+        (
+            Fault::NoShield,
+            shield_prevents_front_collisions,
+            Invariant::Shield,
+        ),
+        (
+            Fault::HalvedBound,
+            avoidability_bound_holds,
+            Invariant::Avoidability,
+        ),
+        (
+            Fault::AlwaysUnavoidable,
+            avoidability_bound_holds,
+            Invariant::Avoidability,
+        ),
     ];
-    let oracles: HashSet<usize> = wrong.iter().map(|(_, oracle, _)| *oracle as usize).collect();
+    let oracles: HashSet<usize> = wrong
+        .iter()
+        .map(|(_, oracle, _)| *oracle as usize)
+        .collect();
     let laws: HashSet<Invariant> = wrong.iter().map(|(.., law)| *law).collect();
     // One of the 18 invariants is that every test case can be simulated; two belong to targets that read files.
     assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
     for (fault, oracle, law) in wrong {
         let system = FaultySystem(fault);
-        let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..with_cases(256) };
-        let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
-        let property = runner.run(&any_test_case(), |test_case| match test_case.check(oracle, &system) {
-            Err(violation) if violation.invariant == law => Err(TestCaseError::fail(violation.to_string())),
-            _ => Ok(()),
+        let config = ProptestConfig {
+            failure_persistence: None,
+            max_shrink_iters: 0,
+            cases: 256,
+            ..with_cases(256)
+        };
+        let mut runner =
+            TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
+        let property = runner.run(&any_test_case(), |test_case| {
+            match test_case.check(oracle, &system) {
+                Err(violation) if violation.invariant == law => {
+                    Err(TestCaseError::fail(violation.to_string()))
+                }
+                _ => Ok(()),
+            }
         });
-        assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
+        assert!(
+            matches!(property, Err(TestError::Fail(..))),
+            "the suite misses {fault:?}"
+        );
         let strategy = any_bytes(TEST_CASE_BYTES);
         // Some faults show in few scenarios: that of the bound only without noise and collisions.
         let mut inputs = first_values(4096, &strategy);

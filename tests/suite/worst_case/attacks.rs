@@ -12,7 +12,8 @@ use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_bat
 use super::scenes::with_pieces;
 
 fn options(controller: &str) -> RunOptions {
-    RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
+    RunOptions::new(ControllerSpec::from_name(controller).expect("built in"))
+        .with_estimator(EstimatorKind::Truth)
 }
 
 fn find_attack(
@@ -22,11 +23,24 @@ fn find_attack(
     envelope: Envelope,
     budget: usize,
 ) -> Option<Attack> {
-    attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").attack
+    attack(scenario, options, aim, envelope, budget, &Quiet)
+        .expect("a valid search")
+        .attack
 }
 
-fn find_mildest(scenario: &Scenario, controller: &str, envelope: Envelope, budget: usize) -> Option<Attack> {
-    find_attack(scenario, &options(controller), AttackObjective::Mildest, envelope, budget)
+fn find_mildest(
+    scenario: &Scenario,
+    controller: &str,
+    envelope: Envelope,
+    budget: usize,
+) -> Option<Attack> {
+    find_attack(
+        scenario,
+        &options(controller),
+        AttackObjective::Mildest,
+        envelope,
+        budget,
+    )
 }
 
 /// Against black-box controllers.
@@ -40,13 +54,26 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
             let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
-            let replayed = simulate(&Run::new(&read, options(controller)).unwrap(), RecordingLevel::Summary);
+            let replayed = simulate(
+                &Run::new(&read, options(controller)).unwrap(),
+                RecordingLevel::Summary,
+            );
             assert_eq!(replayed.outcome, found.outcome, "{controller}");
             assert!(found.outcome.contact().is_some(), "{controller}");
-            let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else { panic!() };
-            let most = pieces.accel_mps2.iter().fold(0.0_f64, |most, a| most.max(-a));
-            assert!(most <= envelope.max_brake_mps2 && (most - found.peak_brake_mps2).abs() < 1e-12);
-            assert!(pieces.accel_mps2.iter().all(|a| *a <= 0.0), "the leader only brakes");
+            let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else {
+                panic!()
+            };
+            let most = pieces
+                .accel_mps2
+                .iter()
+                .fold(0.0_f64, |most, a| most.max(-a));
+            assert!(
+                most <= envelope.max_brake_mps2 && (most - found.peak_brake_mps2).abs() < 1e-12
+            );
+            assert!(
+                pieces.accel_mps2.iter().all(|a| *a <= 0.0),
+                "the leader only brakes"
+            );
         }
     }
 }
@@ -54,17 +81,28 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
 /// Pulses of many depths and lengths, built up and released at the jerk limit, from the start on.
 #[test]
 fn no_plain_pulse_is_milder_than_the_profile_found() {
-    for (name, controller) in [("paper-1", "idm"), ("paper-1", "acc-aeb"), ("paper-2", "idm")] {
+    for (name, controller) in [
+        ("paper-1", "idm"),
+        ("paper-1", "acc-aeb"),
+        ("paper-2", "idm"),
+    ] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
         let found = find_mildest(&scenario, controller, envelope, 3000).expect("collides");
         let cells = scenario.steps() / 10;
-        let pulses = (1..=30).flat_map(|depth| (2..60).step_by(2).map(move |length| (f64::from(depth) * 0.25, length)));
+        let pulses = (1..=30).flat_map(|depth| {
+            (2..60)
+                .step_by(2)
+                .map(move |length| (f64::from(depth) * 0.25, length))
+        });
         let scripted = pulses.map(|(depth_mps2, length)| {
             let mut before = 0.0_f64;
             let held = |cell: usize| {
                 let wanted = if cell < length { -depth_mps2 } else { 0.0 };
-                before = wanted.clamp(before - 0.1 * envelope.jerk_mps3, before + 0.1 * envelope.jerk_mps3);
+                before = wanted.clamp(
+                    before - 0.1 * envelope.jerk_mps3,
+                    before + 0.1 * envelope.jerk_mps3,
+                );
                 before
             };
             let accel_mps2: Vec<f64> = (0..cells).map(held).collect();
@@ -73,9 +111,18 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             (effort_m2ps3, with_pieces(&scenario, 0, from_s, accel_mps2))
         });
         let scripted: Vec<_> = scripted.collect();
-        let runs: Vec<_> = scripted.iter().map(|(_, s)| Run::new(s, options(controller)).unwrap()).collect();
-        let collides = simulate_batch(&runs, RecordingLevel::Summary, |_, result| !result.outcome.is_safe());
-        let efforts = scripted.iter().zip(collides).filter(|(_, collides)| *collides).map(|((effort, _), _)| *effort);
+        let runs: Vec<_> = scripted
+            .iter()
+            .map(|(_, s)| Run::new(s, options(controller)).unwrap())
+            .collect();
+        let collides = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
+            !result.outcome.is_safe()
+        });
+        let efforts = scripted
+            .iter()
+            .zip(collides)
+            .filter(|(_, collides)| *collides)
+            .map(|((effort, _), _)| *effort);
         let least_m2ps3 = efforts.fold(f64::INFINITY, f64::min);
         assert!(
             found.effort_m2ps3 <= least_m2ps3,
@@ -83,7 +130,11 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             found.effort_m2ps3
         );
         // An earlier version reported the local optimum 68.83.
-        assert!((name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32, "{}", found.effort_m2ps3);
+        assert!(
+            (name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32,
+            "{}",
+            found.effort_m2ps3
+        );
     }
 }
 
@@ -92,7 +143,10 @@ fn a_jerk_without_bounds_is_none() {
     let scenario = built_in_scenario("paper-1").unwrap();
     for controller in ["baseline", "idm"] {
         let effort = |jerk_mps3| {
-            let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
+            let envelope = Envelope {
+                jerk_mps3,
+                ..Envelope::from_scenario(&scenario)
+            };
             let found = find_mildest(&scenario, controller, envelope, 400);
             found.expect("collides").effort_m2ps3
         };
@@ -105,19 +159,30 @@ fn a_jerk_without_bounds_is_none() {
 #[test]
 fn no_profile_is_rougher_than_the_envelope() {
     let scenario = built_in_scenario("paper-1").unwrap();
-    let envelope = Envelope { max_brake_mps2: 6.0, jerk_mps3: 8.0 };
+    let envelope = Envelope {
+        max_brake_mps2: 6.0,
+        jerk_mps3: 8.0,
+    };
     for (controller, aim) in [
         ("baseline", AttackObjective::Mildest),
         ("idm", AttackObjective::Mildest),
         ("policy", AttackObjective::Severest),
     ] {
-        let found = find_attack(&scenario, &options(controller), aim, envelope, 800).expect("collides");
-        let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver else { panic!() };
+        let found =
+            find_attack(&scenario, &options(controller), aim, envelope, 800).expect("collides");
+        let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver
+        else {
+            panic!()
+        };
         let mut before = (0.0, 0.0);
         for (&from_s, &accel_mps2) in pieces.from_s.iter().zip(&pieces.accel_mps2) {
             // Equal neighbours form one piece; changes to the first piece and between pieces take 0.1 s.
             let change = (accel_mps2 - before.1).abs();
-            assert!(change <= 0.8 + 1e-6, "{controller}: {change} m/s² from {} to {from_s} s", before.0);
+            assert!(
+                change <= 0.8 + 1e-6,
+                "{controller}: {change} m/s² from {} to {from_s} s",
+                before.0
+            );
             assert!((-6.0..=0.0).contains(&accel_mps2));
             before = (from_s, accel_mps2);
         }
@@ -127,16 +192,40 @@ fn no_profile_is_rougher_than_the_envelope() {
 #[test]
 fn nonsense_is_refused() {
     let scenario = built_in_scenario("paper-1").unwrap();
-    let none = Envelope { max_brake_mps2: 0.0, jerk_mps3: 10.0 };
-    assert!(attack(&scenario, &options("idm"), AttackObjective::Mildest, none, 100, &Quiet).is_err());
+    let none = Envelope {
+        max_brake_mps2: 0.0,
+        jerk_mps3: 10.0,
+    };
+    assert!(
+        attack(
+            &scenario,
+            &options("idm"),
+            AttackObjective::Mildest,
+            none,
+            100,
+            &Quiet
+        )
+        .is_err()
+    );
     let reacting = scenario.edited(|spec| {
-        spec.vehicles[0].driver = Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
+        spec.vehicles[0].driver =
+            Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
     });
     let envelope = Envelope::from_scenario(&scenario);
-    let refused = attack(&reacting.unwrap(), &options("idm"), AttackObjective::Mildest, envelope, 100, &Quiet);
+    let refused = attack(
+        &reacting.unwrap(),
+        &options("idm"),
+        AttackObjective::Mildest,
+        envelope,
+        100,
+        &Quiet,
+    );
     assert!(refused.is_err());
     // A single pair whose follower matches its leader: no collision is possible.
     let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
-    let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
+    let gentle = Envelope {
+        max_brake_mps2: 1.0,
+        jerk_mps3: 10.0,
+    };
     assert!(find_mildest(&pair, "match-leader", gentle, 500).is_none());
 }

@@ -13,7 +13,9 @@ use crumple_search::worst_case::{
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file};
+use crumple_world::scenario::{
+    Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file,
+};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use serde_json::Value;
 
@@ -21,33 +23,60 @@ use scenes::{random_scenario, scenario_of_scene, small_scenario, with_pieces};
 
 /// Decides avoidability. Checks that the checker accepts the bound of an escape, and rejects a smaller one.
 fn decide_with_bound(scenario: &Scenario) -> Avoidance {
-    let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
+    let options = AvoidOptions {
+        certify_bound: true,
+        ..AvoidOptions::default()
+    };
     let avoidance = avoid(scenario, options).expect("the default grid fits");
-    let Some(certificate) = &avoidance.bound_certificate else { return avoidance };
+    let Some(certificate) = &avoidance.bound_certificate else {
+        return avoidance;
+    };
     let bound_m = avoidance.min_gap_bound_m.expect("what is certified");
-    assert!(matches!(check_certificate(certificate), ProvedClaim::GapBound { gap_m, .. } if gap_m == bound_m));
+    assert!(
+        matches!(check_certificate(certificate), ProvedClaim::GapBound { gap_m, .. } if gap_m == bound_m)
+    );
     assert!(covers_scenario(certificate, scenario));
     let mut stronger = (**certificate).clone();
     if let Statement::GapBound(claim) = &mut stronger.statement {
         claim.gap_m = claim.gap_m.next_down();
     }
-    assert!(matches!(crumple_verify::check(&stronger), Err(Rejection::GapBound { .. })));
+    assert!(matches!(
+        crumple_verify::check(&stronger),
+        Err(Rejection::GapBound { .. })
+    ));
     avoidance
 }
 
-fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> SimulationResult {
+fn run(
+    scenario: &Scenario,
+    controller: &ControllerSpec,
+    estimator: EstimatorKind,
+    parts: f64,
+) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let options = options.with_dt_s(scenario.spec().step_s / parts);
-    simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
+    simulate(
+        &Run::new(scenario, options).expect("fits"),
+        RecordingLevel::Summary,
+    )
 }
 
 /// Simulates a scenario with scripts in all vehicles, at a part of its step.
 fn replay(scenario: &Scenario, parts: f64) -> SimulationResult {
-    run(scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts)
+    run(
+        scenario,
+        &ControllerSpec::MatchLeader(Default::default()),
+        EstimatorKind::Truth,
+        parts,
+    )
 }
 
 fn smallest_gap_m(simulated: &SimulationResult) -> f64 {
-    simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
+    simulated
+        .vehicles
+        .iter()
+        .filter_map(|vehicle| vehicle.min_gap_m)
+        .fold(f64::INFINITY, f64::min)
 }
 
 fn check_certificate(certificate: &Certificate) -> ProvedClaim {
@@ -61,16 +90,38 @@ fn check_certificate(certificate: &Certificate) -> ProvedClaim {
 /// Values of a prototype in another language.
 #[test]
 fn the_papers_collisions_were_avoidable() {
-    for (name, gap_m, trigger_s) in [("paper-1", 8.4, Some(3.2)), ("paper-2", 9.2, None), ("paper-3", 8.7, None)] {
+    for (name, gap_m, trigger_s) in [
+        ("paper-1", 8.4, Some(3.2)),
+        ("paper-2", 9.2, None),
+        ("paper-3", 8.7, None),
+    ] {
         let scenario = built_in_scenario(name).unwrap();
         let avoidance = decide_with_bound(&scenario);
-        let escape = avoidance.verdict.escape().unwrap_or_else(|| panic!("{name}: {:?}", avoidance.verdict));
-        assert!((escape.min_gap_m - gap_m).abs() < 0.2, "{name}: {} m", escape.min_gap_m);
+        let escape = avoidance
+            .verdict
+            .escape()
+            .unwrap_or_else(|| panic!("{name}: {:?}", avoidance.verdict));
+        assert!(
+            (escape.min_gap_m - gap_m).abs() < 0.2,
+            "{name}: {} m",
+            escape.min_gap_m
+        );
         assert!(avoidance.bound_certificate.is_some(), "{name}");
-        assert!(avoidance.min_gap_bound_m.unwrap() >= escape.min_gap_m, "{name}");
-        assert!(avoidance.min_gap_bound_m.unwrap() < gap_m + 0.6, "{name}: {avoidance:?}");
-        let fired_s = escape.trigger_time_s().expect("the gap is worth braking for");
-        assert!(trigger_s.is_none_or(|expected: f64| (fired_s - expected).abs() < 0.2), "{name}: {fired_s} s");
+        assert!(
+            avoidance.min_gap_bound_m.unwrap() >= escape.min_gap_m,
+            "{name}"
+        );
+        assert!(
+            avoidance.min_gap_bound_m.unwrap() < gap_m + 0.6,
+            "{name}: {avoidance:?}"
+        );
+        let fired_s = escape
+            .trigger_time_s()
+            .expect("the gap is worth braking for");
+        assert!(
+            trigger_s.is_none_or(|expected: f64| (fired_s - expected).abs() < 0.2),
+            "{name}: {fired_s} s"
+        );
         let text = file::to_toml(&escape.scenario).unwrap();
         let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
         for parts in [1.0, 10.0] {
@@ -79,29 +130,67 @@ fn the_papers_collisions_were_avoidable() {
         }
         let certificate = certify(&scenario, escape).expect("accepted");
         let proved = check_certificate(&certificate);
-        assert!(matches!(proved, ProvedClaim::Avoidable { min_gap_m, .. } if min_gap_m > gap_m - 0.3));
+        assert!(
+            matches!(proved, ProvedClaim::Avoidable { min_gap_m, .. } if min_gap_m > gap_m - 0.3)
+        );
         assert!(covers_scenario(&certificate, &scenario));
-        assert!(!covers_scenario(&certificate, &scenario.edited(|s| s.vehicles[1].position_m += 0.001).unwrap()));
+        assert!(!covers_scenario(
+            &certificate,
+            &scenario
+                .edited(|s| s.vehicles[1].position_m += 0.001)
+                .unwrap()
+        ));
     }
 }
 
 #[test]
 fn a_finer_grid_closes_the_bracket() {
     let scenario = built_in_scenario("paper-1").unwrap();
-    let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).unwrap();
+    let avoidance = avoid(
+        &scenario,
+        AvoidOptions {
+            grid_s: Some(0.01),
+            ..AvoidOptions::default()
+        },
+    )
+    .unwrap();
     let gap_m = avoidance.verdict.escape().unwrap().min_gap_m;
-    assert!((avoidance.min_gap_bound_m.unwrap() - gap_m).abs() < 0.02, "{avoidance:?}");
-    assert!(avoid(&scenario, AvoidOptions { grid_s: Some(0.015), ..AvoidOptions::default() }).is_err());
+    assert!(
+        (avoidance.min_gap_bound_m.unwrap() - gap_m).abs() < 0.02,
+        "{avoidance:?}"
+    );
+    assert!(
+        avoid(
+            &scenario,
+            AvoidOptions {
+                grid_s: Some(0.015),
+                ..AvoidOptions::default()
+            }
+        )
+        .is_err()
+    );
 }
 
 /// Escapes of a finer grid stay below the certified bounds, and no escape is reported as optimal.
 #[test]
 fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
     let kept_m = |scenario: &Scenario, grid_s: Option<f64>| {
-        let avoidance =
-            avoid(scenario, AvoidOptions { grid_s, certify_bound: true, ..AvoidOptions::default() }).unwrap();
-        let (kept_m, certificate) = (avoidance.best_min_gap_m?, avoidance.bound_certificate.expect("a bound"));
-        let ProvedClaim::GapBound { gap_m: bound_m, .. } = check_certificate(&certificate) else { panic!("a bound") };
+        let avoidance = avoid(
+            scenario,
+            AvoidOptions {
+                grid_s,
+                certify_bound: true,
+                ..AvoidOptions::default()
+            },
+        )
+        .unwrap();
+        let (kept_m, certificate) = (
+            avoidance.best_min_gap_m?,
+            avoidance.bound_certificate.expect("a bound"),
+        );
+        let ProvedClaim::GapBound { gap_m: bound_m, .. } = check_certificate(&certificate) else {
+            panic!("a bound")
+        };
         assert!(avoidance.min_gap_bound_m == Some(bound_m) && kept_m <= bound_m);
         Some((kept_m, bound_m))
     };
@@ -111,14 +200,25 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
         let (fine_m, _) = kept_m(&scenario, Some(0.02)).unwrap();
         println!("{name}: {coarse_m} {fine_m} {bound_m}");
         assert!((coarse_m - said_m).abs() < 0.01, "{name}: {coarse_m}");
-        assert!(fine_m >= found_m - 5e-5 && fine_m <= bound_m, "{name}: {fine_m} {bound_m}");
+        assert!(
+            fine_m >= found_m - 5e-5 && fine_m <= bound_m,
+            "{name}: {fine_m} {bound_m}"
+        );
     }
     // A finer grid found 5.90 m where 5.77 m was reported as optimal; other scenarios gain as much.
     let mut most_m: f64 = 0.0;
     for scenario in (0..40).map(small_scenario) {
-        let Some((coarse_m, bound_m)) = kept_m(&scenario, Some(0.3)) else { continue };
-        let Some((fine_m, _)) = kept_m(&scenario, Some(0.1)) else { continue };
-        assert!(fine_m <= bound_m, "{}: {fine_m} {bound_m}", scenario.spec().name);
+        let Some((coarse_m, bound_m)) = kept_m(&scenario, Some(0.3)) else {
+            continue;
+        };
+        let Some((fine_m, _)) = kept_m(&scenario, Some(0.1)) else {
+            continue;
+        };
+        assert!(
+            fine_m <= bound_m,
+            "{}: {fine_m} {bound_m}",
+            scenario.spec().name
+        );
         most_m = most_m.max(fine_m - coarse_m);
     }
     println!("{most_m}");
@@ -134,7 +234,9 @@ fn brute_force_never_does_better() {
         let avoidance = decide_with_bound(&scenario);
         let brute_m = brute_force_m(&scenario);
         match &avoidance.verdict {
-            AvoidanceVerdict::Unavoidable(_) => assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m"),
+            AvoidanceVerdict::Unavoidable(_) => {
+                assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m")
+            }
             _ if brute_m > 0.0 => {
                 escaped += 1;
                 let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
@@ -146,19 +248,30 @@ fn brute_force_never_does_better() {
             _ => {}
         }
     }
-    assert!((10..55).contains(&escaped), "{escaped}: the scenarios are too easy or too hard to tell anything");
+    assert!(
+        (10..55).contains(&escaped),
+        "{escaped}: the scenarios are too easy or too hard to tell anything"
+    );
 }
 
 fn brute_force_m(scenario: &Scenario) -> f64 {
-    let choices = [-scenario.usable_brake_mps2(1), 0.0, scenario.vehicles()[1].max_accel_mps2()];
+    let choices = [
+        -scenario.usable_brake_mps2(1),
+        0.0,
+        scenario.vehicles()[1].max_accel_mps2(),
+    ];
     let spans = scenario.steps() / 5;
     let gap_m = |code: usize| {
-        let pieces = (0..spans).map(|span| choices[code / 3_usize.pow(span as u32) % 3]).collect();
+        let pieces = (0..spans)
+            .map(|span| choices[code / 3_usize.pow(span as u32) % 3])
+            .collect();
         let from_s = (0..spans).map(|span| span as f64 * 0.5).collect();
         let scripted = with_pieces(scenario, 1, from_s, pieces);
         smallest_gap_m(&replay(&scripted, 1.0))
     };
-    (0..3_usize.pow(spans as u32)).map(gap_m).fold(f64::NEG_INFINITY, f64::max)
+    (0..3_usize.pow(spans as u32))
+        .map(gap_m)
+        .fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// A controller that survives an unavoidable scenario, or exceeds the bound, would refute the verdict.
@@ -171,38 +284,62 @@ fn no_controller_contradicts_a_verdict() {
         let avoidance = decide_with_bound(&scenario);
         programs += avoidance.programs;
         let kept_m = ControllerSpec::all().into_iter().map(|controller| {
-            let results =
-                [EstimatorKind::Truth, EstimatorKind::Kalman].map(|eyes| run(&scenario, &controller, eyes, 1.0));
-            (controller.name(), results.iter().map(smallest_gap_m).fold(0.0, f64::max))
+            let results = [EstimatorKind::Truth, EstimatorKind::Kalman]
+                .map(|eyes| run(&scenario, &controller, eyes, 1.0));
+            (
+                controller.name(),
+                results.iter().map(smallest_gap_m).fold(0.0, f64::max),
+            )
         });
         match &avoidance.verdict {
             AvoidanceVerdict::Avoidable(escape) => {
                 avoidable += 1;
                 let bound_m = avoidance.min_gap_bound_m.expect("an escape needs a bound");
-                assert!(avoidance.bound_certificate.is_some(), "{seed}: the bound has a certificate");
+                assert!(
+                    avoidance.bound_certificate.is_some(),
+                    "{seed}: the bound has a certificate"
+                );
                 for (name, kept_m) in kept_m {
-                    assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
+                    assert!(
+                        kept_m <= bound_m + 1e-9,
+                        "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound"
+                    );
                 }
-                check_certificate(&certify(&scenario, escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
+                check_certificate(
+                    &certify(&scenario, escape).unwrap_or_else(|why| panic!("{seed}: {why}")),
+                );
             }
             AvoidanceVerdict::Unavoidable(certificate) => {
                 unavoidable += 1;
-                assert_eq!(avoidance.min_gap_bound_m, None, "{seed}: there is no escape to bound");
+                assert_eq!(
+                    avoidance.min_gap_bound_m, None,
+                    "{seed}: there is no escape to bound"
+                );
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
                 }
                 let proved = check_certificate(certificate);
-                assert!(matches!(proved, ProvedClaim::Unavoidable { overlap_m, .. } if overlap_m > 0.0));
+                assert!(
+                    matches!(proved, ProvedClaim::Unavoidable { overlap_m, .. } if overlap_m > 0.0)
+                );
                 assert!(covers_scenario(certificate, &scenario));
             }
             AvoidanceVerdict::Undecided(reason) => undecided.push((seed, reason.clone())),
         }
     }
-    println!("{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}");
+    println!(
+        "{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}"
+    );
     assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
     // The multipliers of one program must spare most of the others.
-    assert!(programs as u64 <= 25 * count, "{programs} programs for {count} scenes");
-    assert!(avoidable * 5 > count && unavoidable * 20 > count, "{avoidable} and {unavoidable}: nothing to tell apart");
+    assert!(
+        programs as u64 <= 25 * count,
+        "{programs} programs for {count} scenes"
+    );
+    assert!(
+        avoidable * 5 > count && unavoidable * 20 > count,
+        "{avoidable} and {unavoidable}: nothing to tell apart"
+    );
 }
 
 #[test]
@@ -231,7 +368,10 @@ fn a_certificate_is_about_its_own_scenario() {
         |s| s.vehicles[2].speed_mps += 1e-3,
         |s| s.vehicles[2].max_brake_mps2 = Some(5.5),
         |s| s.vehicles[2].reaction_delay_s += s.step_s,
-        |s| s.vehicles[2].driver = Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s: 1.3 })),
+        |s| {
+            s.vehicles[2].driver =
+                Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s: 1.3 }))
+        },
         |s| s.vehicles.truncate(2),
     ];
     let certified = |scenario: &Scenario| match decide_with_bound(scenario).verdict {
@@ -241,9 +381,18 @@ fn a_certificate_is_about_its_own_scenario() {
     };
     // A vehicle with a delay cannot follow a profile that begins immediately.
     let paper_1 = built_in_scenario("paper-1").unwrap();
-    let late = paper_1.edited(|spec| spec.vehicles[1].reaction_delay_s = 0.2).unwrap();
-    let (early, waits) = (certified(&paper_1).expect("decided"), certified(&late).expect("decided"));
-    assert!(!covers_scenario(&early, &late) && covers_scenario(&waits, &late) && covers_scenario(&waits, &paper_1));
+    let late = paper_1
+        .edited(|spec| spec.vehicles[1].reaction_delay_s = 0.2)
+        .unwrap();
+    let (early, waits) = (
+        certified(&paper_1).expect("decided"),
+        certified(&late).expect("decided"),
+    );
+    assert!(
+        !covers_scenario(&early, &late)
+            && covers_scenario(&waits, &late)
+            && covers_scenario(&waits, &paper_1)
+    );
     let mut kinds = std::collections::BTreeSet::new();
     for scenario in (0..12).map(small_scenario) {
         let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
@@ -254,12 +403,22 @@ fn a_certificate_is_about_its_own_scenario() {
                 scenario.spec().name
             );
         }
-        let Some(certificate) = certified(&scenario) else { continue };
+        let Some(certificate) = certified(&scenario) else {
+            continue;
+        };
         kinds.insert(certificate.statement.name());
-        assert!(covers_scenario(&certificate, &scenario), "{}", scenario.spec().name);
+        assert!(
+            covers_scenario(&certificate, &scenario),
+            "{}",
+            scenario.spec().name
+        );
         for (index, change) in changes.iter().enumerate() {
             let other = scenario.edited(change).unwrap();
-            assert!(!covers_scenario(&certificate, &other), "{}: change {index}", scenario.spec().name);
+            assert!(
+                !covers_scenario(&certificate, &other),
+                "{}: change {index}",
+                scenario.spec().name
+            );
         }
     }
     assert_eq!(kinds.len(), 2, "{kinds:?}");
@@ -268,11 +427,18 @@ fn a_certificate_is_about_its_own_scenario() {
 /// Any single change that the checker accepts is a true statement: solved or replayed again.
 #[test]
 fn accepted_mutants_are_true() {
-    let verdicts = (0..40).map(|seed| (small_scenario(seed), decide_with_bound(&small_scenario(seed)).verdict));
+    let verdicts = (0..40).map(|seed| {
+        (
+            small_scenario(seed),
+            decide_with_bound(&small_scenario(seed)).verdict,
+        )
+    });
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
         let (kind, certificate) = match verdict {
-            AvoidanceVerdict::Avoidable(escape) => (0, certify(&scenario, &escape).expect("accepted")),
+            AvoidanceVerdict::Avoidable(escape) => {
+                (0, certify(&scenario, &escape).expect("accepted"))
+            }
             AvoidanceVerdict::Unavoidable(certificate) => (1, *certificate),
             AvoidanceVerdict::Undecided(_) => continue,
         };
@@ -286,7 +452,11 @@ fn accepted_mutants_are_true() {
                 .is_ok_and(|file| crumple_verify::check(&file).is_ok())
             {
                 accepted += 1;
-                assert!(is_true_statement(&certificate, &mutant), "{}: {change}", scenario.spec().name);
+                assert!(
+                    is_true_statement(&certificate, &mutant),
+                    "{}: {change}",
+                    scenario.spec().name
+                );
             } else {
                 rejected += 1;
             }
@@ -294,19 +464,33 @@ fn accepted_mutants_are_true() {
     }
     println!("{accepted} mutants are accepted, {rejected} rejected");
     assert_eq!(kinds, [2, 2]);
-    assert!(rejected > accepted && accepted > 0, "{accepted} accepted, {rejected} rejected");
+    assert!(
+        rejected > accepted && accepted > 0,
+        "{accepted} accepted, {rejected} rejected"
+    );
 }
 
 fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
     let mutant: Certificate = serde_json::from_value(mutant.clone()).expect("was read before");
     match (&original.statement, &mutant.statement) {
-        (Statement::Unavoidable(before), Statement::Unavoidable(after)) if before.scene == after.scene => true,
-        (_, Statement::Unavoidable(claim)) => scenario_of_scene(&claim.scene, &[])
-            .is_none_or(|scenario| !matches!(decide_with_bound(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
-        (_, Statement::Avoidable(claim)) => scenario_of_scene(&claim.scene, &claim.witness).is_none_or(|scenario| {
-            let replayed = replay(&scenario, 10.0);
-            smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
-        }),
+        (Statement::Unavoidable(before), Statement::Unavoidable(after))
+            if before.scene == after.scene =>
+        {
+            true
+        }
+        (_, Statement::Unavoidable(claim)) => {
+            scenario_of_scene(&claim.scene, &[]).is_none_or(|scenario| {
+                !matches!(
+                    decide_with_bound(&scenario).verdict,
+                    AvoidanceVerdict::Avoidable(_)
+                )
+            })
+        }
+        (_, Statement::Avoidable(claim)) => scenario_of_scene(&claim.scene, &claim.witness)
+            .is_none_or(|scenario| {
+                let replayed = replay(&scenario, 10.0);
+                smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
+            }),
         (_, other) => panic!("a mutant of another kind: {}", other.name()),
     }
 }
@@ -314,7 +498,10 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
 #[test]
 fn unmodelled_scenarios_are_undecided_or_still_proved() {
     let reason = |change: &dyn Fn(&mut crumple_world::scenario::ScenarioSpec)| {
-        let changed = built_in_scenario("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
+        let changed = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| change(spec))
+            .unwrap();
         match decide_with_bound(&changed).verdict {
             AvoidanceVerdict::Undecided(reason) => Some(reason),
             _ => None,
@@ -328,16 +515,34 @@ fn unmodelled_scenarios_are_undecided_or_still_proved() {
         (s.vehicles[0].speed_mps, s.vehicles[0].driver) = (0.0, idm.clone());
     };
     assert_eq!(reason(&wall), Some(UndecidedReason::Leader));
-    assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(UndecidedReason::NoEgo));
-    assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(UndecidedReason::EgoResponse { vehicle: 1 }));
+    assert_eq!(
+        reason(&|s| s.vehicles[1].driver = idm.clone()),
+        Some(UndecidedReason::NoEgo)
+    );
+    assert_eq!(
+        reason(&|s| s.vehicles[1].actuator_lag_s = 0.2),
+        Some(UndecidedReason::EgoResponse { vehicle: 1 })
+    );
     // An escape includes the ego's delay; before a wall a collision is unavoidable, with lag or without.
     assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
-    assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
-    assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
+    assert_eq!(
+        reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)),
+        None
+    );
+    assert_eq!(
+        reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01),
+        None
+    );
     // Noise of the ego may exceed any bound.
-    let noisy = built_in_scenario("paper-1").unwrap().edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01).unwrap();
+    let noisy = built_in_scenario("paper-1")
+        .unwrap()
+        .edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01)
+        .unwrap();
     let avoidance = decide_with_bound(&noisy);
-    assert!(avoidance.best_min_gap_m.is_some() && avoidance.min_gap_bound_m.is_none(), "{avoidance:?}");
+    assert!(
+        avoidance.best_min_gap_m.is_some() && avoidance.min_gap_bound_m.is_none(),
+        "{avoidance:?}"
+    );
 }
 
 /// A certificate has room for sixteen vehicles.
@@ -350,9 +555,15 @@ fn too_many_vehicles_are_reported() {
         spec.vehicles[0].speed_mps = 0.0;
         for index in 1..17 {
             let position_m = ego.position_m - 20.0 * f64::from(index);
-            spec.vehicles.push(crumple_world::scenario::VehicleSpec { position_m, ..ego.clone() });
+            spec.vehicles.push(crumple_world::scenario::VehicleSpec {
+                position_m,
+                ..ego.clone()
+            });
         }
     });
     let avoidance = decide_with_bound(&crowd.unwrap());
-    assert_eq!(avoidance.verdict, AvoidanceVerdict::Undecided(UndecidedReason::TooManyVehicles { egos: 17, most: 16 }));
+    assert_eq!(
+        avoidance.verdict,
+        AvoidanceVerdict::Undecided(UndecidedReason::TooManyVehicles { egos: 17, most: 16 })
+    );
 }

@@ -34,18 +34,26 @@ impl CommandModel<'_> {
     pub(super) fn check_inputs(&self, motion: MotionModel) -> Result<(), Rejection> {
         let (Self::Network(network, _), MotionModel::Relative) = (self, motion) else {
             return match (self, motion) {
-                (Self::Law(_), MotionModel::Relative) => {
-                    Err(Rejection::invalid("motion", "is relative, and the controller depends on its own speed"))
-                }
+                (Self::Law(_), MotionModel::Relative) => Err(Rejection::invalid(
+                    "motion",
+                    "is relative, and the controller depends on its own speed",
+                )),
                 _ => Ok(()),
             };
         };
         let is_relative = |input: &crate::reach::ControllerInput| {
             let of = &input.coefficients;
-            let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION].iter().any(|&place| of[place] != 0.0);
-            let is_of_pair =
-                of[OWN] + of[LEADER] == 0.0 && of[LEADER_ACCELERATION] == 0.0 && of[OWN_ACCELERATION] == 0.0;
-            if is_about_follower { input.absent_value.is_some() } else { is_of_pair }
+            let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION]
+                .iter()
+                .any(|&place| of[place] != 0.0);
+            let is_of_pair = of[OWN] + of[LEADER] == 0.0
+                && of[LEADER_ACCELERATION] == 0.0
+                && of[OWN_ACCELERATION] == 0.0;
+            if is_about_follower {
+                input.absent_value.is_some()
+            } else {
+                is_of_pair
+            }
         };
         if network.inputs.iter().all(is_relative) {
             Ok(())
@@ -58,7 +66,12 @@ impl CommandModel<'_> {
     }
 
     /// Returns the commands for observed gaps, own and leader's speeds; the whole line if the budget is exceeded.
-    pub(super) fn range(&self, observed: &[AffineForm; 3], limits: Interval, work: &OpBudget) -> Interval {
+    pub(super) fn range(
+        &self,
+        observed: &[AffineForm; 3],
+        limits: Interval,
+        work: &OpBudget,
+    ) -> Interval {
         let command = match self {
             Self::Law(law) => {
                 if !work.charge(INTERVAL_OPS_PER_LAW * OPS_PER_INTERVAL_OP) {
@@ -74,13 +87,20 @@ impl CommandModel<'_> {
                 // There is no follower. Its substitute has the own speed and does not accelerate.
                 forms[GAP_BEHIND] = AffineForm::constant(Interval::point(network.empty_gap_m));
                 forms[FOLLOWER] = forms[OWN].clone();
-                let accelerations = [(LEADER_ACCELERATION, leader_mps2), (OWN_ACCELERATION, own_mps2)];
+                let accelerations = [
+                    (LEADER_ACCELERATION, leader_mps2),
+                    (OWN_ACCELERATION, own_mps2),
+                ];
                 for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
                     forms[place] = AffineForm::symbol(symbol, *range);
                 }
-                network.decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work).range()
+                network
+                    .decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work)
+                    .range()
             }
         };
-        command.max(Interval::point(limits.low())).min(Interval::point(limits.high()))
+        command
+            .max(Interval::point(limits.low()))
+            .min(Interval::point(limits.high()))
     }
 }

@@ -152,7 +152,8 @@ impl InvariantClaim {
     /// Returns the smallest height that the proof between decisions allows, in metres: larger than m T²/8.
     #[must_use]
     pub fn floor_m(&self) -> f64 {
-        let most = Interval::point(self.leader_mps2[1].max(0.0)) - Interval::point(self.own_mps2[0].min(0.0));
+        let most = Interval::point(self.leader_mps2[1].max(0.0))
+            - Interval::point(self.own_mps2[0].min(0.0));
         (most * self.interval_s().sqr() * Interval::point(0.125)).high()
     }
 
@@ -165,34 +166,64 @@ impl InvariantClaim {
     /// # Errors
     /// [`Rejection`] if the claim is invalid or the policy file does not fit.
     pub fn check_model(&self, policy: Option<&[u8]>) -> Result<(), Rejection> {
-        self.closed_loop(policy, &OpBudget::new(WorkLimit::UNLIMITED)).map(drop)
+        self.closed_loop(policy, &OpBudget::new(WorkLimit::UNLIMITED))
+            .map(drop)
     }
 
     /// Returns the cells of a boundary for which the check fails.
     ///
     /// # Errors
     /// [`Rejection`] if the claim is invalid or the policy file does not fit.
-    pub fn failing_cells(&self, policy: Option<&[u8]>, table: &HeightTable) -> Result<Vec<usize>, Rejection> {
+    pub fn failing_cells(
+        &self,
+        policy: Option<&[u8]>,
+        table: &HeightTable,
+    ) -> Result<Vec<usize>, Rejection> {
         let unlimited = OpBudget::new(WorkLimit::UNLIMITED);
         let failing = failing_cells(&self.closed_loop(policy, &unlimited)?, table, usize::MAX);
         Ok(failing.into_iter().map(|(index, _)| index).collect())
     }
 
-    fn closed_loop<'a>(&'a self, policy: Option<&[u8]>, budget: &'a OpBudget) -> Result<ClosedLoop<'a>, Rejection> {
+    fn closed_loop<'a>(
+        &'a self,
+        policy: Option<&[u8]>,
+        budget: &'a OpBudget,
+    ) -> Result<ClosedLoop<'a>, Rejection> {
         let limits = |[low, high]: [f64; 2], field: &str| {
-            let limits = (low <= 0.0 && high >= 0.0).then(|| Interval::new(low, high)).flatten();
+            let limits = (low <= 0.0 && high >= 0.0)
+                .then(|| Interval::new(low, high))
+                .flatten();
             limits.ok_or_else(|| Rejection::invalid(field, "must contain 0 and be finite"))
         };
         let own_mps2 = limits(self.own_mps2, "own_mps2")?;
         let leader_mps2 = limits(self.leader_mps2, "leader_mps2")?;
-        if !(self.step_s > 0.0 && self.step_s.is_finite() && (1..=MAX_DECISION_STEPS).contains(&self.decision_steps)) {
-            return Err(Rejection::invalid("step_s", "and `decision_steps` must be positive"));
+        if !(self.step_s > 0.0
+            && self.step_s.is_finite()
+            && (1..=MAX_DECISION_STEPS).contains(&self.decision_steps))
+        {
+            return Err(Rejection::invalid(
+                "step_s",
+                "and `decision_steps` must be positive",
+            ));
         }
-        if !self.observation_error.iter().all(|error| *error >= 0.0 && error.is_finite()) {
-            return Err(Rejection::invalid("observation_error", "is negative or infinite"));
+        if !self
+            .observation_error
+            .iter()
+            .all(|error| *error >= 0.0 && error.is_finite())
+        {
+            return Err(Rejection::invalid(
+                "observation_error",
+                "is negative or infinite",
+            ));
         }
-        if !self.ends_beyond_gap_m.is_none_or(|gap_m| gap_m >= self.region_gap_m && gap_m.is_finite()) {
-            return Err(Rejection::invalid("ends_beyond_gap_m", "is below the gap of the region, or infinite"));
+        if !self
+            .ends_beyond_gap_m
+            .is_none_or(|gap_m| gap_m >= self.region_gap_m && gap_m.is_finite())
+        {
+            return Err(Rejection::invalid(
+                "ends_beyond_gap_m",
+                "is below the gap of the region, or infinite",
+            ));
         }
         if self.splits > MAX_SPLITS {
             return Err(Rejection::invalid("splits", "is too large"));
@@ -203,10 +234,14 @@ impl InvariantClaim {
                 CommandModel::Law(law)
             }
             InvariantController::Network(network) => {
-                let loaded = load_controller(policy, &network.policy_sha256, network.source.as_ref())?;
+                let loaded =
+                    load_controller(policy, &network.policy_sha256, network.source.as_ref())?;
                 let steps = loaded.decision_interval_s / self.step_s;
                 if (steps - f64::from(self.decision_steps)).abs() > 1e-9 * steps {
-                    return Err(Rejection::invalid("decision_steps", "is not the decision interval of the network"));
+                    return Err(Rejection::invalid(
+                        "decision_steps",
+                        "is not the decision interval of the network",
+                    ));
                 }
                 CommandModel::Network(Box::new(loaded), [own_mps2, leader_mps2])
             }
@@ -236,20 +271,28 @@ impl InvariantClaim {
             return wrong("must contain the largest own speed at the start");
         }
         match self.motion {
-            MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => wrong("must begin at speed 0"),
+            MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => {
+                wrong("must begin at speed 0")
+            }
             MotionModel::Relative if leader != TableAxis::point(0.0) => {
                 wrong("must have the leader's speed 0 in the relative model")
             }
             MotionModel::Relative => {
-                let relative = Interval::point(self.own_mps2[1]) - Interval::point(self.leader_mps2[0]);
+                let relative =
+                    Interval::point(self.own_mps2[1]) - Interval::point(self.leader_mps2[0]);
                 let fastest = (relative * self.interval_s()).high();
                 let reached = (Interval::point(own.low) + Interval::point(fastest)).high();
-                let nodes = (0..own.node_count()).take_while(|&i| i == 0 || own.node(i - 1) < reached);
-                let is_level = nodes.into_iter().all(|i| table.node_height([i, 0]) == table.node_height([0; 2]));
+                let nodes =
+                    (0..own.node_count()).take_while(|&i| i == 0 || own.node(i - 1) < reached);
+                let is_level = nodes
+                    .into_iter()
+                    .all(|i| table.node_height([i, 0]) == table.node_height([0; 2]));
                 if is_level && own.low <= -fastest {
                     Ok(())
                 } else {
-                    wrong("must begin with equal heights at opening speeds that one decision cannot reverse")
+                    wrong(
+                        "must begin with equal heights at opening speeds that one decision cannot reverse",
+                    )
                 }
             }
             MotionModel::Absolute => Ok(()),
@@ -257,14 +300,21 @@ impl InvariantClaim {
     }
 }
 
-pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+pub(crate) fn check(
+    claim: &InvariantClaim,
+    policy: Option<&[u8]>,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
     let closed_loop = claim.closed_loop(policy, work)?;
     let table = HeightTable::from_runs(claim.axes, &claim.heights)?;
     claim.check_axes(&table)?;
     let [lowest_m, _] = table.extremes();
     let min_gap_m = (Interval::point(lowest_m) - Interval::point(claim.floor_m())).low();
     if min_gap_m.is_nan() || min_gap_m <= 0.0 {
-        return Err(Rejection::invalid("heights", "are too small to exclude a collision between decisions"));
+        return Err(Rejection::invalid(
+            "heights",
+            "are too small to exclude a collision between decisions",
+        ));
     }
     let failed = failing_cells(&closed_loop, &table, 1);
     // The verdict does not depend on which thread first exceeded the budget.
@@ -274,29 +324,45 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     }
     let share = claim.share(&table)?;
     let own_speed_is_kept = closed_loop.keeps_own_speed(&table, FARTHEST_GAP_M);
-    for (field, stated, proved) in
-        [("share_at_least", claim.share_at_least, share), ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m)]
-    {
+    for (field, stated, proved) in [
+        ("share_at_least", claim.share_at_least, share),
+        ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m),
+    ] {
         if stated.is_nan() || proved.is_nan() || stated > proved {
             return Err(Rejection::invalid(field, "exceeds the proved value"));
         }
     }
-    Ok(ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept })
+    Ok(ProvedClaim::Invariant {
+        share,
+        min_gap_m,
+        own_speed_is_kept,
+    })
 }
 
 /// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread.
 /// Runs on all cores.
-fn failing_cells(closed_loop: &ClosedLoop<'_>, table: &HeightTable, limit: usize) -> Vec<(usize, f64)> {
+fn failing_cells(
+    closed_loop: &ClosedLoop<'_>,
+    table: &HeightTable,
+    limit: usize,
+) -> Vec<(usize, f64)> {
     let cells: Vec<_> = table.cells().enumerate().collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
         let check = |cells: &[(usize, [usize; AXIS_COUNT])]| -> Vec<_> {
-            let fails = |&(index, cell): &(usize, _)| Some((index, closed_loop.check_cell(table, cell).err()?));
+            let fails = |&(index, cell): &(usize, _)| {
+                Some((index, closed_loop.check_cell(table, cell).err()?))
+            };
             cells.iter().filter_map(fails).take(limit).collect()
         };
         let chunks = cells.chunks(cells.len().div_ceil(threads).max(1));
-        let parts: Vec<_> = chunks.map(|cells| scope.spawn(move || check(cells))).collect();
+        let parts: Vec<_> = chunks
+            .map(|cells| scope.spawn(move || check(cells)))
+            .collect();
         let died = |_| vec![(0, f64::INFINITY)];
-        parts.into_iter().flat_map(|part| part.join().unwrap_or_else(died)).collect()
+        parts
+            .into_iter()
+            .flat_map(|part| part.join().unwrap_or_else(died))
+            .collect()
     })
 }

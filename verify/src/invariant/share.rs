@@ -14,9 +14,13 @@ impl InvariantClaim {
         let point = Interval::point;
         let [own, leader] = self.axes;
         let widths = [self.region_own_mps, self.region_leader_mps].map(|[low, high]| high - low);
-        let is_line = leader.cells == 0 && widths[1] == 0.0 && self.region_leader_mps[0] == leader.low;
+        let is_line =
+            leader.cells == 0 && widths[1] == 0.0 && self.region_leader_mps[0] == leader.low;
         let is_region = self.region_gap_m > 0.0 && self.region_gap_m.is_finite() && widths[0] > 0.0;
-        if !(is_region && widths[0].is_finite() && (is_line || widths[1] > 0.0 && widths[1].is_finite())) {
+        if !(is_region
+            && widths[0].is_finite()
+            && (is_line || widths[1] > 0.0 && widths[1].is_finite()))
+        {
             return Err(Rejection::invalid(
                 "region_gap_m",
                 "must be positive and finite, and the speeds of the region must increase",
@@ -24,22 +28,42 @@ impl InvariantClaim {
         }
         let inside = |axis: TableAxis, index: usize, [low, high]: [f64; 2]| {
             let range = axis.cell(index);
-            (range.low() >= low && range.high() <= high).then(|| point(range.high()) - point(range.low()))
+            (range.low() >= low && range.high() <= high)
+                .then(|| point(range.high()) - point(range.low()))
         };
-        let own_region = [self.region_own_mps[0], self.region_own_mps[1].min(self.initial_own_mps_at_most)];
+        let own_region = [
+            self.region_own_mps[0],
+            self.region_own_mps[1].min(self.initial_own_mps_at_most),
+        ];
         let mut volume = Interval::ZERO;
         for i in 0..own.cells as usize {
-            let Some(own_width) = inside(own, i, own_region) else { continue };
+            let Some(own_width) = inside(own, i, own_region) else {
+                continue;
+            };
             for j in 0..(leader.cells as usize).max(1) {
-                let leader_width =
-                    if is_line { Some(Interval::ONE) } else { inside(leader, j, self.region_leader_mps) };
-                let Some(leader_width) = leader_width else { continue };
+                let leader_width = if is_line {
+                    Some(Interval::ONE)
+                } else {
+                    inside(leader, j, self.region_leader_mps)
+                };
+                let Some(leader_width) = leader_width else {
+                    continue;
+                };
                 let depth = point(self.region_gap_m) - table.mean_height([i, j]);
                 volume += depth.max(Interval::ZERO) * own_width * leader_width;
             }
         }
-        let [own_width, leader_width] = [self.region_own_mps, self.region_leader_mps]
-            .map(|[low, high]| if low == high { Interval::ONE } else { point(high) - point(low) });
-        Ok(volume.over(point(self.region_gap_m) * own_width * leader_width).low().max(0.0))
+        let [own_width, leader_width] =
+            [self.region_own_mps, self.region_leader_mps].map(|[low, high]| {
+                if low == high {
+                    Interval::ONE
+                } else {
+                    point(high) - point(low)
+                }
+            });
+        Ok(volume
+            .over(point(self.region_gap_m) * own_width * leader_width)
+            .low()
+            .max(0.0))
     }
 }

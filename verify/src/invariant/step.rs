@@ -60,12 +60,23 @@ impl ClosedLoop<'_> {
     ///
     /// # Errors
     /// The missing height in metres, of the first part that fails.
-    pub(super) fn check_cell(&self, table: &HeightTable, cell: [usize; AXIS_COUNT]) -> Result<(), f64> {
+    pub(super) fn check_cell(
+        &self,
+        table: &HeightTable,
+        cell: [usize; AXIS_COUNT],
+    ) -> Result<(), f64> {
         let share = Interval::ZERO.hull(Interval::ONE);
         (0..table.orders().len()).try_for_each(|order| {
-            let mut part = Part { cell, order, shares: [share; AXIS_COUNT], above_m: Interval::ZERO };
+            let mut part = Part {
+                cell,
+                order,
+                shares: [share; AXIS_COUNT],
+                above_m: Interval::ZERO,
+            };
             // Further above the boundary than this no command leads out of the set.
-            let layer_m = self.missing_m(table, &part.ranges(table), self.own_mps2, 0.0).max(0.0);
+            let layer_m = self
+                .missing_m(table, &part.ranges(table), self.own_mps2, 0.0)
+                .max(0.0);
             part.above_m = Interval::new(0.0, layer_m).ok_or(f64::INFINITY)?;
             self.check_part(table, &part, self.splits)
         })
@@ -73,7 +84,10 @@ impl ClosedLoop<'_> {
 
     fn check_part(&self, table: &HeightTable, part: &Part, splits: u32) -> Result<(), f64> {
         // Above the budget every part fails at once, and is not divided.
-        if !self.budget.charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP) {
+        if !self
+            .budget
+            .charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP)
+        {
             return Err(f64::INFINITY);
         }
         let (gap, [own, leader]) = part.forms(table);
@@ -81,7 +95,10 @@ impl ClosedLoop<'_> {
             return Ok(());
         }
         let mut observed = [gap, own, leader];
-        observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
+        observed
+            .iter_mut()
+            .zip(self.error)
+            .for_each(|(form, error)| form.widen(error));
         let command = self.command.range(&observed, self.own_mps2, self.budget);
         let missing_m = self.missing_m(table, &part.ranges(table), command, part.above_m.low());
         if missing_m <= 0.0 {
@@ -91,33 +108,59 @@ impl ClosedLoop<'_> {
             return Err(missing_m);
         }
         let mut parts = vec![part.clone()];
-        for share in (0..table.orders()[part.order].len()).map(Some).chain([None]) {
+        for share in (0..table.orders()[part.order].len())
+            .map(Some)
+            .chain([None])
+        {
             parts = parts.iter().flat_map(|part| part.halves(share)).collect();
         }
         // A part with a sum of 1 at its lowest corner has one state at most, which is also in another part.
-        let is_inside = |part: &&Part| part.shares.iter().map(|share| share.low()).sum::<f64>() < 1.0;
-        parts.iter().filter(is_inside).try_for_each(|part| self.check_part(table, part, splits - 1))
+        let is_inside =
+            |part: &&Part| part.shares.iter().map(|share| share.low()).sum::<f64>() < 1.0;
+        parts
+            .iter()
+            .filter(is_inside)
+            .try_for_each(|part| self.check_part(table, part, splits - 1))
     }
 
     /// Returns an upper bound of the height that states at least `above_m` above the boundary miss under a command.
-    fn missing_m(&self, table: &HeightTable, ranges: &PartRanges, command: Interval, above_m: f64) -> f64 {
+    fn missing_m(
+        &self,
+        table: &HeightTable,
+        ranges: &PartRanges,
+        command: Interval,
+        above_m: f64,
+    ) -> f64 {
         let mut of_state = self.change(ranges, command).of_state;
         let mut touched = [[0; 2]; AXIS_COUNT];
         for (axis, touched) in touched.iter_mut().enumerate() {
             let (whole, part) = (table.axes()[axis].range(), ranges.of_axis[axis]);
             // The claim ends where a state leaves the table.
             let leaving = [whole.low() - part.high(), whole.high() - part.low()];
-            let to_edge = Interval::new(leaving[0].next_down(), leaving[1].next_up()).unwrap_or(Interval::ENTIRE);
+            let to_edge = Interval::new(leaving[0].next_down(), leaving[1].next_up())
+                .unwrap_or(Interval::ENTIRE);
             of_state[axis] = clip(of_state[axis], to_edge);
             // No rounding where no state moves: a simplex that contains only the start adds nothing.
             let (change, moved) = (of_state[axis], part + of_state[axis]);
-            let low = if change.low() < 0.0 { moved.low() } else { part.low() };
-            let high = if change.high() > 0.0 { moved.high() } else { part.high() };
+            let low = if change.low() < 0.0 {
+                moved.low()
+            } else {
+                part.low()
+            };
+            let high = if change.high() > 0.0 {
+                moved.high()
+            } else {
+                part.high()
+            };
             let reached = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
             *touched = table.axes()[axis].cells_of(clip(reached, whole));
         }
-        let count: usize = touched.iter().map(|[first, last]| last - first + 1).product();
-        let operations = (count * table.orders().len()) as u64 * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP;
+        let count: usize = touched
+            .iter()
+            .map(|[first, last]| last - first + 1)
+            .product();
+        let operations =
+            (count * table.orders().len()) as u64 * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP;
         if count > MAX_TOUCHED_CELLS || !self.budget.charge(operations) {
             return f64::INFINITY;
         }
@@ -130,7 +173,9 @@ impl ClosedLoop<'_> {
                 let whole = [from.of_axis[axis], of_state[axis]];
                 let reach = touch(whole[0], whole[1], table.axes()[axis].cell(cell[axis]));
                 let reach = if cells == 0 { Some(whole) } else { reach };
-                reach.map(|[start, along]| (from.of_axis[axis], of_state[axis]) = (start, along)).is_some()
+                reach
+                    .map(|[start, along]| (from.of_axis[axis], of_state[axis]) = (start, along))
+                    .is_some()
             };
             if !table.axes().iter().enumerate().all(is_touched) {
                 continue;
@@ -139,17 +184,33 @@ impl ClosedLoop<'_> {
             for axes in table.orders() {
                 let slopes = table.slopes(cell, axes);
                 let (spare_m, own) = match change.stops_at_mps2.filter(|_| slopes[0].low() >= 0.0) {
-                    Some(braking) => (change.leader_m, self.stopping_rise(from.of_axis[0], braking, slopes[0])),
+                    Some(braking) => (
+                        change.leader_m,
+                        self.stopping_rise(from.of_axis[0], braking, slopes[0]),
+                    ),
                     None => (change.growth_m, slopes[0] * of_state[0]),
                 };
-                let others = axes.iter().filter(|&&axis| axis > 0 && slopes[axis] != Interval::ZERO);
-                let less = |sum: f64, &axis: &usize| sum_below(sum, -(slopes[axis] * of_state[axis]).high());
-                let missing_m = -others.fold(sum_below(sum_below(above_m, spare_m), -own.high()), less);
-                worst_m = if missing_m.is_nan() { f64::INFINITY } else { worst_m.max(missing_m) };
+                let others = axes
+                    .iter()
+                    .filter(|&&axis| axis > 0 && slopes[axis] != Interval::ZERO);
+                let less = |sum: f64, &axis: &usize| {
+                    sum_below(sum, -(slopes[axis] * of_state[axis]).high())
+                };
+                let missing_m =
+                    -others.fold(sum_below(sum_below(above_m, spare_m), -own.high()), less);
+                worst_m = if missing_m.is_nan() {
+                    f64::INFINITY
+                } else {
+                    worst_m.max(missing_m)
+                };
             }
         }
         // The own cell is always touched.
-        if worst_m == f64::NEG_INFINITY { f64::INFINITY } else { worst_m }
+        if worst_m == f64::NEG_INFINITY {
+            f64::INFINITY
+        } else {
+            worst_m
+        }
     }
 
     fn change(&self, ranges: &PartRanges, command: Interval) -> Change {
@@ -168,15 +229,25 @@ impl ClosedLoop<'_> {
         let leads = self.leader_mps2;
         let changes = |speed: Interval, acceleration: Interval| (acceleration * time).max(-speed);
         let hardest = point(command.high());
-        let leader_m = distance_and_speed_after(point(leader.low()), point(leads.low()), time).0.low().max(0.0);
-        let own_m = distance_and_speed_after(point(own.high()), hardest, time).0.high();
+        let leader_m = distance_and_speed_after(point(leader.low()), point(leads.low()), time)
+            .0
+            .low()
+            .max(0.0);
+        let own_m = distance_and_speed_after(point(own.high()), hardest, time)
+            .0
+            .high();
         let may_stop = (point(own.low()) + hardest * time).low() < 0.0;
         // A vehicle that may stop covers at least w T - b T²/2; one that does not stop covers v T + a T²/2.
-        let of_closing = (point(leads.low()) - hardest) * half - point(ranges.closing.high()) * time;
+        let of_closing =
+            (point(leads.low()) - hardest) * half - point(ranges.closing.high()) * time;
         let apart_m = sum_below(leader_m, -own_m);
         Change {
             leader_m,
-            growth_m: if may_stop { apart_m } else { apart_m.max(of_closing.low()) },
+            growth_m: if may_stop {
+                apart_m
+            } else {
+                apart_m.max(of_closing.low())
+            },
             stops_at_mps2: may_stop.then_some(command.high()),
             of_state: [changes(own, command), changes(leader, leads)],
         }
@@ -191,9 +262,15 @@ impl ClosedLoop<'_> {
             let (covered, end) = distance_and_speed_after(speed, acceleration, self.interval_s);
             covered + slope * (end - speed)
         };
-        let inner = largest.max(Interval::point(speed.low())).min(Interval::point(speed.high()));
+        let inner = largest
+            .max(Interval::point(speed.low()))
+            .min(Interval::point(speed.high()));
         // A vehicle at rest stays at rest, without rounding.
-        let at_low = if speed.low() == 0.0 { Interval::ZERO } else { at(Interval::point(speed.low())) };
+        let at_low = if speed.low() == 0.0 {
+            Interval::ZERO
+        } else {
+            at(Interval::point(speed.low()))
+        };
         at_low.max(at(Interval::point(speed.high()))).max(at(inner))
     }
 
@@ -208,8 +285,14 @@ impl ClosedLoop<'_> {
             }
             let gap = Interval::new(table.extremes()[0], farthest_m).unwrap_or(Interval::ENTIRE);
             let mut observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
-            observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
-            self.command.range(&observed, self.own_mps2, self.budget).high() <= 0.0
+            observed
+                .iter_mut()
+                .zip(self.error)
+                .for_each(|(form, error)| form.widen(error));
+            self.command
+                .range(&observed, self.own_mps2, self.budget)
+                .high()
+                <= 0.0
         };
         self.motion == MotionModel::Absolute && (0..axis.cells as usize).all(keeps)
     }
@@ -229,14 +312,26 @@ impl Part {
             form
         };
         let height = affine(&|node| table.node_height(node));
-        let of_axis = std::array::from_fn(|axis| affine(&|node| table.axes()[axis].node(node[axis])));
-        (height.plus(&AffineForm::symbol(AXIS_COUNT, self.above_m)), of_axis)
+        let of_axis =
+            std::array::from_fn(|axis| affine(&|node| table.axes()[axis].node(node[axis])));
+        (
+            height.plus(&AffineForm::symbol(AXIS_COUNT, self.above_m)),
+            of_axis,
+        )
     }
 
     fn ranges(&self, table: &HeightTable) -> PartRanges {
         let (_, forms) = self.forms(table);
-        let of_axis = |axis: usize| clip(forms[axis].range(), table.axes()[axis].cell(self.cell[axis]));
-        PartRanges { of_axis: std::array::from_fn(of_axis), closing: forms[0].clone().minus(&forms[1]).range() }
+        let of_axis = |axis: usize| {
+            clip(
+                forms[axis].range(),
+                table.axes()[axis].cell(self.cell[axis]),
+            )
+        };
+        PartRanges {
+            of_axis: std::array::from_fn(of_axis),
+            closing: forms[0].clone().minus(&forms[1]).range(),
+        }
     }
 
     /// Returns both halves of one share, or of the height above if there is no such share.
@@ -246,12 +341,16 @@ impl Part {
             *share.map_or(&mut part.above_m, |share| &mut part.shares[share]) = half;
             part
         };
-        halves(share.map_or(self.above_m, |share| self.shares[share])).map(with).collect()
+        halves(share.map_or(self.above_m, |share| self.shares[share]))
+            .map(with)
+            .collect()
     }
 }
 
 fn clip(range: Interval, limits: Interval) -> Interval {
-    range.max(Interval::point(limits.low())).min(Interval::point(limits.high()))
+    range
+        .max(Interval::point(limits.low()))
+        .min(Interval::point(limits.high()))
 }
 
 /// Returns a lower bound of a sum, which is the sum itself if double precision can express it: at rest nothing is lost.
@@ -265,8 +364,12 @@ fn sum_below(a: f64, b: f64) -> f64 {
 
 /// Returns the members of `part` that touch a cell on their way by a member of `along`, and these ways.
 fn touch(part: Interval, along: Interval, cell: Interval) -> Option<[Interval; 2]> {
-    let low = part.low().max((cell.low() - along.high().max(0.0)).next_down());
-    let high = part.high().min((cell.high() - along.low().min(0.0)).next_up());
+    let low = part
+        .low()
+        .max((cell.low() - along.high().max(0.0)).next_down());
+    let high = part
+        .high()
+        .min((cell.high() - along.low().min(0.0)).next_up());
     let [mut least, mut most] = [along.low(), along.high()];
     if part.high() <= cell.low() {
         least = least.max((cell.low() - part.high()).next_down().max(0.0));
@@ -281,7 +384,15 @@ fn touch(part: Interval, along: Interval, cell: Interval) -> Option<[Interval; 2
 fn halves(range: Interval) -> impl Iterator<Item = Interval> {
     let middle = 0.5 * (range.low() + range.high());
     let is_point = !(range.low() < middle && middle < range.high());
-    let first = if is_point { Some(range) } else { Interval::new(range.low(), middle) };
-    let second = if is_point { None } else { Interval::new(middle, range.high()) };
+    let first = if is_point {
+        Some(range)
+    } else {
+        Interval::new(range.low(), middle)
+    };
+    let second = if is_point {
+        None
+    } else {
+        Interval::new(middle, range.high())
+    };
     first.into_iter().chain(second)
 }

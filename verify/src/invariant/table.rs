@@ -37,7 +37,11 @@ impl TableAxis {
     /// Creates an axis of a single number.
     #[must_use]
     pub fn point(value: f64) -> Self {
-        Self { low: value, high: value, cells: 0 }
+        Self {
+            low: value,
+            high: value,
+            cells: 0,
+        }
     }
 
     /// Returns the number of nodes.
@@ -70,7 +74,9 @@ impl TableAxis {
 
     /// Returns the first and the last cell of a part of the range.
     pub(super) fn cells_of(self, part: Interval) -> [usize; 2] {
-        let Some(last) = (self.cells as usize).checked_sub(1) else { return [0, 0] };
+        let Some(last) = (self.cells as usize).checked_sub(1) else {
+            return [0, 0];
+        };
         let guess = |value: f64| {
             let share = (value - self.low) / (self.high - self.low);
             ((share * f64::from(self.cells)).max(0.0) as usize).min(last)
@@ -93,8 +99,12 @@ impl TableAxis {
 
     fn is_valid(self) -> bool {
         let is_one = self.cells == 0 && self.low == self.high;
-        let increases = || (1..self.node_count()).all(|index| self.node(index - 1) < self.node(index));
-        self.low.is_finite() && self.high.is_finite() && self.cells <= MAX_AXIS_CELLS && (is_one || increases())
+        let increases =
+            || (1..self.node_count()).all(|index| self.node(index - 1) < self.node(index));
+        self.low.is_finite()
+            && self.high.is_finite()
+            && self.cells <= MAX_AXIS_CELLS
+            && (is_one || increases())
     }
 }
 
@@ -117,27 +127,43 @@ impl HeightTable {
     /// [`Rejection`] if an axis is invalid or there are too many nodes.
     pub fn new(axes: [TableAxis; AXIS_COUNT], height_m: f64) -> Result<Self, Rejection> {
         if !axes.iter().all(|axis| axis.is_valid()) {
-            return Err(Rejection::invalid("table", "has an axis whose nodes do not increase, or with too many cells"));
+            return Err(Rejection::invalid(
+                "table",
+                "has an axis whose nodes do not increase, or with too many cells",
+            ));
         }
         let nodes = axes.iter().map(|axis| axis.node_count()).product::<usize>();
         if nodes > MAX_NODES {
             return Err(Rejection::invalid("table", "has too many nodes"));
         }
         let inverse = |axis: TableAxis| {
-            let width = |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
-            (0..axis.cells as usize).map(|index| Interval::ONE.over(width(index))).collect()
+            let width =
+                |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
+            (0..axis.cells as usize)
+                .map(|index| Interval::ONE.over(width(index)))
+                .collect()
         };
-        let order: Vec<usize> = (0..AXIS_COUNT).filter(|&axis| axes[axis].cells > 0).collect();
+        let order: Vec<usize> = (0..AXIS_COUNT)
+            .filter(|&axis| axes[axis].cells > 0)
+            .collect();
         let mut orders = vec![order.clone(), order.into_iter().rev().collect()];
         orders.dedup();
-        Ok(Self { axes, heights: vec![height_m; nodes], inverse_widths: axes.map(inverse), orders })
+        Ok(Self {
+            axes,
+            heights: vec![height_m; nodes],
+            inverse_widths: axes.map(inverse),
+            orders,
+        })
     }
 
     /// Creates a table from the runs of [`to_runs`](Self::to_runs).
     ///
     /// # Errors
     /// [`Rejection`] if the runs are not those of a table with these axes.
-    pub fn from_runs(axes: [TableAxis; AXIS_COUNT], runs: &[ConstantPiece<i64>]) -> Result<Self, Rejection> {
+    pub fn from_runs(
+        axes: [TableAxis; AXIS_COUNT],
+        runs: &[ConstantPiece<i64>],
+    ) -> Result<Self, Rejection> {
         let wrong = |problem| Err(Rejection::invalid("table.heights", problem));
         let mut table = Self::new(axes, 0.0)?;
         let (mut height, mut filled) = (0_i64, 0_usize);
@@ -145,7 +171,10 @@ impl HeightTable {
             if count == 0 || index > 0 && runs[index - 1].1 == change {
                 return wrong("has an empty run, or two runs that are one");
             }
-            let Some(part) = table.heights.get_mut(filled..filled.saturating_add(count as usize)) else {
+            let Some(part) = table
+                .heights
+                .get_mut(filled..filled.saturating_add(count as usize))
+            else {
                 return wrong("has more heights than the table has nodes");
             };
             for to in part {
@@ -157,7 +186,11 @@ impl HeightTable {
             }
             filled += count as usize;
         }
-        if filled == table.heights.len() { Ok(table) } else { wrong("has fewer heights than the table has nodes") }
+        if filled == table.heights.len() {
+            Ok(table)
+        } else {
+            wrong("has fewer heights than the table has nodes")
+        }
     }
 
     /// Returns the heights as runs: a number of nodes, and the difference of each to the node before, in units.
@@ -204,7 +237,10 @@ impl HeightTable {
     /// Returns the height of a node, in metres.
     #[must_use]
     pub fn node_height(&self, node: [usize; AXIS_COUNT]) -> f64 {
-        self.heights.get(self.index(node)).copied().unwrap_or(f64::INFINITY)
+        self.heights
+            .get(self.index(node))
+            .copied()
+            .unwrap_or(f64::INFINITY)
     }
 
     /// Raises a node to a height, rounded up to the unit.
@@ -219,7 +255,10 @@ impl HeightTable {
     #[must_use]
     pub fn extremes(&self) -> [f64; 2] {
         let all = || self.heights.iter().copied();
-        [all().fold(f64::INFINITY, f64::min), all().fold(0.0, f64::max)]
+        [
+            all().fold(f64::INFINITY, f64::min),
+            all().fold(0.0, f64::max),
+        ]
     }
 
     /// Returns the nodes of a simplex, in order.
@@ -235,14 +274,19 @@ impl HeightTable {
     }
 
     /// Returns the slopes of a simplex, in metres per unit of each axis.
-    pub(super) fn slopes(&self, cell: [usize; AXIS_COUNT], order: &[usize]) -> [Interval; AXIS_COUNT] {
+    pub(super) fn slopes(
+        &self,
+        cell: [usize; AXIS_COUNT],
+        order: &[usize],
+    ) -> [Interval; AXIS_COUNT] {
         let mut slopes = [Interval::ZERO; AXIS_COUNT];
         let (mut node, mut height_m) = (cell, self.node_height(cell));
         for &axis in order {
             node[axis] += 1;
             let next_m = self.node_height(node);
             if next_m != height_m {
-                slopes[axis] = Interval::point(next_m - height_m) * self.inverse_widths[axis][cell[axis]];
+                slopes[axis] =
+                    Interval::point(next_m - height_m) * self.inverse_widths[axis][cell[axis]];
             }
             height_m = next_m;
         }
@@ -252,19 +296,39 @@ impl HeightTable {
     /// Returns an upper bound of the height at a state, in metres; `None` outside the table.
     #[must_use]
     pub fn height_at(&self, state: [f64; AXIS_COUNT]) -> Option<f64> {
-        if !self.axes.iter().zip(state).all(|(axis, value)| axis.range().contains(value)) {
+        if !self
+            .axes
+            .iter()
+            .zip(state)
+            .all(|(axis, value)| axis.range().contains(value))
+        {
             return None;
         }
-        let cell = std::array::from_fn(|axis| self.axes[axis].cells_of(Interval::point(state[axis]))[0]);
+        let cell =
+            std::array::from_fn(|axis| self.axes[axis].cells_of(Interval::point(state[axis]))[0]);
         let base = Interval::point(self.node_height(cell));
         let linear = |order: &Vec<usize>| {
             let slopes = self.slopes(cell, order);
-            let along = |axis: usize| Interval::point(state[axis]) - Interval::point(self.axes[axis].node(cell[axis]));
-            order.iter().fold(base, |sum, &axis| sum + slopes[axis] * along(axis)).high()
+            let along = |axis: usize| {
+                Interval::point(state[axis]) - Interval::point(self.axes[axis].node(cell[axis]))
+            };
+            order
+                .iter()
+                .fold(base, |sum, &axis| sum + slopes[axis] * along(axis))
+                .high()
         };
-        let nodes = self.orders.iter().flat_map(|order| self.simplex(cell, order));
-        let highest_node_m = nodes.map(|node| self.node_height(node)).fold(f64::NEG_INFINITY, f64::max);
-        let highest_m = self.orders.iter().map(linear).fold(f64::NEG_INFINITY, f64::max);
+        let nodes = self
+            .orders
+            .iter()
+            .flat_map(|order| self.simplex(cell, order));
+        let highest_node_m = nodes
+            .map(|node| self.node_height(node))
+            .fold(f64::NEG_INFINITY, f64::max);
+        let highest_m = self
+            .orders
+            .iter()
+            .map(linear)
+            .fold(f64::NEG_INFINITY, f64::max);
         Some(highest_m.min(highest_node_m))
     }
 
@@ -273,15 +337,22 @@ impl HeightTable {
         let has_cells = [self.axes[0].cells > 0, self.axes[1].cells > 0];
         // Mean over the simplices of the means of their nodes.
         let weighted: &[([usize; 2], f64, f64)] = match has_cells {
-            [true, true] => &[([0, 0], 1.0, 3.0), ([1, 1], 1.0, 3.0), ([0, 1], 1.0, 6.0), ([1, 0], 1.0, 6.0)],
+            [true, true] => &[
+                ([0, 0], 1.0, 3.0),
+                ([1, 1], 1.0, 3.0),
+                ([0, 1], 1.0, 6.0),
+                ([1, 0], 1.0, 6.0),
+            ],
             [true, false] => &[([0, 0], 1.0, 2.0), ([1, 0], 1.0, 2.0)],
             [false, true] => &[([0, 0], 1.0, 2.0), ([0, 1], 1.0, 2.0)],
             [false, false] => &[([0, 0], 1.0, 1.0)],
         };
-        weighted.iter().fold(Interval::ZERO, |sum, &([own, leader], share, of)| {
-            let height = Interval::point(self.node_height([i + own, j + leader]));
-            sum + (height * Interval::point(share)).over(Interval::point(of))
-        })
+        weighted
+            .iter()
+            .fold(Interval::ZERO, |sum, &([own, leader], share, of)| {
+                let height = Interval::point(self.node_height([i + own, j + leader]));
+                sum + (height * Interval::point(share)).over(Interval::point(of))
+            })
     }
 }
 

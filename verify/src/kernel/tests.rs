@@ -14,7 +14,12 @@ fn distance_covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> 
 
 /// Returns the polynomials for a pair of limits and given coefficients, with their expected values from the motion
 /// itself.
-fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(ProofCase, BigRational)> {
+fn cases_with_values(
+    b: &str,
+    c: &str,
+    at: [&BigRational; 3],
+    [p, q, r]: [&str; 3],
+) -> Vec<(ProofCase, BigRational)> {
     let [b, c, p, q, r] = [b, c, p, q, r].map(rational);
     let [x, y, z] = at;
     let (xy, xyz) = (x + y, x + y + z);
@@ -25,8 +30,15 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
         let (v, w) = (&b * a, &c * stop_ahead);
         &p * &v * &v + &q * &w * &w
     };
-    let pair = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
-    let mut worth = vec![s_of(x, y) - closing(x, y, x.max(y)), s_of(&xyz, x) - closing(&xyz, x, &xy)];
+    let pair = BrakeLimits {
+        b: &b,
+        c: &c,
+        stopping_coefficients: [&p, &q],
+    };
+    let mut worth = vec![
+        s_of(x, y) - closing(x, y, x.max(y)),
+        s_of(&xyz, x) - closing(&xyz, x, &xy),
+    ];
     let mut all = pair.last_stop_cases().to_vec();
     if b > c {
         all.push(pair.harder_braking_case());
@@ -35,11 +47,17 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
         let harder = &b - &c;
         // t = x, A = y, B = z, even after a stop: an identity.
         let two = rational("2");
-        let moving = |rate: &BigRational, stop: &BigRational, t: &BigRational| rate * (stop * t - t * t / &two);
+        let moving = |rate: &BigRational, stop: &BigRational, t: &BigRational| {
+            rate * (stop * t - t * t / &two)
+        };
         let (v, w) = (&b * y, &c * z);
         let from_turn = x - (&v - &w) / &harder;
         let demanded = &r * (&v - &w) * (&v - &w);
-        worth.push(demanded - (moving(&b, y, x) - moving(&c, z, x)) - &harder / &two * &from_turn * &from_turn);
+        worth.push(
+            demanded
+                - (moving(&b, y, x) - moving(&c, z, x))
+                - &harder / &two * &from_turn * &from_turn,
+        );
         worth.push(x - (&b * x - &c * &xy) / &harder);
         let stop_ahead = (&b * x + z) / &c;
         worth.push(moving(&c, &stop_ahead, y) - moving(&b, x, y));
@@ -58,7 +76,13 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
 #[test]
 fn each_case_speaks_of_the_motion() {
     let values = ["0", "1/3", "1", "7/4", "5"].map(rational);
-    for (b, c) in [("15/2", "6"), ("8", "5"), ("6", "15/2"), ("6", "6"), ("1/2", "9")] {
+    for (b, c) in [
+        ("15/2", "6"),
+        ("8", "5"),
+        ("6", "15/2"),
+        ("6", "6"),
+        ("1/2", "9"),
+    ] {
         for x in &values {
             for y in &values {
                 for z in &values {
@@ -66,7 +90,11 @@ fn each_case_speaks_of_the_motion() {
                     for claimed in [["1/15", "-1/12", "1/3"], ["2/7", "-3/11", "5/13"]] {
                         for (case, worth) in cases_with_values(b, c, [x, y, z], claimed) {
                             let value = case.polynomial.evaluate([x, y, z]);
-                            assert_eq!(value, worth, "{}: {b} {c}, x = {x}, y = {y}, z = {z}", case.failure_message);
+                            assert_eq!(
+                                value, worth,
+                                "{}: {b} {c}, x = {x}, y = {y}, z = {z}",
+                                case.failure_message
+                            );
                         }
                     }
                 }
@@ -79,7 +107,12 @@ fn each_case_speaks_of_the_motion() {
 fn terms_that_must_vanish_need_more_than_positivity() {
     let one = Polynomial::constant(&rational("1"));
     let nothing = &one - &one;
-    assert!(!ProofCase::zero("", one.clone()).holds() && ProofCase::zero("", nothing.clone()).holds());
-    assert!(ProofCase::nonnegative("", one.clone()).holds() && ProofCase::nonnegative("", nothing).holds());
+    assert!(
+        !ProofCase::zero("", one.clone()).holds() && ProofCase::zero("", nothing.clone()).holds()
+    );
+    assert!(
+        ProofCase::nonnegative("", one.clone()).holds()
+            && ProofCase::nonnegative("", nothing).holds()
+    );
     assert!(!ProofCase::nonnegative("", -&one).holds());
 }

@@ -71,10 +71,20 @@ pub(super) struct LinearRelaxation {
 }
 
 impl LinearRelaxation {
-    const IDENTITY: Self = Self { slope: 1.0, low: 0.0, high: 0.0, rounding: 0.0 };
+    const IDENTITY: Self = Self {
+        slope: 1.0,
+        low: 0.0,
+        high: 0.0,
+        rounding: 0.0,
+    };
 
     fn new_constant(value: f64) -> Self {
-        Self { slope: 0.0, low: value, high: value, rounding: 0.0 }
+        Self {
+            slope: 0.0,
+            low: value,
+            high: value,
+            rounding: 0.0,
+        }
     }
 
     /// Creates the chord, and the excess at `points`, between which the function is straight.
@@ -83,10 +93,24 @@ impl LinearRelaxation {
             return Self::new_constant(f64::NAN);
         };
         let chord = (at_high.low() - at_low.low()) / (high - low);
-        let slope = if chord.is_finite() { chord.max(least).min(most) } else { 0.0 };
-        let off = |&(x, value): &(f64, Interval)| value - Interval::point(slope) * Interval::point(x);
-        let off = points.iter().map(off).reduce(Interval::hull).unwrap_or(Interval::ENTIRE);
-        Self { slope, low: off.low(), high: off.high(), rounding: 0.0 }
+        let slope = if chord.is_finite() {
+            chord.max(least).min(most)
+        } else {
+            0.0
+        };
+        let off =
+            |&(x, value): &(f64, Interval)| value - Interval::point(slope) * Interval::point(x);
+        let off = points
+            .iter()
+            .map(off)
+            .reduce(Interval::hull)
+            .unwrap_or(Interval::ENTIRE);
+        Self {
+            slope,
+            low: off.low(),
+            high: off.high(),
+            rounding: 0.0,
+        }
     }
 
     pub(super) fn is_identity(&self) -> bool {
@@ -119,7 +143,9 @@ impl Activation {
     #[must_use]
     pub fn width(&self) -> Option<usize> {
         match self {
-            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
+            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => {
+                Some(operands.len())
+            }
             Self::Clip { low, .. } => Some(low.len()),
             _ => None,
         }
@@ -127,7 +153,11 @@ impl Activation {
 
     /// Bounds the magnitude of the result for magnitudes up to `bound`.
     pub(super) fn max_magnitude(&self, number: usize, bound: f64) -> f64 {
-        let of = |operands: &[f64]| operands.get(number).map_or(f64::NAN, |operand| operand.abs());
+        let of = |operands: &[f64]| {
+            operands
+                .get(number)
+                .map_or(f64::NAN, |operand| operand.abs())
+        };
         match self {
             Self::Relu => bound,
             Self::LeakyRelu(slope) => bound * slope.abs().max(1.0),
@@ -156,7 +186,10 @@ impl Activation {
             Self::Elu(_) => low < 0.0,
             Self::Tanh | Self::Sigmoid => true,
             Self::Add(_) | Self::Multiply(_) | Self::Divide(_) => false,
-            Self::Clip { low: least, high: most } => {
+            Self::Clip {
+                low: least,
+                high: most,
+            } => {
                 let (least, most) = (of(least), of(most));
                 !(least <= low && high <= most || high <= least || low >= most)
             }
@@ -172,7 +205,12 @@ impl Activation {
             Self::Relu if high <= 0.0 => LinearRelaxation::new_constant(0.0),
             Self::Relu => {
                 let (slope, excess) = relu_relaxation(low, high);
-                LinearRelaxation { slope, low: 0.0, high: excess, rounding: 0.0 }
+                LinearRelaxation {
+                    slope,
+                    low: 0.0,
+                    high: excess,
+                    rounding: 0.0,
+                }
             }
             Self::LeakyRelu(_) | Self::Elu(_) if low >= 0.0 => LinearRelaxation::IDENTITY,
             Self::LeakyRelu(slope) => {
@@ -180,31 +218,60 @@ impl Activation {
                 let above = |x: f64| (x, Interval::point(x));
                 let ends = [slope.min(1.0), slope.max(1.0)];
                 let line = if high <= 0.0 {
-                    LinearRelaxation { slope: *slope, low: 0.0, high: 0.0, rounding: 0.0 }
+                    LinearRelaxation {
+                        slope: *slope,
+                        low: 0.0,
+                        high: 0.0,
+                        rounding: 0.0,
+                    }
                 } else {
                     LinearRelaxation::from_breakpoints(&[below(low), above(0.0), above(high)], ends)
                 };
-                let rounding = if *slope == 0.0 { 0.0 } else { rounding_error(slope.abs() * -low) + UNDERFLOW };
+                let rounding = if *slope == 0.0 {
+                    0.0
+                } else {
+                    rounding_error(slope.abs() * -low) + UNDERFLOW
+                };
                 LinearRelaxation { rounding, ..line }
             }
             Self::Elu(alpha) => {
                 let (slope, off) = elu_relaxation(*alpha, low, high);
                 let rounding = alpha.abs() * ELU_ERROR + UNDERFLOW;
-                LinearRelaxation { slope, low: off.low(), high: off.high(), rounding }
+                LinearRelaxation {
+                    slope,
+                    low: off.low(),
+                    high: off.high(),
+                    rounding,
+                }
             }
             Self::Tanh => {
                 let (slope, off) = tanh_relaxation(low, high);
-                LinearRelaxation { slope, low: off.low(), high: off.high(), rounding: TANH_ERROR }
+                LinearRelaxation {
+                    slope,
+                    low: off.low(),
+                    high: off.high(),
+                    rounding: TANH_ERROR,
+                }
             }
             Self::Sigmoid => {
                 // Halves and quarters are exact, but for an underflow that is much smaller than the rounding.
                 let (slope, off) = tanh_relaxation(0.5 * low, 0.5 * high);
                 let off = Interval::point(0.5) + off * Interval::point(0.5);
-                LinearRelaxation { slope: 0.25 * slope, low: off.low(), high: off.high(), rounding: SIGMOID_ERROR }
+                LinearRelaxation {
+                    slope: 0.25 * slope,
+                    low: off.low(),
+                    high: off.high(),
+                    rounding: SIGMOID_ERROR,
+                }
             }
             Self::Add(operands) => {
                 let a = of(operands);
-                LinearRelaxation { slope: 1.0, low: a, high: a, rounding: rounding_error(largest + a.abs()) }
+                LinearRelaxation {
+                    slope: 1.0,
+                    low: a,
+                    high: a,
+                    rounding: rounding_error(largest + a.abs()),
+                }
             }
             Self::Multiply(operands) => {
                 let a = of(operands);
@@ -219,9 +286,17 @@ impl Activation {
                 let slope = 1.0 / of(operands);
                 let size = largest * slope.abs();
                 let off = size * (2.0 * f64::EPSILON);
-                LinearRelaxation { slope, low: -off, high: off, rounding: rounding_error(size) + UNDERFLOW }
+                LinearRelaxation {
+                    slope,
+                    low: -off,
+                    high: off,
+                    rounding: rounding_error(size) + UNDERFLOW,
+                }
             }
-            Self::Clip { low: least, high: most } => {
+            Self::Clip {
+                low: least,
+                high: most,
+            } => {
                 let (least, most) = (of(least), of(most));
                 if low >= least && high <= most {
                     return LinearRelaxation::IDENTITY;
@@ -238,7 +313,9 @@ impl Activation {
                 if high <= least || low >= most {
                     return LinearRelaxation::new_constant(cut(low));
                 }
-                let kinks = [least, most].into_iter().filter(|&kink| low < kink && kink < high);
+                let kinks = [least, most]
+                    .into_iter()
+                    .filter(|&kink| low < kink && kink < high);
                 let places = std::iter::once(low).chain(kinks).chain([high]);
                 let points: Vec<_> = places.map(|x| (x, Interval::point(cut(x)))).collect();
                 LinearRelaxation::from_breakpoints(&points, [0.0, 1.0])

@@ -24,9 +24,18 @@ pub(super) struct NetworkBounds {
 
 impl InputForms {
     pub(super) fn new(inputs: &[AffineForm]) -> Self {
-        let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
+        let symbols = inputs
+            .iter()
+            .map(|form| form.terms().len())
+            .max()
+            .unwrap_or(0);
         let row = |form: &AffineForm| {
-            form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>()
+            form.terms()
+                .iter()
+                .copied()
+                .chain(std::iter::repeat(0.0))
+                .take(symbols)
+                .collect::<Vec<_>>()
         };
         Self {
             symbol_count: symbols,
@@ -39,10 +48,19 @@ impl InputForms {
     /// Returns the largest |Σ Λᵢ (yᵢ - middle)|, given `apart`, its value for uncorrelated yᵢ.
     fn max_linear_part(&self, slopes: &[f64], apart: f64) -> f64 {
         let mut sums = vec![0.0; self.symbol_count];
-        for (row, &slope) in self.terms.chunks_exact(self.symbol_count.max(1)).zip(slopes) {
+        for (row, &slope) in self
+            .terms
+            .chunks_exact(self.symbol_count.max(1))
+            .zip(slopes)
+        {
             add_scaled(&mut sums, row, slope);
         }
-        let rest: f64 = self.rest.iter().zip(slopes).map(|(rest, slope)| rest * slope.abs()).sum();
+        let rest: f64 = self
+            .rest
+            .iter()
+            .zip(slopes)
+            .map(|(rest, slope)| rest * slope.abs())
+            .sum();
         sums.iter().map(|sum| sum.abs()).sum::<f64>() + rest + 2.0 * SUM_REL_ERROR * apart
     }
 }
@@ -75,8 +93,14 @@ impl NetworkBounds {
         let (mut apart, mut own) = (vec![0.0; numbers], vec![0.0; numbers]);
         for (index, column) in self.columns.chunks_exact(numbers.max(1)).enumerate() {
             match inputs.radius.get(index) {
-                Some(radius) => apart.iter_mut().zip(column).for_each(|(sum, slope)| *sum += radius * slope.abs()),
-                None => own.iter_mut().zip(column).for_each(|(sum, term)| *sum += term.abs()),
+                Some(radius) => apart
+                    .iter_mut()
+                    .zip(column)
+                    .for_each(|(sum, slope)| *sum += radius * slope.abs()),
+                None => own
+                    .iter_mut()
+                    .zip(column)
+                    .for_each(|(sum, term)| *sum += term.abs()),
             }
         }
         (apart, own)
@@ -84,26 +108,51 @@ impl NetworkBounds {
 
     /// Computes h W + b with the rounding of single and double precision.
     pub(super) fn apply_linear(&self, layer: &LinearLayer, inputs: &InputForms) -> Self {
-        let (n, numbers, outputs) = (layer.inputs as f64 + 2.0, self.centre.len(), layer.outputs.max(1));
-        let relative = n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
+        let (n, numbers, outputs) = (
+            layer.inputs as f64 + 2.0,
+            self.centre.len(),
+            layer.outputs.max(1),
+        );
+        let relative =
+            n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
         let width = self.column_count();
         let (apart, own) = self.radii(inputs);
         let mut columns = vec![0.0; outputs * (width + self.excess.len())];
         let (dense, sparse) = columns.split_at_mut(outputs * width);
         let mut sparse = sparse.chunks_exact_mut(outputs);
         let mut centre = layer.biases.clone();
-        let mut rho: Vec<f64> = layer.biases.iter().map(|bias| bias.abs() * relative + n * 1e-44).collect();
+        let mut rho: Vec<f64> = layer
+            .biases
+            .iter()
+            .map(|bias| bias.abs() * relative + n * 1e-44)
+            .collect();
         let mut excess = self.excess.iter().peekable();
-        for (input, weights) in layer.weights.chunks_exact(outputs).take(numbers).enumerate() {
-            let new = excess.next_if(|(number, _)| *number == input).map(|(_, radius)| *radius);
-            let size = self.centre[input].abs() + apart[input] + own[input] + new.unwrap_or(0.0) + self.rho[input];
+        for (input, weights) in layer
+            .weights
+            .chunks_exact(outputs)
+            .take(numbers)
+            .enumerate()
+        {
+            let new = excess
+                .next_if(|(number, _)| *number == input)
+                .map(|(_, radius)| *radius);
+            let size = self.centre[input].abs()
+                + apart[input]
+                + own[input]
+                + new.unwrap_or(0.0)
+                + self.rho[input];
             if size == 0.0 {
                 continue;
             }
             let share = self.rho[input] + relative * size;
             add_scaled(&mut centre, weights, self.centre[input]);
-            rho.iter_mut().zip(weights).for_each(|(rho, weight)| *rho += weight.abs() * share);
-            for (to, from) in dense.chunks_exact_mut(outputs).zip(self.columns.chunks_exact(numbers)) {
+            rho.iter_mut()
+                .zip(weights)
+                .for_each(|(rho, weight)| *rho += weight.abs() * share);
+            for (to, from) in dense
+                .chunks_exact_mut(outputs)
+                .zip(self.columns.chunks_exact(numbers))
+            {
                 if from[input] != 0.0 {
                     add_scaled(to, weights, from[input]);
                 }
@@ -114,8 +163,14 @@ impl NetworkBounds {
                 add_scaled(to, weights, radius);
             }
         }
-        rho.iter_mut().for_each(|rho| *rho = round_up(*rho * (1.0 + SUM_REL_ERROR)));
-        Self { columns, centre, rho, excess: Vec::new() }
+        rho.iter_mut()
+            .for_each(|rho| *rho = round_up(*rho * (1.0 + SUM_REL_ERROR)));
+        Self {
+            columns,
+            centre,
+            rho,
+            excess: Vec::new(),
+        }
     }
 
     pub(super) fn apply_activation(&mut self, each: &Activation, inputs: &InputForms) {
@@ -125,13 +180,20 @@ impl NetworkBounds {
         let mut slopes = vec![0.0; inputs.radius.len()];
         for number in 0..numbers {
             let within = |by: f64| {
-                let radius = round_up((by + own[number] + self.rho[number]) * (1.0 + SUM_REL_ERROR));
-                ((self.centre[number] - radius).next_down(), (self.centre[number] + radius).next_up())
+                let radius =
+                    round_up((by + own[number] + self.rho[number]) * (1.0 + SUM_REL_ERROR));
+                (
+                    (self.centre[number] - radius).next_down(),
+                    (self.centre[number] + radius).next_up(),
+                )
             };
             let (mut low, mut high) = within(apart[number]);
             if each.is_nonlinear_on(number, low, high) {
                 let of_number = self.columns.iter().skip(number).step_by(numbers);
-                slopes.iter_mut().zip(of_number).for_each(|(to, from)| *to = *from);
+                slopes
+                    .iter_mut()
+                    .zip(of_number)
+                    .for_each(|(to, from)| *to = *from);
                 (low, high) = within(inputs.max_linear_part(&slopes, apart[number]));
             }
             let line = each.relaxation(number, low, high);
@@ -147,7 +209,8 @@ impl NetworkBounds {
                 continue;
             }
             let (middle, radius) = line.middle_and_radius();
-            let size = (self.centre[number].abs() + apart[number] + own[number]) * slope.abs().max(1.0);
+            let size =
+                (self.centre[number].abs() + apart[number] + own[number]) * slope.abs().max(1.0);
             let rounding = SUM_REL_ERROR * (size + middle.abs() + radius) + line.rounding;
             self.centre[number] = self.centre[number] * slope + middle;
             self.rho[number] = round_up(self.rho[number] * slope.abs() + rounding);
@@ -172,7 +235,11 @@ impl NetworkBounds {
         self.append_excess_columns();
         let (centre, rho) = (*self.centre.get(number)?, *self.rho.get(number)?);
         let mut form = AffineForm::constant(Interval::point(centre));
-        let mut factors = self.columns.into_iter().skip(number).step_by(self.centre.len());
+        let mut factors = self
+            .columns
+            .into_iter()
+            .skip(number)
+            .step_by(self.centre.len());
         for (input, factor) in inputs.iter().zip(factors.by_ref()) {
             let mut deviation = input.clone();
             deviation.shift(-Interval::point(input.centre()));
@@ -184,7 +251,9 @@ impl NetworkBounds {
 }
 
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
+    to.iter_mut()
+        .zip(from)
+        .for_each(|(to, from)| *to += factor * from);
 }
 
 #[cfg(test)]

@@ -56,11 +56,23 @@ impl BrakingVehicle {
         onset_range: Interval,
         step: Interval,
     ) -> Self {
-        let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
+        let is_instant =
+            onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
         let cost = rate.range() * step.sqr() * Interval::point(0.125);
-        let mean_held_m = if is_instant { Interval::ZERO } else { -cost.max(Interval::ZERO).hull(Interval::ZERO) };
+        let mean_held_m = if is_instant {
+            Interval::ZERO
+        } else {
+            -cost.max(Interval::ZERO).hull(Interval::ZERO)
+        };
         let half_over_rate = reciprocal(&rate).scaled(Interval::point(0.5));
-        Self { speed, rate, half_over_rate, onset, onset_range, onset_step_error_m: mean_held_m }
+        Self {
+            speed,
+            rate,
+            half_over_rate,
+            onset,
+            onset_range,
+            onset_step_error_m: mean_held_m,
+        }
     }
 
     /// True if all members have stood for a step at instant k: their state no longer changes.
@@ -73,10 +85,17 @@ impl BrakingVehicle {
         let k = f64::from(k);
         let coasting = self.speed.scaled(Interval::point(k) * step);
         if self.onset_range.low() >= k || self.rate.is_zero() {
-            return VehicleState { distance: coasting, speed: self.speed.clone(), ..VehicleState::default() };
+            return VehicleState {
+                distance: coasting,
+                speed: self.speed.clone(),
+                ..VehicleState::default()
+            };
         }
         let since = AffineForm::constant(Interval::point(k)).minus(&self.onset);
-        let free = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step)));
+        let free = self
+            .speed
+            .clone()
+            .minus(&self.rate.times(&relu(&since).scaled(step)));
         let a_step_before = free.clone().plus(&self.rate.scaled(step));
         let acceleration = if self.onset_range.high() > k - 1.0 {
             AffineForm::constant((-self.rate.range()).hull(Interval::ZERO))
@@ -91,13 +110,24 @@ impl BrakingVehicle {
             let until_braking = self.speed.times(&self.onset).scaled(step);
             until_braking.plus(&relu_squared(&self.speed).times(&self.half_over_rate))
         } else {
-            let braked = self.rate.times(&relu_squared(&since)).scaled(step.sqr() * Interval::point(0.5));
+            let braked = self
+                .rate
+                .times(&relu_squared(&since))
+                .scaled(step.sqr() * Interval::point(0.5));
             let reversed = relu_squared(&free.scaled(Interval::point(-1.0)));
             let moving = coasting.minus(&braked);
-            if reversed.is_zero() { moving } else { moving.plus(&reversed.times(&self.half_over_rate)) }
+            if reversed.is_zero() {
+                moving
+            } else {
+                moving.plus(&reversed.times(&self.half_over_rate))
+            }
         };
         distance.shift(self.onset_step_error_m);
-        VehicleState { distance, speed: relu(&free), acceleration }
+        VehicleState {
+            distance,
+            speed: relu(&free),
+            acceleration,
+        }
     }
 }
 

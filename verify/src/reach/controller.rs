@@ -177,7 +177,9 @@ impl From<NativePolicy> for NeuralController {
         let [low, high] = own.action_bounds_mps2;
         Self {
             inputs: (0..OBSERVATION_SIZE).map(input).collect(),
-            layers: interleave_relu(own.layers).chain([NetworkLayer::Activation(Activation::Tanh)]).collect(),
+            layers: interleave_relu(own.layers)
+                .chain([NetworkLayer::Activation(Activation::Tanh)])
+                .collect(),
             output_index: 0,
             scale_mps2: 0.5 * (high - low),
             offset_mps2: 0.5 * (low + high),
@@ -217,7 +219,12 @@ impl NeuralController {
             is_each = matches!(step, NetworkLayer::Activation(_));
             width.saturating_mul(numbers)
         };
-        self.layers.iter().map(of_step).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
+        self.layers
+            .iter()
+            .map(of_step)
+            .max()
+            .unwrap_or(0)
+            .saturating_mul(2 * size_of::<f64>())
     }
 
     /// Returns the commanded acceleration in m/s², for observations with errors of up to `error`.
@@ -228,7 +235,12 @@ impl NeuralController {
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
     ) -> AffineForm {
-        self.decide_with_budget(seen, error, is_followed, &OpBudget::new(WorkLimit::UNLIMITED))
+        self.decide_with_budget(
+            seen,
+            error,
+            is_followed,
+            &OpBudget::new(WorkLimit::UNLIMITED),
+        )
     }
 
     /// Decides like [`decide`](Self::decide) within a budget; returns the whole line if it is exceeded.
@@ -239,14 +251,23 @@ impl NeuralController {
         is_followed: bool,
         work: &OpBudget,
     ) -> AffineForm {
-        let inputs: Vec<AffineForm> = self.inputs.iter().map(|input| input.enclose(seen, error, is_followed)).collect();
+        let inputs: Vec<AffineForm> = self
+            .inputs
+            .iter()
+            .map(|input| input.enclose(seen, error, is_followed))
+            .collect();
         let answer = network_output_with_budget(&self.layers, self.output_index, &inputs, work)
             .unwrap_or_else(AffineForm::entire);
-        let size = self.offset_mps2.abs() + self.scale_mps2.abs() * (answer.centre().abs() + answer.radius());
+        let size = self.offset_mps2.abs()
+            + self.scale_mps2.abs() * (answer.centre().abs() + answer.radius());
         let mut wanted = answer.scaled(Interval::point(self.scale_mps2));
         wanted.shift(Interval::point(self.offset_mps2));
         wanted.widen(1e-14 * size);
-        if self.is_clipped { clip(&wanted, self.action_bounds_mps2) } else { wanted }
+        if self.is_clipped {
+            clip(&wanted, self.action_bounds_mps2)
+        } else {
+            wanted
+        }
     }
 }
 
@@ -257,13 +278,24 @@ impl ControllerInput {
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
     ) -> AffineForm {
-        let Self { coefficients: of, constant, absent_value: absent, offset, scale, low, high } = self;
+        let Self {
+            coefficients: of,
+            constant,
+            absent_value: absent,
+            offset,
+            scale,
+            low,
+            high,
+        } = self;
         let (mut value, mut off, mut terms) = (AffineForm::default(), 0.0, 0);
         match absent.filter(|_| !is_followed) {
             Some(absent) => value.shift(Interval::point(absent)),
             None => {
-                for ((&factor, number), error) in
-                    of.iter().zip(seen).zip(error).filter(|((factor, _), _)| **factor != 0.0)
+                for ((&factor, number), error) in of
+                    .iter()
+                    .zip(seen)
+                    .zip(error)
+                    .filter(|((factor, _), _)| **factor != 0.0)
                 {
                     if terms == 0 && factor == 1.0 {
                         value = number.clone();
@@ -287,7 +319,10 @@ impl ControllerInput {
         if off > 0.0 {
             value.widen(off);
         }
-        let mut cut = clip(&value.scaled(Interval::ONE.over(Interval::point(*scale))), [*low, *high]);
+        let mut cut = clip(
+            &value.scaled(Interval::ONE.over(Interval::point(*scale))),
+            [*low, *high],
+        );
         let largest = cut.centre().abs() + cut.radius();
         cut.widen(largest * UNIT_ROUNDOFF * (1.0 + 1e-6) + 1e-44);
         cut
@@ -320,7 +355,9 @@ fn network_output_with_budget(
 ) -> Option<AffineForm> {
     let seen = InputForms::new(inputs);
     let mut bounds = NetworkBounds::from_inputs(inputs);
-    let last = steps.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
+    let last = steps
+        .iter()
+        .rposition(|step| matches!(step, NetworkLayer::Linear(_)));
     let (until_last, behind) = steps.split_at(last.map_or(0, |last| last + 1));
     for step in until_last {
         match step {

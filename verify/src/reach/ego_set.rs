@@ -64,9 +64,22 @@ pub(super) struct EgoSet {
 impl EgoSet {
     /// Creates egos with a speed; the first `shared` symbols are shared with other sets.
     pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
-        let mode = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
-        let ego = VehicleState { speed, ..VehicleState::default() };
-        Self { mode, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
+        let mode = if speed.is_zero() {
+            MotionMode::Standing
+        } else {
+            MotionMode::Moving
+        };
+        let ego = VehicleState {
+            speed,
+            ..VehicleState::default()
+        };
+        Self {
+            mode,
+            ego,
+            follower: None,
+            first_own_symbol: shared,
+            next_symbol: shared,
+        }
     }
 
     pub(super) fn with_follower(self, follower: Option<VehicleState>) -> Self {
@@ -74,32 +87,58 @@ impl EgoSet {
     }
 
     /// Returns all egos `steps` steps into a decision interval; their acceleration is unspecified.
-    pub(super) fn ego_after(&self, wanted: &AffineForm, step: Interval, steps: u32) -> VehicleState {
+    pub(super) fn ego_after(
+        &self,
+        wanted: &AffineForm,
+        step: Interval,
+        steps: u32,
+    ) -> VehicleState {
         if steps == 0 {
-            return VehicleState { acceleration: AffineForm::default(), ..self.ego.clone() };
+            return VehicleState {
+                acceleration: AffineForm::default(),
+                ..self.ego.clone()
+            };
         }
         advance_vehicle(&self.ego, wanted, Interval::point(f64::from(steps)) * step)
     }
 
     /// Returns the egos at the next decision: those that move at the beginning of the last step before it, and those
     /// that stand.
-    pub(super) fn after_decision(&self, wanted: &AffineForm, step: Interval, decision_steps: u32) -> [Option<Self>; 2] {
-        let VehicleState { distance, speed, .. } = &self.ego;
-        let [until_last, time] =
-            [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
+    pub(super) fn after_decision(
+        &self,
+        wanted: &AffineForm,
+        step: Interval,
+        decision_steps: u32,
+    ) -> [Option<Self>; 2] {
+        let VehicleState {
+            distance, speed, ..
+        } = &self.ego;
+        let [until_last, time] = [decision_steps - 1, decision_steps]
+            .map(|steps| Interval::point(f64::from(steps)) * step);
         if speed.is_zero() {
             let ego = advance_ego(&self.ego, wanted, time, step);
-            let mode = if ego.acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
+            let mode = if ego.acceleration.is_zero() {
+                MotionMode::Standing
+            } else {
+                MotionMode::Restarted
+            };
             return [Some(self.with_ego_in_mode(mode, ego)), None];
         }
-        let (before_last, command) = (speed.clone().plus(&wanted.scaled(until_last)).range(), wanted.range());
-        let moving = || self.with_ego_in_mode(self.mode, advance_ego(&self.ego, wanted, time, step));
+        let (before_last, command) = (
+            speed.clone().plus(&wanted.scaled(until_last)).range(),
+            wanted.range(),
+        );
+        let moving =
+            || self.with_ego_in_mode(self.mode, advance_ego(&self.ego, wanted, time, step));
         let stopped = || {
             let braking = (-command).max(Interval::ZERO);
             let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
             let mut travelled = distance.clone();
             travelled.shift((speed_mps * until_last * Interval::point(0.5)).hull(Interval::ZERO));
-            let ego = VehicleState { distance: travelled, ..VehicleState::default() };
+            let ego = VehicleState {
+                distance: travelled,
+                ..VehicleState::default()
+            };
             self.with_ego_in_mode(MotionMode::Standing, ego)
         };
         let may_move = before_last.high() > 0.0 || command.high() > 0.0;
@@ -110,7 +149,11 @@ impl EgoSet {
     /// Joins two sets, which may differ in all symbols but the shared ones.
     pub(super) fn join(&self, other: &Self) -> Self {
         let symbols = self.next_symbol.max(other.next_symbol);
-        let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.join(b));
+        let follower = self
+            .follower
+            .as_ref()
+            .zip(other.follower.as_ref())
+            .map(|(a, b)| a.join(b));
         Self {
             mode: self.mode,
             ego: self.ego.clone(),
@@ -122,7 +165,13 @@ impl EgoSet {
     }
 
     fn with_ego_in_mode(&self, mode: MotionMode, ego: VehicleState) -> Self {
-        let next = Self { mode, ego, follower: self.follower.clone(), ..*self }.with_rests_as_symbols();
+        let next = Self {
+            mode,
+            ego,
+            follower: self.follower.clone(),
+            ..*self
+        }
+        .with_rests_as_symbols();
         if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS {
             next.reduce_order().with_rests_as_symbols()
         } else {
@@ -133,18 +182,32 @@ impl EgoSet {
     fn with_rests_as_symbols(mut self) -> Self {
         let used = self.forms().map(|form| form.terms().len());
         let mut symbols = used.fold(self.next_symbol, usize::max);
-        for state in [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten() {
+        for state in [Some(&mut self.ego), self.follower.as_mut()]
+            .into_iter()
+            .flatten()
+        {
             for form in [&mut state.distance, &mut state.speed] {
                 *form = std::mem::take(form).with_rest_as_symbol(symbols);
                 symbols = symbols.max(form.terms().len());
             }
         }
-        Self { next_symbol: symbols, ..self }
+        Self {
+            next_symbol: symbols,
+            ..self
+        }
     }
 
     fn forms(&self) -> impl Iterator<Item = &AffineForm> {
-        let states = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
-        states.flat_map(|VehicleState { distance, speed, acceleration }| [distance, speed, acceleration])
+        let states = [Some(&self.ego), self.follower.as_ref()]
+            .into_iter()
+            .flatten();
+        states.flat_map(
+            |VehicleState {
+                 distance,
+                 speed,
+                 acceleration,
+             }| [distance, speed, acceleration],
+        )
     }
 
     fn reduce_order(mut self) -> Self {
@@ -160,8 +223,13 @@ impl EgoSet {
             .map(normalize_sign)
             .collect();
         vectors.sort_by(|p, q| direction_key(p).total_cmp(&direction_key(q)));
-        let mut pairs: Vec<(GeneratorPair, usize)> =
-            vectors.as_chunks().0.iter().zip(0..).map(|([p, q], place)| (GeneratorPair::new(p, q), place)).collect();
+        let mut pairs: Vec<(GeneratorPair, usize)> = vectors
+            .as_chunks()
+            .0
+            .iter()
+            .zip(0..)
+            .map(|([p, q], place)| (GeneratorPair::new(p, q), place))
+            .collect();
         pairs.sort_by(|a, b| a.0.cost().total_cmp(&b.0.cost()));
         pairs.truncate(vectors.len().saturating_sub(REDUCED_SYMBOLS));
         let mut beyond = Generator::default();
@@ -170,10 +238,22 @@ impl EgoSet {
             beyond = std::array::from_fn(|i| round_up(beyond[i] + pair.excess[i]));
         }
         vectors.retain(|vector| *vector != Generator::default());
-        let states = [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten();
-        let forms = states.flat_map(|state| [&mut state.distance, &mut state.speed, &mut state.acceleration]);
+        let states = [Some(&mut self.ego), self.follower.as_mut()]
+            .into_iter()
+            .flatten();
+        let forms = states.flat_map(|state| {
+            [
+                &mut state.distance,
+                &mut state.speed,
+                &mut state.acceleration,
+            ]
+        });
         for (i, form) in forms.enumerate() {
-            form.replace_terms(self.first_own_symbol, vectors.iter().map(|vector| vector[i]), beyond[i]);
+            form.replace_terms(
+                self.first_own_symbol,
+                vectors.iter().map(|vector| vector[i]),
+                beyond[i],
+            );
         }
         self.next_symbol = self.first_own_symbol + vectors.len();
         self
@@ -182,7 +262,9 @@ impl EgoSet {
 
 /// Advances all egos by `time`, in which none stops before the last step; those that stop get a speed of 0.
 pub(super) fn advance_ego(
-    VehicleState { distance, speed, .. }: &VehicleState,
+    VehicleState {
+        distance, speed, ..
+    }: &VehicleState,
     wanted: &AffineForm,
     time: Interval,
     step: Interval,
@@ -190,27 +272,49 @@ pub(super) fn advance_ego(
     let half = Interval::point(0.5);
     if speed.is_zero() {
         let acceleration = relu(wanted);
-        let distance = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
-        return VehicleState { distance, speed: acceleration.scaled(time), acceleration };
+        let distance = distance
+            .clone()
+            .plus(&acceleration.scaled(time.sqr() * half));
+        return VehicleState {
+            distance,
+            speed: acceleration.scaled(time),
+            acceleration,
+        };
     }
     // The unclipped update of a vehicle that stops in the last step ends at >= -b h.
     let end = speed.clone().plus(&wanted.scaled(time));
     let most_reversing = (-wanted.range()).max(Interval::ZERO) * step;
-    let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
-    let mut distance = distance.clone().plus(&speed.scaled(time)).plus(&wanted.scaled(time.sqr() * half));
+    let reversing = (-end.range())
+        .max(Interval::ZERO)
+        .min(most_reversing)
+        .hull(Interval::ZERO);
+    let mut distance = distance
+        .clone()
+        .plus(&speed.scaled(time))
+        .plus(&wanted.scaled(time.sqr() * half));
     distance.shift((reversing * step * half).hull(Interval::ZERO));
-    VehicleState { distance, speed: relu_above(&end, -most_reversing.high()), acceleration: wanted.clone() }
+    VehicleState {
+        distance,
+        speed: relu_above(&end, -most_reversing.high()),
+        acceleration: wanted.clone(),
+    }
 }
 
 /// Advances a vehicle that holds an acceleration until it stands; the acceleration of the result is unspecified.
 pub(super) fn advance_vehicle(
-    VehicleState { distance, speed, .. }: &VehicleState,
+    VehicleState {
+        distance, speed, ..
+    }: &VehicleState,
     wanted: &AffineForm,
     time: Interval,
 ) -> VehicleState {
     let half = Interval::point(0.5);
     if speed.is_zero() && wanted.range().high() <= 0.0 {
-        return VehicleState { distance: distance.clone(), speed: speed.clone(), ..VehicleState::default() };
+        return VehicleState {
+            distance: distance.clone(),
+            speed: speed.clone(),
+            ..VehicleState::default()
+        };
     }
     let mut free = speed.clone();
     free.add_scaled(wanted, time);
@@ -219,7 +323,11 @@ pub(super) fn advance_vehicle(
     if most <= 0.0 {
         let farthest = speed.range().max(Interval::ZERO) * time * half;
         travelled.shift(farthest.hull(Interval::ZERO));
-        return VehicleState { distance: travelled, speed: AffineForm::default(), acceleration: wanted.clone() };
+        return VehicleState {
+            distance: travelled,
+            speed: AffineForm::default(),
+            acceleration: wanted.clone(),
+        };
     }
     travelled.add_scaled(speed, time);
     travelled.add_scaled(wanted, time.sqr() * half);
@@ -227,7 +335,11 @@ pub(super) fn advance_vehicle(
         let reversed = Interval::point(-least) * time * half;
         travelled.shift(reversed.hull(Interval::ZERO));
     }
-    VehicleState { distance: travelled, speed: relu(&free), acceleration: wanted.clone() }
+    VehicleState {
+        distance: travelled,
+        speed: relu(&free),
+        acceleration: wanted.clone(),
+    }
 }
 
 /// Coefficients of a symbol in distance, speed and acceleration of the ego, and of a follower with a law.
@@ -236,16 +348,30 @@ type Generator = [f64; 6];
 /// Returns the vector or its negative, an equivalent generator.
 fn normalize_sign(vector: Generator) -> Generator {
     let [distance, speed, _, behind, speed_behind, _] = vector;
-    let first = [distance, speed, behind, speed_behind].into_iter().find(|&number| number != 0.0);
-    if first.is_some_and(|first| first < 0.0) { vector.map(|number| -number) } else { vector }
+    let first = [distance, speed, behind, speed_behind]
+        .into_iter()
+        .find(|&number| number != 0.0);
+    if first.is_some_and(|first| first < 0.0) {
+        vector.map(|number| -number)
+    } else {
+        vector
+    }
 }
 
 /// Returns a sort key: the share of the ego's speed in its speed and distance, from -1 to 1. Generators of the follower
 /// alone come last, with keys from 2 to 4.
 fn direction_key(normalized: &Generator) -> f64 {
-    let of = |distance: f64, speed: f64| if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) };
+    let of = |distance: f64, speed: f64| {
+        if speed == 0.0 {
+            0.0
+        } else {
+            speed / (distance.abs() + speed.abs())
+        }
+    };
     match *normalized {
-        [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => 3.0 + of(distance, speed),
+        [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => {
+            3.0 + of(distance, speed)
+        }
         [distance, speed, ..] => of(distance, speed),
     }
 }

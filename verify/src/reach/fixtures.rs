@@ -29,7 +29,15 @@ pub(super) fn is_near(found: f64, expected: f64, relative: f64) -> bool {
 }
 
 pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
-    ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
+    ControllerInput {
+        coefficients: of,
+        constant,
+        absent_value: None,
+        offset: 0.0,
+        scale: 1.0,
+        low: -1e9,
+        high: 1e9,
+    }
 }
 
 /// Creates a controller without a network that commands an affine function of its observation.
@@ -53,7 +61,16 @@ pub(super) fn constant_controller(mps2: f64) -> NeuralController {
 }
 
 pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
-    let [ahead, behind, leader, ego, follower, leader_brake, follower_brake, onset] = point.map(Interval::point);
+    let [
+        ahead,
+        behind,
+        leader,
+        ego,
+        follower,
+        leader_brake,
+        follower_brake,
+        onset,
+    ] = point.map(Interval::point);
     InitialRanges {
         gap_ahead_m: ahead,
         gap_behind_m: behind,
@@ -67,7 +84,10 @@ pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
 }
 
 /// Creates a problem of one second in steps of 0.1 s, with a decision at each, no follower, and exact observations.
-pub(super) fn default_problem(controller: &NeuralController, ranges: InitialRanges) -> ReachProblem<'_> {
+pub(super) fn default_problem(
+    controller: &NeuralController,
+    ranges: InitialRanges,
+) -> ReachProblem<'_> {
     ReachProblem {
         controller,
         ranges,

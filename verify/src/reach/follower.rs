@@ -109,7 +109,14 @@ pub struct AccAebLaw {
 
 impl fmt::Display for IdmLaw {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, .. } = self;
+        let Self {
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            comfortable_brake_mps2,
+            ..
+        } = self;
         write!(
             out,
             "drives idm towards {} m/s with a time headway of {time_headway_s} s, {standstill_gap_m} m at standstill, \
@@ -121,7 +128,13 @@ impl fmt::Display for IdmLaw {
 
 impl fmt::Display for AccAebLaw {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { time_headway_s, standstill_gap_m, gap_gain_per_s2, speed_gain_per_s, .. } = self;
+        let Self {
+            time_headway_s,
+            standstill_gap_m,
+            gap_gain_per_s2,
+            speed_gain_per_s,
+            ..
+        } = self;
         write!(
             out,
             "drives acc-aeb with a time headway of {time_headway_s} s, {standstill_gap_m} m at standstill, gains \
@@ -130,9 +143,16 @@ impl fmt::Display for AccAebLaw {
         )?;
         match self.set_speed_mps {
             Some(speed_mps) => write!(out, "a set speed of {speed_mps} m/s, ")?,
-            None => write!(out, "no acceleration while it is more than {CATCH_UP_MPS} m/s faster than its leader, ")?,
+            None => write!(
+                out,
+                "no acceleration while it is more than {CATCH_UP_MPS} m/s faster than its leader, "
+            )?,
         }
-        write!(out, "and full braking while its time to collision is below {} s", self.ttc_s)
+        write!(
+            out,
+            "and full braking while its time to collision is below {} s",
+            self.ttc_s
+        )
     }
 }
 
@@ -152,7 +172,11 @@ impl FollowerLaw {
         let (numbers, divisors): (Vec<f64>, Vec<f64>) = match self {
             Self::Idm(law) => (
                 vec![law.time_headway_s, law.standstill_gap_m, law.max_accel_mps2],
-                vec![law.desired_speed_mps, law.accel_mps2, law.comfortable_brake_mps2],
+                vec![
+                    law.desired_speed_mps,
+                    law.accel_mps2,
+                    law.comfortable_brake_mps2,
+                ],
             ),
             Self::AccAeb(law) => (
                 vec![
@@ -170,17 +194,28 @@ impl FollowerLaw {
             ),
         };
         let is_fit = |number: &f64| *number >= 0.0 && number.is_finite();
-        if numbers.iter().all(is_fit) && divisors.iter().all(|number| is_fit(number) && *number > 0.0) {
+        if numbers.iter().all(is_fit)
+            && divisors
+                .iter()
+                .all(|number| is_fit(number) && *number > 0.0)
+        {
             Ok(self)
         } else {
-            Err(Rejection::invalid("follower_law", "holds a number that is negative, infinite, or 0 where it divides"))
+            Err(Rejection::invalid(
+                "follower_law",
+                "holds a number that is negative, infinite, or 0 where it divides",
+            ))
         }
     }
 
     /// Returns the commands for observed gaps, own and leader's speeds. `limits` are those of the vehicle.
     pub(crate) fn command_range(&self, observed: &[AffineForm; 3], limits: Interval) -> Interval {
         let [gap, speed, leader] = observed.clone();
-        let sight = LawInput { closing: speed.clone().minus(&leader), gap, speed };
+        let sight = LawInput {
+            closing: speed.clone().minus(&leader),
+            gap,
+            speed,
+        };
         let brake = AffineForm::constant(-Interval::point(limits.low()));
         match self {
             Self::Idm(law) => law.acceleration(&sight, &brake).range(),
@@ -188,7 +223,9 @@ impl FollowerLaw {
             Self::AccAeb(law) => {
                 let form = law.acceleration(&sight, &brake).range();
                 let limit = law.speed_limit(&sight).range();
-                let limit = limit.max(-Interval::point(law.comfort_brake_mps2)).max(Interval::point(limits.low()));
+                let limit = limit
+                    .max(-Interval::point(law.comfort_brake_mps2))
+                    .max(Interval::point(limits.low()));
                 let high = form.high().min(limit.high());
                 Interval::new(form.low().min(high), high).unwrap_or(Interval::ENTIRE)
             }
@@ -221,23 +258,45 @@ struct LawInput {
 impl LawInput {
     fn new(gap: AffineForm, speed: AffineForm, closing: AffineForm) -> Self {
         let mut seen = [gap, speed, closing];
-        seen.iter_mut().for_each(|form| form.widen(OBSERVATION_ROUNDING));
+        seen.iter_mut()
+            .for_each(|form| form.widen(OBSERVATION_ROUNDING));
         let [gap, speed, closing] = seen;
-        Self { gap, speed, closing }
+        Self {
+            gap,
+            speed,
+            closing,
+        }
     }
 }
 
 impl<'a> LawFollower<'a> {
-    pub(super) fn new(law: &'a FollowerLaw, ranges: &InitialRanges, start_gap: &'a AffineForm, step: Interval) -> Self {
+    pub(super) fn new(
+        law: &'a FollowerLaw,
+        ranges: &InitialRanges,
+        start_gap: &'a AffineForm,
+        step: Interval,
+    ) -> Self {
         let dimension = BoxDimension::FollowerBrakeMps2;
-        Self { law, brake: AffineForm::symbol(dimension as usize, ranges.get(dimension)), start_gap, step }
+        Self {
+            law,
+            brake: AffineForm::symbol(dimension as usize, ranges.get(dimension)),
+            start_gap,
+            step,
+        }
     }
 
     pub(super) fn gap(&self, ego: &VehicleState, own: &VehicleState) -> AffineForm {
-        self.start_gap.clone().plus(&ego.distance).minus(&own.distance)
+        self.start_gap
+            .clone()
+            .plus(&ego.distance)
+            .minus(&own.distance)
     }
 
-    pub(super) fn advance(&self, own: &VehicleState, ego: &VehicleState) -> (VehicleState, AffineForm) {
+    pub(super) fn advance(
+        &self,
+        own: &VehicleState,
+        ego: &VehicleState,
+    ) -> (VehicleState, AffineForm) {
         let acceleration = self.acceleration(&self.law_input(ego, own));
         (step_follower(own, &acceleration, self.step), acceleration)
     }
@@ -250,23 +309,46 @@ impl<'a> LawFollower<'a> {
     }
 
     fn law_input(&self, ego: &VehicleState, own: &VehicleState) -> LawInput {
-        LawInput::new(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
+        LawInput::new(
+            self.gap(ego, own),
+            own.speed.clone(),
+            own.speed.clone().minus(&ego.speed),
+        )
     }
 }
 
 impl IdmLaw {
     /// Returns the acceleration of a vehicle that brakes at up to `brake`: the narrower of form and interval.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
-        let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
+        let acceleration = clamp_to_limits(
+            &self.desired_acceleration(sight, brake),
+            brake,
+            self.max_accel_mps2,
+        );
         let speed = sight.speed.range().max(Interval::ZERO);
-        let plain = self.desired_acceleration_interval(sight.gap.range(), speed, sight.closing.range());
-        let plain = plain.max(-brake.range()).min(Interval::point(self.max_accel_mps2));
+        let plain =
+            self.desired_acceleration_interval(sight.gap.range(), speed, sight.closing.range());
+        let plain = plain
+            .max(-brake.range())
+            .min(Interval::point(self.max_accel_mps2));
         // For a gap near zero a line is wider than an interval.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
-        if is_wider { AffineForm::constant(plain) } else { acceleration }
+        if is_wider {
+            AffineForm::constant(plain)
+        } else {
+            acceleration
+        }
     }
 
-    fn desired_acceleration(&self, LawInput { gap, speed, closing }: &LawInput, brake: &AffineForm) -> AffineForm {
+    fn desired_acceleration(
+        &self,
+        LawInput {
+            gap,
+            speed,
+            closing,
+        }: &LawInput,
+        brake: &AffineForm,
+    ) -> AffineForm {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
         if gap.range().low() <= MIN_GAP_M {
@@ -285,9 +367,15 @@ impl IdmLaw {
     }
 
     /// Returns the desired acceleration in interval arithmetic, without correlations.
-    fn desired_acceleration_interval(&self, gap: Interval, speed: Interval, closing: Interval) -> Interval {
+    fn desired_acceleration_interval(
+        &self,
+        gap: Interval,
+        speed: Interval,
+        closing: Interval,
+    ) -> Interval {
         let point = Interval::point;
-        let wants = speed * point(self.time_headway_s) + speed * closing * self.inverse_twice_geometric_mean();
+        let wants = speed * point(self.time_headway_s)
+            + speed * closing * self.inverse_twice_geometric_mean();
         let gap = gap.max(point(MIN_GAP_M));
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();
@@ -295,7 +383,9 @@ impl IdmLaw {
     }
 
     fn inverse_twice_geometric_mean(&self) -> Interval {
-        let mean = (Interval::point(self.accel_mps2) * Interval::point(self.comfortable_brake_mps2)).sqrt();
+        let mean = (Interval::point(self.accel_mps2)
+            * Interval::point(self.comfortable_brake_mps2))
+        .sqrt();
         Interval::ONE.over(Interval::point(2.0) * mean)
     }
 }
@@ -315,7 +405,11 @@ impl AccAebLaw {
             return clamp(&brake.scaled(Interval::point(-1.0)));
         }
         let following = clamp(&self.acc_acceleration(sight));
-        if guard.low() >= 0.0 { following } else { AffineForm::constant(following.range().hull(-brake.range())) }
+        if guard.low() >= 0.0 {
+            following
+        } else {
+            AffineForm::constant(following.range().hull(-brake.range()))
+        }
     }
 
     /// Returns the largest acceleration that the own speed allows.
@@ -332,7 +426,11 @@ impl AccAebLaw {
 
     /// Returns the command without the emergency brake.
     fn acc_acceleration(&self, sight: &LawInput) -> AffineForm {
-        let LawInput { gap, speed, closing } = sight;
+        let LawInput {
+            gap,
+            speed,
+            closing,
+        } = sight;
         let point = Interval::point;
         let mut spacing = gap.clone();
         spacing.shift(-point(self.standstill_gap_m));
@@ -341,18 +439,28 @@ impl AccAebLaw {
         follow.add_scaled(closing, -point(self.speed_gain_per_s));
         let least = AffineForm::constant(-point(self.comfort_brake_mps2));
         let most = AffineForm::constant(point(self.comfort_accel_mps2));
-        min_form(&max_form(&min_form(&self.speed_limit(sight), &follow), &least), &most)
+        min_form(
+            &max_form(&min_form(&self.speed_limit(sight), &follow), &least),
+            &most,
+        )
     }
 }
 
 fn clamp_to_limits(wanted: &AffineForm, brake: &AffineForm, max_accel_mps2: f64) -> AffineForm {
     let most = AffineForm::constant(Interval::point(max_accel_mps2));
-    min_form(&max_form(wanted, &brake.scaled(Interval::point(-1.0))), &most)
+    min_form(
+        &max_form(wanted, &brake.scaled(Interval::point(-1.0))),
+        &most,
+    )
 }
 
 fn max_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
     let beyond = a.clone().minus(b);
-    if beyond.range().low() >= 0.0 { a.clone() } else { b.clone().plus(&relu(&beyond)) }
+    if beyond.range().low() >= 0.0 {
+        a.clone()
+    } else {
+        b.clone().plus(&relu(&beyond))
+    }
 }
 
 fn min_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
@@ -369,7 +477,10 @@ fn step_follower(from: &VehicleState, wanted: &AffineForm, step: Interval) -> Ve
     } else {
         AffineForm::constant(wanted.range().hull(Interval::ZERO))
     };
-    VehicleState { acceleration, ..later }
+    VehicleState {
+        acceleration,
+        ..later
+    }
 }
 
 #[cfg(test)]

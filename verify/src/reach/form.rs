@@ -34,7 +34,11 @@ impl AffineForm {
     /// Returns the whole line.
     #[must_use]
     pub fn entire() -> Self {
-        Self { centre: 0.0, terms: Vec::new(), rest: f64::INFINITY }
+        Self {
+            centre: 0.0,
+            terms: Vec::new(),
+            rest: f64::INFINITY,
+        }
     }
 
     /// Creates an uncorrelated form of an interval.
@@ -83,7 +87,10 @@ impl AffineForm {
     /// Returns the largest distance from c.
     #[must_use]
     pub fn radius(&self) -> f64 {
-        round_up((self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest) * (1.0 + SUM_REL_ERROR))
+        round_up(
+            (self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest)
+                * (1.0 + SUM_REL_ERROR),
+        )
     }
 
     /// Returns the interval of all members.
@@ -110,7 +117,11 @@ impl AffineForm {
     pub fn shift(&mut self, by: Interval) {
         let (middle, radius) = by.middle_and_radius();
         let centre = self.centre + middle;
-        let rounding = if self.centre == 0.0 || middle == 0.0 { 0.0 } else { centre.abs() * f64::EPSILON };
+        let rounding = if self.centre == 0.0 || middle == 0.0 {
+            0.0
+        } else {
+            centre.abs() * f64::EPSILON
+        };
         if radius > 0.0 || rounding > 0.0 {
             self.widen(radius + rounding);
         }
@@ -123,7 +134,8 @@ impl AffineForm {
             return;
         }
         let (factor, uncertain) = factor.middle_and_radius();
-        self.terms.resize(self.terms.len().max(other.terms.len()), 0.0);
+        self.terms
+            .resize(self.terms.len().max(other.terms.len()), 0.0);
         let mut rounded = 0.0;
         let mut add = |to: &mut f64, from: f64| {
             let product = factor * from;
@@ -170,9 +182,19 @@ impl AffineForm {
         if self == other {
             return self.clone();
         }
-        let in_common = |(&a, &b): (&f64, &f64)| if a * b > 0.0 { a.abs().min(b.abs()).copysign(a) } else { 0.0 };
+        let in_common = |(&a, &b): (&f64, &f64)| {
+            if a * b > 0.0 {
+                a.abs().min(b.abs()).copysign(a)
+            } else {
+                0.0
+            }
+        };
         let terms = self.terms.iter().zip(&other.terms).map(in_common).collect();
-        let mut joined = Self { centre: 0.5 * self.centre + 0.5 * other.centre, terms, rest: 0.0 };
+        let mut joined = Self {
+            centre: 0.5 * self.centre + 0.5 * other.centre,
+            terms,
+            rest: 0.0,
+        };
         let beyond = |form: &Self| form.clone().minus(&joined).range();
         joined.shift(beyond(self).hull(beyond(other)));
         joined
@@ -191,7 +213,10 @@ impl AffineForm {
     #[must_use]
     pub fn times(&self, other: &Self) -> Self {
         let mut product = other.scaled(Interval::point(self.centre));
-        let deviation = Self { centre: 0.0, ..self.clone() };
+        let deviation = Self {
+            centre: 0.0,
+            ..self.clone()
+        };
         product.add_scaled(&deviation, Interval::point(other.centre));
         let beyond = self.radius() * other.radius();
         if !self.is_zero() && !other.is_zero() {

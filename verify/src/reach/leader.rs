@@ -43,11 +43,23 @@ pub(super) enum LeaderModel {
 }
 
 impl LeaderModel {
-    pub(super) fn new(scene: &ReachProblem<'_>, [speed, rate, onset]: [AffineForm; 3], step: Interval) -> Self {
+    pub(super) fn new(
+        scene: &ReachProblem<'_>,
+        [speed, rate, onset]: [AffineForm; 3],
+        step: Interval,
+    ) -> Self {
         match scene.leader_brakes_at_most_mps2 {
             // A limit of 0 equals scripted braking at 0, which has no symbols.
-            Some(limit_mps2) if limit_mps2 != 0.0 => Self::Bounded(BoundedLeader::new(scene, speed, limit_mps2, step)),
-            _ => Self::Scripted(Box::new(BrakingVehicle::new(speed, rate, onset, scene.ranges.onset_steps, step))),
+            Some(limit_mps2) if limit_mps2 != 0.0 => {
+                Self::Bounded(BoundedLeader::new(scene, speed, limit_mps2, step))
+            }
+            _ => Self::Scripted(Box::new(BrakingVehicle::new(
+                speed,
+                rate,
+                onset,
+                scene.ranges.onset_steps,
+                step,
+            ))),
         }
     }
 
@@ -91,7 +103,10 @@ impl BoundedLeader {
         // A limit that is NaN or infinite gives the whole line.
         let acceleration_mps2 = (-Interval::point(limit_mps2)).hull(Interval::ZERO);
         let decisions = scene.steps.div_ceil(scene.decision_steps.max(1));
-        let block_steps = scene.decision_steps.max(1).saturating_mul(decisions.div_ceil(MAX_BLOCKS).max(1));
+        let block_steps = scene
+            .decision_steps
+            .max(1)
+            .saturating_mul(decisions.div_ceil(MAX_BLOCKS).max(1));
         let time = Interval::point(f64::from(block_steps)) * step;
         let eighth = time.sqr() * Interval::point(0.125);
         let off = acceleration_mps2 * eighth;
@@ -99,14 +114,21 @@ impl BoundedLeader {
         let speed_mps = speed.range();
         let mut begins = vec![[AffineForm::default(), speed]];
         for block in 0..scene.steps.div_ceil(block_steps) as usize {
-            let Some([distance, speed]) = begins.last() else { break };
+            let Some([distance, speed]) = begins.last() else {
+                break;
+            };
             let symbol = SHARED_SYMBOLS + SYMBOLS_PER_BLOCK * block;
             let mean = AffineForm::symbol(symbol, acceleration_mps2);
             let [mut distance, speed] = advance_block(distance, speed, &mean, time);
             distance.add_scaled(&AffineForm::symbol(symbol + 1, off), Interval::ONE);
             begins.push([distance, speed]);
         }
-        Self { acceleration_mps2, speed_mps, block_steps, block_starts: begins }
+        Self {
+            acceleration_mps2,
+            speed_mps,
+            block_steps,
+            block_starts: begins,
+        }
     }
 
     fn is_standing(&self) -> bool {
@@ -117,7 +139,10 @@ impl BoundedLeader {
         let place = ((k / self.block_steps) as usize).min(self.block_starts.len() - 1);
         let [distance, speed] = &self.block_starts[place];
         if self.is_standing() || k == 0 {
-            return VehicleState { speed: speed.clone(), ..VehicleState::default() };
+            return VehicleState {
+                speed: speed.clone(),
+                ..VehicleState::default()
+            };
         }
         let since_steps = k.saturating_sub(self.block_steps.saturating_mul(place as u32));
         let [mut distance, mut speed] = if since_steps == 0 {
@@ -125,11 +150,17 @@ impl BoundedLeader {
         } else {
             // The mean lies in [-b, 0], and the distance between those of its ends.
             let any = AffineForm::constant(self.acceleration_mps2);
-            advance_block(distance, speed, &any, Interval::point(f64::from(since_steps)) * step)
+            advance_block(
+                distance,
+                speed,
+                &any,
+                Interval::point(f64::from(since_steps)) * step,
+            )
         };
         let slowest = Interval::point(self.speed_mps.low().max(0.0));
         let hardest = Interval::point(self.acceleration_mps2.low());
-        let (least_m, _) = distance_and_speed_after(slowest, hardest, Interval::point(f64::from(k)) * step);
+        let (least_m, _) =
+            distance_and_speed_after(slowest, hardest, Interval::point(f64::from(k)) * step);
         let least_m = Interval::point(least_m.low());
         if distance.range().low() < least_m.low() {
             distance.shift(-least_m);
@@ -139,14 +170,28 @@ impl BoundedLeader {
         if speed.range().low() < 0.0 {
             speed = relu(&speed);
         }
-        VehicleState { distance, speed, acceleration: AffineForm::constant(self.acceleration_mps2) }
+        VehicleState {
+            distance,
+            speed,
+            acceleration: AffineForm::constant(self.acceleration_mps2),
+        }
     }
 }
 
 /// Returns distance and speed after a time at a constant mean acceleration.
-fn advance_block(distance: &AffineForm, speed: &AffineForm, mean: &AffineForm, time: Interval) -> [AffineForm; 2] {
-    let covered = speed.scaled(time).plus(&mean.scaled(time.sqr() * Interval::point(0.5)));
-    [distance.clone().plus(&covered), speed.clone().plus(&mean.scaled(time))]
+fn advance_block(
+    distance: &AffineForm,
+    speed: &AffineForm,
+    mean: &AffineForm,
+    time: Interval,
+) -> [AffineForm; 2] {
+    let covered = speed
+        .scaled(time)
+        .plus(&mean.scaled(time.sqr() * Interval::point(0.5)));
+    [
+        distance.clone().plus(&covered),
+        speed.clone().plus(&mean.scaled(time)),
+    ]
 }
 
 impl ReachProblem<'_> {
@@ -162,7 +207,12 @@ impl ReachProblem<'_> {
     #[must_use]
     pub fn at_point(&self, point: &[f64; 8]) -> Option<Self> {
         let ranges = self.scripted_ranges().at_point(point)?;
-        Some(Self { ranges, leader_brakes_at_most_mps2: None, stop_when_undecided: false, ..self.clone() })
+        Some(Self {
+            ranges,
+            leader_brakes_at_most_mps2: None,
+            stop_when_undecided: false,
+            ..self.clone()
+        })
     }
 }
 
@@ -177,9 +227,11 @@ impl ReachClaim {
 fn scripted_ranges(ranges: InitialRanges, limit_mps2: Option<f64>, steps: u32) -> InitialRanges {
     let up_to = |most: f64| Interval::new(0.0, most);
     match limit_mps2.map(|limit_mps2| (up_to(limit_mps2), up_to(f64::from(steps)))) {
-        Some((Some(leader_brake_mps2), Some(onset_steps))) => {
-            InitialRanges { leader_brake_mps2, onset_steps, ..ranges }
-        }
+        Some((Some(leader_brake_mps2), Some(onset_steps))) => InitialRanges {
+            leader_brake_mps2,
+            onset_steps,
+            ..ranges
+        },
         _ => ranges,
     }
 }

@@ -67,8 +67,8 @@ use crate::work::OpBudget;
 use crate::{ProvedClaim, Rejection};
 pub use activation::Activation;
 pub use controller::{
-    ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer, NeuralController,
-    OBSERVATION_SIZE,
+    ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer,
+    NeuralController, OBSERVATION_SIZE,
 };
 pub use follower::{AccAebLaw, FollowerLaw, FollowerModel, IdmLaw};
 use propagate::reach_with_budget;
@@ -187,8 +187,12 @@ pub struct ReachResult {
 }
 
 impl ReachResult {
-    const INITIAL: Self =
-        Self { gaps_m: [f64::INFINITY; 2], undecided: None, surely_collides: false, sensitivity: [0.0; 8] };
+    const INITIAL: Self = Self {
+        gaps_m: [f64::INFINITY; 2],
+        undecided: None,
+        surely_collides: false,
+        sensitivity: [0.0; 8],
+    };
 }
 
 impl ReachClaim {
@@ -196,20 +200,34 @@ impl ReachClaim {
     ///
     /// # Errors
     /// [`Rejection`] if the claim is invalid, or the controller's decisions do not fall on instants.
-    pub fn problem<'a>(&self, controller: &'a NeuralController) -> Result<ReachProblem<'a>, Rejection> {
+    pub fn problem<'a>(
+        &self,
+        controller: &'a NeuralController,
+    ) -> Result<ReachProblem<'a>, Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
         }
         let decision_steps = (controller.decision_interval_s / self.step_s).round();
-        if !(decision_steps >= 1.0 && (decision_steps * self.step_s - controller.decision_interval_s).abs() < 1e-9) {
-            return Err(Rejection::invalid("step_s", "must divide the decision interval"));
+        if !(decision_steps >= 1.0
+            && (decision_steps * self.step_s - controller.decision_interval_s).abs() < 1e-9)
+        {
+            return Err(Rejection::invalid(
+                "step_s",
+                "must divide the decision interval",
+            ));
         }
         if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
-            return Err(Rejection::invalid("steps", "must be from one decision interval to 100 000"));
+            return Err(Rejection::invalid(
+                "steps",
+                "must be from one decision interval to 100 000",
+            ));
         }
         let decision_steps = decision_steps as u32;
         if !self.steps.is_multiple_of(decision_steps) {
-            return Err(Rejection::invalid("steps", "must be whole decision intervals"));
+            return Err(Rejection::invalid(
+                "steps",
+                "must be whole decision intervals",
+            ));
         }
         for dimension in BoxDimension::ALL {
             if self.ranges.get(dimension).low() < 0.0 {
@@ -219,9 +237,18 @@ impl ReachClaim {
                 ));
             }
         }
-        let of_follower = self.follower_ttc_s.iter().map(|ttc_s| ("follower_ttc_s", ttc_s));
-        let of_leader = self.leader_brakes_at_most_mps2.iter().map(|limit| (LEADER_LIMIT_FIELD, limit));
-        let errors = self.observation_error.iter().map(|error| ("observation_error", error));
+        let of_follower = self
+            .follower_ttc_s
+            .iter()
+            .map(|ttc_s| ("follower_ttc_s", ttc_s));
+        let of_leader = self
+            .leader_brakes_at_most_mps2
+            .iter()
+            .map(|limit| (LEADER_LIMIT_FIELD, limit));
+        let errors = self
+            .observation_error
+            .iter()
+            .map(|error| ("observation_error", error));
         for (field, value) in of_follower.chain(of_leader).chain(errors) {
             if !(*value >= 0.0 && value.is_finite()) {
                 return Err(Rejection::invalid(field, "is negative or infinite"));
@@ -230,9 +257,14 @@ impl ReachClaim {
         // Rate and onset have no meaning for a leader with bounded braking and must not suggest one.
         let unused = [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].into_iter();
         let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
-        if let Some(dimension) = unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO) {
+        if let Some(dimension) =
+            unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO)
+        {
             let field = format!("ranges.{}", dimension.field_name());
-            return Err(Rejection::invalid(field, "must be 0 if the leader brakes arbitrarily"));
+            return Err(Rejection::invalid(
+                field,
+                "must be 0 if the leader brakes arbitrarily",
+            ));
         }
         Ok(ReachProblem {
             controller,
@@ -253,11 +285,16 @@ impl ReachClaim {
     /// [`Rejection`] if two are stated, or an invalid one.
     fn follower_model(&self) -> Result<Option<FollowerModel>, Rejection> {
         match (self.follower_ttc_s, self.follower_law.as_deref()) {
-            (Some(_), Some(_)) => {
-                Err(Rejection::invalid("follower_law", "and `follower_ttc_s` must not both be present"))
-            }
+            (Some(_), Some(_)) => Err(Rejection::invalid(
+                "follower_law",
+                "and `follower_ttc_s` must not both be present",
+            )),
             (Some(ttc_s), None) => Ok(Some(FollowerModel::Latched { ttc_s })),
-            (None, law) => Ok(law.copied().map(FollowerLaw::validate).transpose()?.map(FollowerModel::ByLaw)),
+            (None, law) => Ok(law
+                .copied()
+                .map(FollowerLaw::validate)
+                .transpose()?
+                .map(FollowerModel::ByLaw)),
         }
     }
 
@@ -280,23 +317,30 @@ impl ReachClaim {
         }
         for (index, &cell) in self.partition.iter().enumerate() {
             let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
-            let (ranges, cuts, share) =
-                pending.pop().ok_or_else(|| invalid("is one cell more than the cuts create"))?;
+            let (ranges, cuts, share) = pending
+                .pop()
+                .ok_or_else(|| invalid("is one cell more than the cuts create"))?;
             if let PartitionCell::Cut(dimension) = cell {
-                let [lower, upper] =
-                    ranges.bisect(dimension).ok_or_else(|| invalid("cuts a range that is a single number"))?;
+                let [lower, upper] = ranges
+                    .bisect(dimension)
+                    .ok_or_else(|| invalid("cuts a range that is a single number"))?;
                 if cuts == MAX_CUTS {
                     return Err(invalid("cuts too often"));
                 }
-                let share_of =
-                    |half: &InitialRanges| volume::part_share(share, half.get(dimension), ranges.get(dimension));
+                let share_of = |half: &InitialRanges| {
+                    volume::part_share(share, half.get(dimension), ranges.get(dimension))
+                };
                 let shares = [&upper, &lower].map(share_of);
                 pending.extend([(upper, cuts + 1, shares[0]), (lower, cuts + 1, shares[1])]);
             } else {
                 leaves.push((cell, ranges, share));
             }
         }
-        if pending.is_empty() { Ok(leaves) } else { Err(Rejection::invalid("partition", "ends too early")) }
+        if pending.is_empty() {
+            Ok(leaves)
+        } else {
+            Err(Rejection::invalid("partition", "ends too early"))
+        }
     }
 }
 
@@ -319,16 +363,35 @@ pub(crate) fn check(
     let [verified_share, falsified_share] = claim.volume_shares()?;
     let mut smallest_gap_m = f64::INFINITY;
     for (index, verdict) in verdicts.into_iter().enumerate() {
-        let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
+        let gap_m = verdict.map_err(|problem| Rejection::Leaf {
+            leaf: index,
+            problem,
+        })?;
         smallest_gap_m = smallest_gap_m.min(gap_m);
     }
     let tolerance = if is_old { V1_SHARE_TOLERANCE } else { 0.0 };
     let stated = [
-        ("verified_share_at_least", claim.verified_share_at_least, verified_share + tolerance),
-        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share + tolerance),
-        ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
+        (
+            "verified_share_at_least",
+            claim.verified_share_at_least,
+            verified_share + tolerance,
+        ),
+        (
+            "falsified_share_at_least",
+            claim.falsified_share_at_least,
+            falsified_share + tolerance,
+        ),
+        (
+            "min_gap_m_at_least",
+            claim.min_gap_m_at_least,
+            smallest_gap_m,
+        ),
     ];
-    let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
+    let is_more = |(_, stated, found): &&(_, f64, f64)| {
+        stated
+            .partial_cmp(found)
+            .is_none_or(std::cmp::Ordering::is_gt)
+    };
     if let Some((field, ..)) = stated.iter().find(is_more) {
         return Err(Rejection::invalid(*field, "exceeds the proved value"));
     }
@@ -348,13 +411,18 @@ pub(crate) fn load_controller(
     digest: &str,
     source: Option<&NetworkFileSource>,
 ) -> Result<NeuralController, Rejection> {
-    let wrong = |problem: &str| Rejection::Policy { problem: problem.to_owned() };
+    let wrong = |problem: &str| Rejection::Policy {
+        problem: problem.to_owned(),
+    };
     let file = file.ok_or_else(|| wrong("is not there"))?;
     let found = sha256(file);
     if found != digest {
-        return Err(Rejection::Policy { problem: format!("has SHA-256 {found}, and `policy_sha256` is {digest}") });
+        return Err(Rejection::Policy {
+            problem: format!("has SHA-256 {found}, and `policy_sha256` is {digest}"),
+        });
     }
-    let controller = NeuralController::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
+    let controller =
+        NeuralController::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
     if controller.source.as_ref() == source {
         Ok(controller)
     } else {
@@ -366,7 +434,10 @@ pub(crate) fn load_controller(
 #[must_use]
 pub fn controller_file_name(digest: &str, is_imported: bool) -> String {
     let kind = if is_imported { "network" } else { "policy" };
-    format!("{kind}-{}.safetensors", digest.get(..12).unwrap_or_default())
+    format!(
+        "{kind}-{}.safetensors",
+        digest.get(..12).unwrap_or_default()
+    )
 }
 
 /// Returns for each leaf the smallest proved gap or the problem, in order; runs on all cores.
@@ -376,13 +447,22 @@ fn check_leaves(
     work: &OpBudget,
 ) -> Vec<Result<f64, String>> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = cores.min(MAX_BYTES / scene.controller.max_decision_bytes().max(1)).max(1);
-    let judge = |(cell, ranges, _): &(PartitionCell, InitialRanges, f64)| check_leaf(scene, cell, ranges, work);
+    let threads = cores
+        .min(MAX_BYTES / scene.controller.max_decision_bytes().max(1))
+        .max(1);
+    let judge = |(cell, ranges, _): &(PartitionCell, InitialRanges, f64)| {
+        check_leaf(scene, cell, ranges, work)
+    };
     std::thread::scope(|scope| {
         let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
-        let parts: Vec<_> = parts.map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>())).collect();
+        let parts: Vec<_> = parts
+            .map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>()))
+            .collect();
         let died = || vec![Err("its check failed".to_owned())];
-        parts.into_iter().flat_map(|part| part.join().unwrap_or_else(|_| died())).collect()
+        parts
+            .into_iter()
+            .flat_map(|part| part.join().unwrap_or_else(|_| died()))
+            .collect()
     })
 }
 
@@ -394,13 +474,29 @@ fn check_leaf(
 ) -> Result<f64, String> {
     match cell {
         PartitionCell::Verified => {
-            let reached = reach_with_budget(&ReachProblem { ranges: *ranges, ..scene.clone() }, work);
+            let reached = reach_with_budget(
+                &ReachProblem {
+                    ranges: *ranges,
+                    ..scene.clone()
+                },
+                work,
+            );
             let gap_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-            reached.undecided.map_or(Ok(gap_m), |undecided| Err(undecided.to_string()))
+            reached
+                .undecided
+                .map_or(Ok(gap_m), |undecided| Err(undecided.to_string()))
         }
         PartitionCell::Falsified(point) => {
-            let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
-            let reached = reach_with_budget(&cell.at_point(point).ok_or("the point is outside the cell")?, work);
+            let cell = ReachProblem {
+                ranges: *ranges,
+                ..scene.clone()
+            };
+            let reached = reach_with_budget(
+                &cell
+                    .at_point(point)
+                    .ok_or("the point is outside the cell")?,
+                work,
+            );
             if reached.surely_collides {
                 Ok(f64::INFINITY)
             } else {

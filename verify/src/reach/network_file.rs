@@ -19,7 +19,8 @@ use serde::Deserialize;
 
 use super::activation::Activation;
 use super::controller::{
-    ControllerInput, LinearLayer, NetworkFileSource, NetworkLayer, NeuralController, OBSERVATION_SIZE,
+    ControllerInput, LinearLayer, NetworkFileSource, NetworkLayer, NeuralController,
+    OBSERVATION_SIZE,
 };
 use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::is_sha256;
@@ -115,48 +116,96 @@ impl NetworkFileQuantity {
     fn is_about_follower(self) -> bool {
         matches!(
             self,
-            Self::GapBehindM | Self::SpeedBehindMps | Self::RelativeSpeedBehindMps | Self::AccelerationBehindMps2
+            Self::GapBehindM
+                | Self::SpeedBehindMps
+                | Self::RelativeSpeedBehindMps
+                | Self::AccelerationBehindMps2
         )
     }
 
     fn is_about_leader(self) -> bool {
         matches!(
             self,
-            Self::GapAheadM | Self::SpeedAheadMps | Self::RelativeSpeedAheadMps | Self::AccelerationAheadMps2
+            Self::GapAheadM
+                | Self::SpeedAheadMps
+                | Self::RelativeSpeedAheadMps
+                | Self::AccelerationAheadMps2
         )
     }
 }
 
 impl NetworkFileInput {
     fn to_controller_input(&self) -> Result<ControllerInput, &'static str> {
-        let Self { quantity, constant, offset, scale, low, high, absent } = *self;
-        let given = [Some(offset), Some(scale), Some(low), Some(high), constant, absent];
+        let Self {
+            quantity,
+            constant,
+            offset,
+            scale,
+            low,
+            high,
+            absent,
+        } = *self;
+        let given = [
+            Some(offset),
+            Some(scale),
+            Some(low),
+            Some(high),
+            constant,
+            absent,
+        ];
         if !given.into_iter().flatten().all(f64::is_finite) || scale == 0.0 || low > high {
             return Err("contains numbers outside their ranges");
         }
         let (of, constant, absent) = match (quantity, constant) {
             (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVATION_SIZE], constant, None),
-            (Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)), None)
-                if absent.is_none() =>
-            {
+            (
+                Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)),
+                None,
+            ) if absent.is_none() => {
                 // A vehicle ahead is always present.
                 let absent = matches!(quantity, NetworkFileQuantity::IsBehind).then_some(0.0);
                 (quantity.coefficients(), 1.0, absent)
             }
-            (Some(quantity), None) if quantity.is_about_follower() => (quantity.coefficients(), 0.0, absent),
-            (Some(quantity), None) if quantity.is_about_leader() => (quantity.coefficients(), 0.0, None),
+            (Some(quantity), None) if quantity.is_about_follower() => {
+                (quantity.coefficients(), 0.0, absent)
+            }
+            (Some(quantity), None) if quantity.is_about_leader() => {
+                (quantity.coefficients(), 0.0, None)
+            }
             (Some(quantity), None) if absent.is_none() => (quantity.coefficients(), 0.0, None),
-            _ => return Err("must be a quantity or a constant; `absent` is only for quantities of another vehicle"),
+            _ => {
+                return Err(
+                    "must be a quantity or a constant; `absent` is only for quantities of another vehicle",
+                );
+            }
         };
-        Ok(ControllerInput { coefficients: of, constant, absent_value: absent, offset, scale, low, high })
+        Ok(ControllerInput {
+            coefficients: of,
+            constant,
+            absent_value: absent,
+            offset,
+            scale,
+            low,
+            high,
+        })
     }
 }
 
 impl NetworkFileHeader {
     fn check(&self) -> Result<(), String> {
-        let Self { version, source, inputs, steps, output, empty_gap_m, decision_interval_s } = self;
+        let Self {
+            version,
+            source,
+            inputs,
+            steps,
+            output,
+            empty_gap_m,
+            decision_interval_s,
+        } = self;
         if *version != VERSION {
-            return Err(format!("{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"));
+            return Err(format!(
+                "{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"
+            ));
         }
         if !is_sha256(&source.sha256) {
             return Err(format!("{METADATA_KEY}: source: `sha256` is not a SHA-256"));
@@ -166,23 +215,37 @@ impl NetworkFileHeader {
         }
         let is_positive = |value: f64| value > 0.0 && value.is_finite();
         if !is_positive(*empty_gap_m) || !is_positive(*decision_interval_s) {
-            return Err(format!("{METADATA_KEY}: `empty_gap_m` and `decision_interval_s` must be positive"));
+            return Err(format!(
+                "{METADATA_KEY}: `empty_gap_m` and `decision_interval_s` must be positive"
+            ));
         }
-        let NetworkFileOutput { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = output;
-        let is_finite = [scale_mps2, offset_mps2, low_mps2, high_mps2].into_iter().all(|value| value.is_finite());
+        let NetworkFileOutput {
+            scale_mps2,
+            offset_mps2,
+            low_mps2,
+            high_mps2,
+            ..
+        } = output;
+        let is_finite = [scale_mps2, offset_mps2, low_mps2, high_mps2]
+            .into_iter()
+            .all(|value| value.is_finite());
         if is_finite && low_mps2 < high_mps2 {
             Ok(())
         } else {
-            Err(format!("{METADATA_KEY}: output: numbers that are not finite and in order"))
+            Err(format!(
+                "{METADATA_KEY}: output: numbers that are not finite and in order"
+            ))
         }
     }
 }
 
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
-    let header: NetworkFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
+    let header: NetworkFileHeader =
+        serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
     let inputs = header.inputs.iter().enumerate().map(|(index, seen)| {
-        seen.to_controller_input().map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}"))
+        seen.to_controller_input()
+            .map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}"))
     });
     let inputs = inputs.collect::<Result<Vec<_>, _>>()?;
     let mut steps = Vec::new();
@@ -199,9 +262,17 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         }
         steps.push(step);
     }
-    let NetworkFileOutput { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 } = header.output;
+    let NetworkFileOutput {
+        answer,
+        scale_mps2,
+        offset_mps2,
+        low_mps2,
+        high_mps2,
+    } = header.output;
     if answer >= width {
-        return Err(format!("{METADATA_KEY}: output: there is no output {answer}"));
+        return Err(format!(
+            "{METADATA_KEY}: output: there is no output {answer}"
+        ));
     }
     let mut controller = NeuralController {
         inputs,
@@ -216,21 +287,33 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         source: Some(header.source),
     };
     // Double-precision arithmetic is monotone, so the largest output decides for all. A sum may round up.
-    let is_last = |each: &Activation| matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. });
+    let is_last = |each: &Activation| {
+        matches!(
+            each,
+            Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. }
+        )
+    };
     if let (Some(NetworkLayer::Activation(each)), Ok(largest)) =
         (controller.layers.last(), controller.max_output_magnitude())
         && is_last(each)
     {
         let farthest = (scale_mps2 * largest).abs();
-        controller.is_clipped = !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
+        controller.is_clipped =
+            !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
     }
     Ok(controller)
 }
 
 impl NetworkFileStep {
-    fn read_layer(&self, index: usize, width: usize, file: &mut SafetensorsFile<'_>) -> Result<NetworkLayer, String> {
+    fn read_layer(
+        &self,
+        index: usize,
+        width: usize,
+        file: &mut SafetensorsFile<'_>,
+    ) -> Result<NetworkLayer, String> {
         let wrong = |problem: &str| Err(format!("{METADATA_KEY}: steps[{index}]: {problem}"));
-        let mut tensor = |name: &str, shape: &[usize]| file.take_tensor(&format!("steps.{index}.{name}"), shape);
+        let mut tensor =
+            |name: &str, shape: &[usize]| file.take_tensor(&format!("steps.{index}.{name}"), shape);
         // Must be a single-precision number, like those of the network.
         let is_single = |number: f64| number.is_finite() && f64::from(number as f32) == number;
         Ok(NetworkLayer::Activation(match *self {
@@ -238,8 +321,16 @@ impl NetworkFileStep {
                 if !(1..=MAX_LAYER_WIDTH).contains(&outputs) || width > MAX_LAYER_WIDTH {
                     return wrong("is too wide");
                 }
-                let (weights, biases) = (tensor("weight", &[width, outputs])?, tensor("bias", &[outputs])?);
-                return Ok(NetworkLayer::Linear(LinearLayer { inputs: width, outputs, weights, biases }));
+                let (weights, biases) = (
+                    tensor("weight", &[width, outputs])?,
+                    tensor("bias", &[outputs])?,
+                );
+                return Ok(NetworkLayer::Linear(LinearLayer {
+                    inputs: width,
+                    outputs,
+                    weights,
+                    biases,
+                }));
             }
             Self::Relu => Activation::Relu,
             Self::LeakyRelu(number) | Self::Elu(number) if !is_single(number) => {

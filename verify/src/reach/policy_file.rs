@@ -59,21 +59,48 @@ struct PolicyFileAction {
 
 impl PolicyFileHeader {
     fn check(&self) -> Result<(), String> {
-        let Self { version, hidden, observation, action, decision_interval_s, estimator, .. } = self;
+        let Self {
+            version,
+            hidden,
+            observation,
+            action,
+            decision_interval_s,
+            estimator,
+            ..
+        } = self;
         if *version != VERSION {
-            return Err(format!("{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"));
+            return Err(format!(
+                "{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"
+            ));
         }
         if !ESTIMATORS.contains(&estimator.as_str()) {
-            return Err(format!("{METADATA_KEY}: estimator: {estimator:?} is not known"));
+            return Err(format!(
+                "{METADATA_KEY}: estimator: {estimator:?} is not known"
+            ));
         }
-        let numbers = hidden.iter().fold(0_usize, |sum, size| sum.saturating_add(*size));
-        let is_too_wide = hidden.iter().any(|size| !(1..=MAX_LAYER_WIDTH).contains(size));
+        let numbers = hidden
+            .iter()
+            .fold(0_usize, |sum, size| sum.saturating_add(*size));
+        let is_too_wide = hidden
+            .iter()
+            .any(|size| !(1..=MAX_LAYER_WIDTH).contains(size));
         if hidden.len() > MAX_LAYERS || numbers > MAX_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
-        let Scaling { offset, scale, limit, empty_gap_m, history, history_every, extra } = observation;
+        let Scaling {
+            offset,
+            scale,
+            limit,
+            empty_gap_m,
+            history,
+            history_every,
+            extra,
+        } = observation;
         let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
-        let positive = scale.iter().chain([limit, empty_gap_m, decision_interval_s]).all(is_positive);
+        let positive = scale
+            .iter()
+            .chain([limit, empty_gap_m, decision_interval_s])
+            .all(is_positive);
         if !positive || !offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling outside its range".to_owned());
         }
@@ -86,7 +113,10 @@ impl PolicyFileHeader {
             let is_not = "only a network with the paper's eight inputs can be analysed";
             return Err(format!("{METADATA_KEY}: observation: extra: {is_not}"));
         }
-        let PolicyFileAction { low_mps2: low, high_mps2: high } = action;
+        let PolicyFileAction {
+            low_mps2: low,
+            high_mps2: high,
+        } = action;
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
@@ -97,8 +127,11 @@ impl PolicyFileHeader {
 
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
     let header: PolicyFileHeader = serde_json::from_str(text).map_err(|error| {
-        let hint =
-            if text.contains("\"departs_from\"") { ": residual policies were removed in crumple 0.3.0" } else { "" };
+        let hint = if text.contains("\"departs_from\"") {
+            ": residual policies were removed in crumple 0.3.0"
+        } else {
+            ""
+        };
         format!("{METADATA_KEY}: {error}{hint}")
     })?;
     header.check()?;
@@ -107,10 +140,21 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         let (inputs, outputs) = (pair[0], pair[1]);
         let weights = file.take_tensor(&format!("actor.{index}.weight"), &[inputs, outputs])?;
         let biases = file.take_tensor(&format!("actor.{index}.bias"), &[outputs])?;
-        Ok(LinearLayer { inputs, outputs, weights, biases })
+        Ok(LinearLayer {
+            inputs,
+            outputs,
+            weights,
+            biases,
+        })
     });
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
-    let Scaling { offset, scale, limit, empty_gap_m, .. } = header.observation;
+    let Scaling {
+        offset,
+        scale,
+        limit,
+        empty_gap_m,
+        ..
+    } = header.observation;
     Ok(NativePolicy {
         layers,
         offset,
@@ -146,10 +190,17 @@ mod tests {
     #[test]
     fn a_history_is_a_number_or_left_out() {
         for field in ["history", "history_every"] {
-            for (value, is_read) in [(serde_json::json!(1), true), (serde_json::Value::Null, false)] {
+            for (value, is_read) in [
+                (serde_json::json!(1), true),
+                (serde_json::Value::Null, false),
+            ] {
                 let mut stated = header_json();
                 stated["observation"][field] = value;
-                assert_eq!(serde_json::from_value::<PolicyFileHeader>(stated).is_ok(), is_read, "{field}");
+                assert_eq!(
+                    serde_json::from_value::<PolicyFileHeader>(stated).is_ok(),
+                    is_read,
+                    "{field}"
+                );
             }
             assert!(check_modified(|header| header.observation.history = 2).is_err());
             assert!(check_modified(|header| header.observation.history_every = 5).is_err());
@@ -161,8 +212,14 @@ mod tests {
         let mut further = header_json();
         further["observation"]["extra"] =
             serde_json::json!([{ "quantity": "last_answer_mps2", "offset": 0, "scale": 5 }]);
-        let refused = serde_json::from_value::<PolicyFileHeader>(further).unwrap().check();
-        assert!(refused.unwrap_err().contains("only a network with the paper's eight inputs"));
+        let refused = serde_json::from_value::<PolicyFileHeader>(further)
+            .unwrap()
+            .check();
+        assert!(
+            refused
+                .unwrap_err()
+                .contains("only a network with the paper's eight inputs")
+        );
     }
 
     fn check_modified(change: impl FnOnce(&mut PolicyFileHeader)) -> Result<(), String> {
@@ -173,8 +230,17 @@ mod tests {
 
     #[test]
     fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
-        for hidden in [vec![], vec![1; MAX_LAYERS], vec![MAX_LAYER_WIDTH, MAX_LAYER_WIDTH], vec![1, MAX_NUMBERS / 2]] {
-            assert_eq!(check_modified(|header| header.hidden.clone_from(&hidden)), Ok(()), "{hidden:?}");
+        for hidden in [
+            vec![],
+            vec![1; MAX_LAYERS],
+            vec![MAX_LAYER_WIDTH, MAX_LAYER_WIDTH],
+            vec![1, MAX_NUMBERS / 2],
+        ] {
+            assert_eq!(
+                check_modified(|header| header.hidden.clone_from(&hidden)),
+                Ok(()),
+                "{hidden:?}"
+            );
         }
         for hidden in [
             vec![1; MAX_LAYERS + 1],
@@ -186,7 +252,11 @@ mod tests {
             vec![usize::MAX, usize::MAX],
         ] {
             let refused = Err("describes too large a network".to_owned());
-            assert_eq!(check_modified(|header| header.hidden.clone_from(&hidden)), refused, "{hidden:?}");
+            assert_eq!(
+                check_modified(|header| header.hidden.clone_from(&hidden)),
+                refused,
+                "{hidden:?}"
+            );
         }
     }
 
@@ -194,27 +264,65 @@ mod tests {
     fn scales_are_positive_and_all_numbers_finite() {
         let refused = Err("has a scaling outside its range".to_owned());
         for wrong in [0.0, -1.0, f64::INFINITY, f64::NAN] {
-            assert_eq!(check_modified(|header| header.observation.scale[7] = wrong), refused, "scale {wrong}");
-            assert_eq!(check_modified(|header| header.observation.limit = wrong), refused, "limit {wrong}");
-            assert_eq!(check_modified(|header| header.observation.empty_gap_m = wrong), refused, "empty gap {wrong}");
-            assert_eq!(check_modified(|header| header.decision_interval_s = wrong), refused, "interval {wrong}");
+            assert_eq!(
+                check_modified(|header| header.observation.scale[7] = wrong),
+                refused,
+                "scale {wrong}"
+            );
+            assert_eq!(
+                check_modified(|header| header.observation.limit = wrong),
+                refused,
+                "limit {wrong}"
+            );
+            assert_eq!(
+                check_modified(|header| header.observation.empty_gap_m = wrong),
+                refused,
+                "empty gap {wrong}"
+            );
+            assert_eq!(
+                check_modified(|header| header.decision_interval_s = wrong),
+                refused,
+                "interval {wrong}"
+            );
         }
         for wrong in [f64::NEG_INFINITY, f64::NAN] {
-            assert_eq!(check_modified(|header| header.observation.offset[0] = wrong), refused, "offset {wrong}");
+            assert_eq!(
+                check_modified(|header| header.observation.offset[0] = wrong),
+                refused,
+                "offset {wrong}"
+            );
         }
-        assert_eq!(check_modified(|header| header.observation.offset = [-1e300; OBSERVATION_SIZE]), Ok(()));
-        assert_eq!(check_modified(|header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVATION_SIZE]), Ok(()));
+        assert_eq!(
+            check_modified(|header| header.observation.offset = [-1e300; OBSERVATION_SIZE]),
+            Ok(())
+        );
+        assert_eq!(
+            check_modified(
+                |header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVATION_SIZE]
+            ),
+            Ok(())
+        );
     }
 
     #[test]
     fn bounds_of_an_action_have_a_difference_and_a_sum() {
         let with = |low, high| {
-            let evaluated = check_modified(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
+            let evaluated = check_modified(|header| {
+                (header.action.low_mps2, header.action.high_mps2) = (low, high)
+            });
             evaluated
-                .inspect_err(|error| assert_eq!(error, "has action bounds that are not finite and in order"))
+                .inspect_err(|error| {
+                    assert_eq!(error, "has action bounds that are not finite and in order")
+                })
                 .is_ok()
         };
-        for (low, high) in [(-7.5, 3.0), (0.0, f64::MIN_POSITIVE), (-1.0, 0.0), (-1e200, 1e200), (1e200, 1e201)] {
+        for (low, high) in [
+            (-7.5, 3.0),
+            (0.0, f64::MIN_POSITIVE),
+            (-1.0, 0.0),
+            (-1e200, 1e200),
+            (1e200, 1e201),
+        ] {
             assert!(with(low, high), "{low} {high}");
         }
         for (low, high) in [

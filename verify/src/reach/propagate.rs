@@ -99,8 +99,12 @@ impl<'a> ReachAnalysis<'a> {
     fn new(scene: &'a ReachProblem<'a>, budget: &'a OpBudget, tube: Option<ReachTube>) -> Self {
         let step = Interval::point(scene.step_s);
         let symbol = |dimension| initial_symbol(scene, dimension);
-        let leader =
-            [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
+        let leader = [
+            BoxDimension::LeaderSpeedMps,
+            BoxDimension::LeaderBrakeMps2,
+            BoxDimension::OnsetSteps,
+        ]
+        .map(symbol);
         Self {
             scene,
             budget,
@@ -134,24 +138,43 @@ pub(super) fn reach_with_budget(scene: &ReachProblem<'_>, work: &OpBudget) -> Re
 /// Bounds the motion and returns the reach tube up to the last instant, unless it ended early or in a sure collision.
 #[must_use]
 pub fn reach_with_tube(scene: &ReachProblem<'_>) -> (ReachResult, Option<ReachTube>) {
-    analyze(scene, &OpBudget::new(WorkLimit::UNLIMITED), Some(ReachTube::new()))
+    analyze(
+        scene,
+        &OpBudget::new(WorkLimit::UNLIMITED),
+        Some(ReachTube::new()),
+    )
 }
 
-fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -> (ReachResult, Option<ReachTube>) {
+fn analyze(
+    scene: &ReachProblem<'_>,
+    work: &OpBudget,
+    tube: Option<ReachTube>,
+) -> (ReachResult, Option<ReachTube>) {
     let symbol = |dimension| initial_symbol(scene, dimension);
     let mut analysis = ReachAnalysis::new(scene, work, tube);
     let shared = SHARED_SYMBOLS + analysis.leader.symbol_count();
-    let at_rest = |speed| VehicleState { speed, ..VehicleState::default() };
-    let driven = scene.follower_law().map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
-    let members = EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
+    let at_rest = |speed| VehicleState {
+        speed,
+        ..VehicleState::default()
+    };
+    let driven = scene
+        .follower_law()
+        .map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
+    let members =
+        EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
     let mut starts = ByMode::default();
     let mode = members.mode as usize;
     starts[mode] = Some(members);
     let never = f64::from(scene.steps);
-    let latched = scene.latched_ttc_s().map(|_| analysis.latched_follower([never, never]));
+    let latched = scene
+        .latched_ttc_s()
+        .map(|_| analysis.latched_follower([never, never]));
     let collides = analysis.propagate(0, starts, latched.as_ref(), true);
     analysis.result.surely_collides = collides == Some(true);
-    (analysis.result, analysis.tube.filter(|_| collides.is_some()))
+    (
+        analysis.result,
+        analysis.tube.filter(|_| collides.is_some()),
+    )
 }
 
 impl ReachProblem<'_> {
@@ -172,7 +195,9 @@ impl ReachProblem<'_> {
 
 impl ReachAnalysis<'_> {
     fn latched_follower(&self, [first, last]: [f64; 2]) -> BrakingVehicle {
-        let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension));
+        let get = |dimension: BoxDimension| {
+            AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension))
+        };
         let window = Interval::new(first, last).unwrap_or(Interval::ENTIRE);
         let onset = AffineForm::symbol(SHARED_SYMBOLS - 1, window);
         let mut follower = BrakingVehicle::new(
@@ -202,11 +227,14 @@ impl ReachAnalysis<'_> {
         while k < self.scene.steps && sets.iter().any(Option::is_some) {
             let mut next: ByMode<StateSet> = ByMode::default();
             let (mut window, mut stays) = (FiringWindow::new(k), true);
-            sets.iter().flatten().for_each(|set| self.record_tube(k, &set.observation));
+            sets.iter()
+                .flatten()
+                .for_each(|set| self.record_tube(k, &set.observation));
             for set in sets.iter().flatten() {
                 let wanted = self.decide(k, set)?;
                 if let (Some(follower), true) = (follower, has_not_fired)
-                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &wanted, follower)
+                    && let Some((instants, surely)) =
+                        self.firing_instants(k, &set.members, &wanted, follower)
                 {
                     window.record_firing(set.members.mode, instants);
                     if surely {
@@ -216,7 +244,11 @@ impl ReachAnalysis<'_> {
                 stays &= set.members.mode == MotionMode::Standing && wanted.range().high() <= 0.0;
                 let (driven, behind_m) = self.advance_follower(&set.members, &wanted).unzip();
                 let members = set.members.clone().with_follower(driven);
-                for members in members.after_decision(&wanted, self.step, every).into_iter().flatten() {
+                for members in members
+                    .after_decision(&wanted, self.step, every)
+                    .into_iter()
+                    .flatten()
+                {
                     let now = self.observe(k + every, members, follower);
                     if self.record_gaps(k, &set.gaps, &now, &wanted, follower, behind_m) {
                         self.tube = None;
@@ -225,24 +257,33 @@ impl ReachAnalysis<'_> {
                     } else {
                         let place = &mut next[now.members.mode as usize];
                         *place = Some(match place.take() {
-                            Some(others) => self.observe(k + every, others.members.join(&now.members), follower),
+                            Some(others) => {
+                                self.observe(k + every, others.members.join(&now.members), follower)
+                            }
                             None => now,
                         });
                     }
                 }
             }
             if window.may_fire() {
-                window.members = sets.each_ref().map(|set| set.as_ref().map(|set| set.members.clone()));
+                window.members = sets
+                    .each_ref()
+                    .map(|set| set.as_ref().map(|set| set.members.clone()));
                 windows.push(window);
                 if windows.len() > MAX_INTERVALS {
-                    self.record_undecided(Undecided::TooManySets { step: k }, &self.gaps[1].clone());
+                    self.record_undecided(
+                        Undecided::TooManySets { step: k },
+                        &self.gaps[1].clone(),
+                    );
                     return None;
                 }
             }
             let goes_on = next.iter().any(Option::is_some);
             if stays && goes_on && self.are_others_at_rest(k, follower) {
                 for set in sets.iter().flatten() {
-                    (k..=self.scene.steps).step_by(every as usize).for_each(|k| self.record_tube(k, &set.observation));
+                    (k..=self.scene.steps)
+                        .step_by(every as usize)
+                        .for_each(|k| self.record_tube(k, &set.observation));
                 }
                 break;
             }
@@ -261,21 +302,41 @@ impl ReachAnalysis<'_> {
         for window in merge_windows(windows, self.scene) {
             self.window_count += 1;
             if self.window_count > MAX_WINDOWS {
-                self.record_undecided(Undecided::TooManySets { step: window.k }, &self.gaps[1].clone());
+                self.record_undecided(
+                    Undecided::TooManySets { step: window.k },
+                    &self.gaps[1].clone(),
+                );
                 return None;
             }
             let follower = self.latched_follower(window.instants);
-            all_touch &= self.propagate(window.k, window.into_firing_sets(), Some(&follower), false)?;
+            all_touch &=
+                self.propagate(window.k, window.into_firing_sets(), Some(&follower), false)?;
         }
         Some(all_touch)
     }
 
     /// Returns the acceleration of a set until the next decision, or `None` if it is too wide.
-    fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<AffineForm> {
+    fn decide(
+        &mut self,
+        k: u32,
+        StateSet {
+            members,
+            observation: seen,
+            ..
+        }: &StateSet,
+    ) -> Option<AffineForm> {
         let of_leader = OPS_PER_LEADER_SYMBOL * self.leader.symbol_count() as u64;
-        self.budget.charge(OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps));
-        let ReachProblem { controller, observation_error, follower, .. } = self.scene;
-        let wanted = controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
+        self.budget.charge(
+            OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps),
+        );
+        let ReachProblem {
+            controller,
+            observation_error,
+            follower,
+            ..
+        } = self.scene;
+        let wanted =
+            controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
         let wanted = wanted.with_rest_as_symbol(members.next_symbol);
         if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
             return Some(wanted);
@@ -286,14 +347,17 @@ impl ReachAnalysis<'_> {
 
     fn are_others_at_rest(&self, k: u32, follower: Option<&BrakingVehicle>) -> bool {
         // A follower with a law may creep for ever.
-        let has_stood =
-            follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.follower_law().is_none();
+        let has_stood = follower.is_none_or(|follower| follower.has_stood(k, self.step))
+            && self.scene.follower_law().is_none();
         has_stood && self.leader.has_stood(k, self.step)
     }
 
     fn record_tube(&mut self, k: u32, seen: &[AffineForm; OBSERVATION_SIZE]) {
         let Some(tube) = &mut self.tube else { return };
-        let (decision, ranges) = ((k / self.scene.decision_steps) as usize, seen.each_ref().map(AffineForm::range));
+        let (decision, ranges) = (
+            (k / self.scene.decision_steps) as usize,
+            seen.each_ref().map(AffineForm::range),
+        );
         match tube.get_mut(decision) {
             Some(known) => *known = std::array::from_fn(|i| known[i].hull(ranges[i])),
             None => tube.push(ranges),
@@ -306,19 +370,37 @@ impl ReachAnalysis<'_> {
         let ego = members.ego.clone();
         let [ahead, behind] = &self.gaps;
         let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
-        let follower = members.follower.clone().or_else(|| Some(follower?.state_at(k, self.step)));
+        let follower = members
+            .follower
+            .clone()
+            .or_else(|| Some(follower?.state_at(k, self.step)));
         let (behind, follower) = match follower {
-            Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
+            Some(follower) => (
+                behind.clone().plus(&ego.distance).minus(&follower.distance),
+                follower,
+            ),
             None => {
-                let absent = VehicleState { acceleration: AffineForm::default(), ..ego.clone() };
-                (AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)), absent)
+                let absent = VehicleState {
+                    acceleration: AffineForm::default(),
+                    ..ego.clone()
+                };
+                (
+                    AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)),
+                    absent,
+                )
             }
         };
         let gaps = [ahead.clone(), behind.clone()];
-        let (speeds, accelerations) =
-            ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
+        let (speeds, accelerations) = (
+            [leader.speed, ego.speed, follower.speed],
+            [leader.acceleration, ego.acceleration, follower.acceleration],
+        );
         let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
-        StateSet { members, observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps }
+        StateSet {
+            members,
+            observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
+            gaps,
+        }
     }
 
     /// Returns the instants of a decision interval at which the brake may fire, and whether it surely does.
@@ -335,7 +417,10 @@ impl ReachAnalysis<'_> {
             let ego = members.ego_after(wanted, self.step, j);
             let mut guard = self.gaps[1].clone().plus(&ego.distance);
             guard.add_scaled(&ego.speed, theta);
-            guard.add_scaled(&follower.speed, -(theta + Interval::point(f64::from(k + j)) * self.step));
+            guard.add_scaled(
+                &follower.speed,
+                -(theta + Interval::point(f64::from(k + j)) * self.step),
+            );
             let (guard, instant) = (guard.range(), f64::from(k + j));
             if guard.low() < 0.0 {
                 let first = *first.get_or_insert(instant);
@@ -349,10 +434,21 @@ impl ReachAnalysis<'_> {
     }
 
     /// Returns a follower with a law at the next decision, and a bound of the gap until then, in metres.
-    fn advance_follower(&self, members: &EgoSet, wanted: &AffineForm) -> Option<(VehicleState, f64)> {
+    fn advance_follower(
+        &self,
+        members: &EgoSet,
+        wanted: &AffineForm,
+    ) -> Option<(VehicleState, f64)> {
         let start = members.follower.as_ref()?;
-        self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps));
-        let behind = LawFollower::new(self.scene.follower_law()?, &self.scene.ranges, &self.gaps[1], self.step);
+        self.budget.charge(
+            OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps),
+        );
+        let behind = LawFollower::new(
+            self.scene.follower_law()?,
+            &self.scene.ranges,
+            &self.gaps[1],
+            self.step,
+        );
         let eighth = self.step.sqr() * Interval::point(0.125);
         let ahead = wanted.range().max(Interval::ZERO);
         let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
@@ -360,7 +456,10 @@ impl ReachAnalysis<'_> {
             let ego_later = members.ego_after(wanted, self.step, j);
             let (later, acceleration) = behind.advance(&own, &ego);
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
-            let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
+            let ends = behind
+                .gap(&ego, &own)
+                .range()
+                .min(behind.gap(&ego_later, &later).range());
             least_m = least_m.min((ends - m * eighth).low());
             (own, ego) = (later, ego_later);
         }
@@ -388,15 +487,31 @@ impl ReachAnalysis<'_> {
         };
         // There is no follower, or one that brakes at most as hard as stated.
         let moves = now.members.ego.speed.range().low() > 0.0;
-        let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
+        let ahead = if moves {
+            acts_mps2
+        } else {
+            acts_mps2.max(Interval::ZERO)
+        };
         // No vehicle reverses: the gap to a standing follower never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
-        let latched_m = latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
+        let latched_m =
+            latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
         let mut collides = false;
-        for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)].into_iter().flatten().enumerate() {
+        for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)]
+            .into_iter()
+            .flatten()
+            .enumerate()
+        {
             self.result.gaps_m[pair] = self.result.gaps_m[pair].min(gap_m);
             if gap_m <= 0.0 {
-                self.record_undecided(Undecided::MayCollide { pair, step: k, gap_m }, &now.gaps[pair]);
+                self.record_undecided(
+                    Undecided::MayCollide {
+                        pair,
+                        step: k,
+                        gap_m,
+                    },
+                    &now.gaps[pair],
+                );
             }
             collides |= now.gaps[pair].range().high() < 0.0;
         }
@@ -408,7 +523,8 @@ impl ReachAnalysis<'_> {
         if self.result.undecided.is_none() {
             self.result.undecided = Some(undecided);
             let terms = about.terms();
-            self.result.sensitivity = std::array::from_fn(|i| terms.get(i).copied().unwrap_or(0.0).abs());
+            self.result.sensitivity =
+                std::array::from_fn(|i| terms.get(i).copied().unwrap_or(0.0).abs());
         }
     }
 }

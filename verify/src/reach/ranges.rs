@@ -29,7 +29,10 @@ pub struct InitialRanges {
 /// One of the ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "each is the field of `InitialRanges` of that name")]
+#[expect(
+    missing_docs,
+    reason = "each is the field of `InitialRanges` of that name"
+)]
 pub enum BoxDimension {
     GapAheadM,
     GapBehindM,
@@ -114,7 +117,10 @@ impl InitialRanges {
         let mut at = *self;
         for (dimension, &value) in BoxDimension::ALL.into_iter().zip(point) {
             let range = at.get_mut(dimension);
-            *range = range.contains(value).then(|| Interval::new(value, value)).flatten()?;
+            *range = range
+                .contains(value)
+                .then(|| Interval::new(value, value))
+                .flatten()?;
         }
         Some(at)
     }

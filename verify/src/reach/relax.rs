@@ -18,8 +18,14 @@ use crate::interval::Interval;
 const ONE: Interval = Interval::ONE;
 
 pub(super) fn linear_enclosure(x: &AffineForm, slope: f64, low: f64, high: f64) -> AffineForm {
-    let Some(off) = Interval::new(low, high) else { return AffineForm::entire() };
-    let mut line = if slope == 0.0 { AffineForm::default() } else { x.scaled(Interval::point(slope)) };
+    let Some(off) = Interval::new(low, high) else {
+        return AffineForm::entire();
+    };
+    let mut line = if slope == 0.0 {
+        AffineForm::default()
+    } else {
+        x.scaled(Interval::point(slope))
+    };
     line.shift(off);
     line
 }
@@ -58,7 +64,12 @@ pub fn relu_squared(x: &AffineForm) -> AffineForm {
         return AffineForm::default();
     }
     let rectified = |x: Interval| x.max(Interval::ZERO);
-    relax_convex(x, |x| rectified(x).sqr(), |x| rectified(x) + rectified(x), |slope| slope / 2.0)
+    relax_convex(
+        x,
+        |x| rectified(x).sqr(),
+        |x| rectified(x) + rectified(x),
+        |slope| slope / 2.0,
+    )
 }
 
 /// Returns 1 / x; the whole line unless x is positive.
@@ -67,7 +78,12 @@ pub fn reciprocal(x: &AffineForm) -> AffineForm {
     if x.range().low() <= 0.0 {
         return AffineForm::entire();
     }
-    relax_convex(x, |x| ONE.over(x), |x| -ONE.over(x.sqr()), |slope| (-1.0 / slope).sqrt())
+    relax_convex(
+        x,
+        |x| ONE.over(x),
+        |x| -ONE.over(x.sqr()),
+        |slope| (-1.0 / slope).sqrt(),
+    )
 }
 
 fn relax_convex(
@@ -79,15 +95,25 @@ fn relax_convex(
     let (low, high) = (x.range().low(), x.range().high());
     let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
     let (slope, highest) = chord([low, high], &value, [least, most]);
-    linear_enclosure(x, slope, tangent_lower_bound(value, derivative, slope, touch(slope), [low, high]), highest)
+    linear_enclosure(
+        x,
+        slope,
+        tangent_lower_bound(value, derivative, slope, touch(slope), [low, high]),
+        highest,
+    )
 }
 
 /// Returns a slope near the chord's, within limits, and the maximum of f - s x for convex f, which is at an end.
-fn chord([low, high]: [f64; 2], value: impl Fn(Interval) -> Interval, [least, most]: [f64; 2]) -> (f64, f64) {
+fn chord(
+    [low, high]: [f64; 2],
+    value: impl Fn(Interval) -> Interval,
+    [least, most]: [f64; 2],
+) -> (f64, f64) {
     let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
     let chord = (at_high.low() - at_low.low()) / (high - low);
     let slope = chord.max(least).min(most);
-    let above = |end: f64, value: Interval| (value - Interval::point(slope) * Interval::point(end)).high();
+    let above =
+        |end: f64, value: Interval| (value - Interval::point(slope) * Interval::point(end)).high();
     (slope, above(low, at_low).max(above(high, at_high)))
 }
 
@@ -119,7 +145,11 @@ pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     }
     let [at_low, at_high] = [low, high].map(tanh);
     let chord = (at_high.low() - at_low.low()) / (high - low);
-    let slope = if chord.is_finite() { chord.clamp(0.0, 1.0) } else { 0.0 };
+    let slope = if chord.is_finite() {
+        chord.clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     let touch = (1.0 - slope).sqrt().min(1.0 - 1e-15).atanh();
     // An upper bound of tanh z - s z for 0 ≤ a ≤ z ≤ b; the negative of the tangent bound of -tanh.
     let most = |a: f64, b: f64| -> f64 {
@@ -136,7 +166,11 @@ pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     }
     // A line that exceeds the range of tanh is worse than a constant.
     let reach = slope * (0.5 * high - 0.5 * low) + 0.5 * (bounds.high() - bounds.low());
-    if reach < 1.0 { (slope, bounds) } else { (0.0, at_low.hull(at_high)) }
+    if reach < 1.0 {
+        (slope, bounds)
+    } else {
+        (0.0, at_low.hull(at_high))
+    }
 }
 
 /// Returns for l < 0 a slope s, and bounds of f(x) - s x over [l, h] for the ELU f.
@@ -147,7 +181,14 @@ pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval)
     let value = |x: Interval| elu(alpha, x.low());
     if !(0.0..=1.0).contains(&alpha) {
         let ends = value(Interval::point(low)).hull(value(Interval::point(high)));
-        return (0.0, if high > 0.0 { ends.hull(Interval::ZERO) } else { ends });
+        return (
+            0.0,
+            if high > 0.0 {
+                ends.hull(Interval::ZERO)
+            } else {
+                ends
+            },
+        );
     }
     let (slope, highest) = chord([low, high], value, [0.0, 1.0]);
     let least = if slope >= alpha {
@@ -158,15 +199,26 @@ pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval)
         let steepness = |x: Interval| Interval::point(alpha) * exp(x.low());
         tangent_lower_bound(value, steepness, slope, touch, [low, high.min(0.0)])
     };
-    (slope, Interval::new(least, highest).unwrap_or(Interval::ENTIRE))
+    (
+        slope,
+        Interval::new(least, highest).unwrap_or(Interval::ENTIRE),
+    )
 }
 
 fn elu(alpha: f64, x: f64) -> Interval {
-    if x >= 0.0 { Interval::point(x) } else { Interval::point(alpha) * (exp(x) - ONE) }
+    if x >= 0.0 {
+        Interval::point(x)
+    } else {
+        Interval::point(alpha) * (exp(x) - ONE)
+    }
 }
 
 fn exp(x: f64) -> Interval {
-    if x < -40.0 { Interval::ZERO.hull(exp_neg(40.0)) } else { exp_neg(-x) }
+    if x < -40.0 {
+        Interval::ZERO.hull(exp_neg(40.0))
+    } else {
+        exp_neg(-x)
+    }
 }
 
 /// Returns tanh of a number.
@@ -187,7 +239,11 @@ pub fn tanh(z: f64) -> Interval {
 pub(crate) fn exp_neg(y: f64) -> Interval {
     let t = Interval::point(y / 1024.0);
     // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the sum of one degree less.
-    let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);
+    let sum = |degree: u32| {
+        (1..=degree).rev().fold(ONE, |sum, n| {
+            ONE - t.over(Interval::point(f64::from(n))) * sum
+        })
+    };
     (0..10).fold(sum(7).hull(sum(8)), |power, _| power.sqr())
 }
 

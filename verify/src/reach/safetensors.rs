@@ -67,41 +67,76 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
         let doubled = |name: &str| A::Error::custom(format_args!("duplicate key {name:?}"));
         while let Some(name) = entries.next_key::<String>()? {
             if name == "__metadata__" {
-                if description.replace(entries.next_value::<Metadata>()?).is_some() {
+                if description
+                    .replace(entries.next_value::<Metadata>()?)
+                    .is_some()
+                {
                     return Err(doubled(&name));
                 }
-            } else if tensors.insert(name.clone(), entries.next_value::<TensorInfo>()?).is_some() {
+            } else if tensors
+                .insert(name.clone(), entries.next_value::<TensorInfo>()?)
+                .is_some()
+            {
                 return Err(doubled(&name));
             }
         }
-        let description = description.ok_or_else(|| A::Error::custom("does not describe a network"))?;
-        Ok(SafetensorsHeader { description, tensors })
+        let description =
+            description.ok_or_else(|| A::Error::custom("does not describe a network"))?;
+        Ok(SafetensorsHeader {
+            description,
+            tensors,
+        })
     }
 }
 
 impl SafetensorsFile<'_> {
     /// Checks that tensors lie one after the other, without a gap, and up to the end.
     fn check_offsets(&self) -> Result<(), String> {
-        let mut places: Vec<[usize; 2]> = self.tensors.values().map(|entry| entry.data_offsets).collect();
+        let mut places: Vec<[usize; 2]> = self
+            .tensors
+            .values()
+            .map(|entry| entry.data_offsets)
+            .collect();
         places.sort_unstable();
-        let end = places.iter().try_fold(0, |end, &[from, to]| (from == end && to >= from).then_some(to));
+        let end = places.iter().try_fold(0, |end, &[from, to]| {
+            (from == end && to >= from).then_some(to)
+        });
         let is_whole = end == Some(self.data.len());
-        if is_whole { Ok(()) } else { Err("has tensors that overlap, or bytes outside all tensors".to_owned()) }
+        if is_whole {
+            Ok(())
+        } else {
+            Err("has tensors that overlap, or bytes outside all tensors".to_owned())
+        }
     }
 
     /// Takes the numbers of a single-precision tensor, all finite; each can be taken once.
     pub(super) fn take_tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
-        let entry = self.tensors.remove(name).ok_or_else(|| format!("has no tensor {name}"))?;
+        let entry = self
+            .tensors
+            .remove(name)
+            .ok_or_else(|| format!("has no tensor {name}"))?;
         let [from, to] = entry.data_offsets;
-        let numbers = self.data.get(from..to).filter(|_| entry.dtype == "F32" && entry.shape == shape);
-        let length = shape.iter().try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
+        let numbers = self
+            .data
+            .get(from..to)
+            .filter(|_| entry.dtype == "F32" && entry.shape == shape);
+        let length = shape
+            .iter()
+            .try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
         let numbers = numbers.filter(|bytes| Some(bytes.len()) == length);
-        let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} has a wrong type or shape"))?.as_chunks::<4>();
-        let numbers: Vec<f64> = numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect();
+        let (numbers, _) = numbers
+            .ok_or_else(|| format!("tensor {name} has a wrong type or shape"))?
+            .as_chunks::<4>();
+        let numbers: Vec<f64> = numbers
+            .iter()
+            .map(|&bytes| f32::from_le_bytes(bytes).into())
+            .collect();
         if numbers.iter().all(|value| value.is_finite()) {
             Ok(numbers)
         } else {
-            Err(format!("tensor {name} contains a number that is not finite"))
+            Err(format!(
+                "tensor {name} contains a number that is not finite"
+            ))
         }
     }
 }
@@ -113,13 +148,18 @@ impl NeuralController {
     /// A description of the problem.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (length, rest) = bytes.split_first_chunk::<8>().ok_or("is too short")?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
-        let (listing, data) = rest.split_at_checked(length).ok_or("is shorter than its header states")?;
+        let length =
+            usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
+        let (listing, data) = rest
+            .split_at_checked(length)
+            .ok_or("is shorter than its header states")?;
         if length > MAX_HEADER_BYTES {
             return Err("has a header that is too long".to_owned());
         }
-        let SafetensorsHeader { description, tensors } =
-            serde_json::from_slice(listing).map_err(|error| format!("header: {error}"))?;
+        let SafetensorsHeader {
+            description,
+            tensors,
+        } = serde_json::from_slice(listing).map_err(|error| format!("header: {error}"))?;
         let mut file = SafetensorsFile { tensors, data };
         file.check_offsets()?;
         let controller = match (description.crumple_policy, description.crumple_network) {
@@ -128,7 +168,9 @@ impl NeuralController {
             _ => return Err("must describe exactly one network".to_owned()),
         };
         if let Some(name) = file.tensors.keys().next() {
-            return Err(format!("tensor {name:?} is not part of the described network"));
+            return Err(format!(
+                "tensor {name:?} is not part of the described network"
+            ));
         }
         match controller.max_output_magnitude() {
             Ok(_) => Ok(controller),
@@ -143,7 +185,11 @@ impl NeuralController {
         // Half of the range is left for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
         let fits = |bounds: &[f64]| bounds.iter().all(|&bound| bound <= highest);
-        let mut bounds: Vec<f64> = self.inputs.iter().map(|input| input.low.abs().max(input.high.abs())).collect();
+        let mut bounds: Vec<f64> = self
+            .inputs
+            .iter()
+            .map(|input| input.low.abs().max(input.high.abs()))
+            .collect();
         let mut layers = 0;
         if !fits(&bounds) {
             return Err(layers);
@@ -152,8 +198,13 @@ impl NeuralController {
             match step {
                 NetworkLayer::Linear(layer) => {
                     let mut sums: Vec<f64> = layer.biases.iter().map(|bias| bias.abs()).collect();
-                    for (bound, row) in bounds.iter().zip(layer.weights.chunks_exact(layer.outputs.max(1))) {
-                        sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * weight.abs());
+                    for (bound, row) in bounds
+                        .iter()
+                        .zip(layer.weights.chunks_exact(layer.outputs.max(1)))
+                    {
+                        sums.iter_mut()
+                            .zip(row)
+                            .for_each(|(sum, weight)| *sum += bound * weight.abs());
                     }
                     bounds = sums;
                     layers += 1;
@@ -180,7 +231,11 @@ mod tests {
     use crate::reach::{Activation, ControllerInput, LinearLayer, OBSERVATION_SIZE};
 
     fn two_input_controller(steps: Vec<NetworkLayer>, answer: usize) -> NeuralController {
-        let input = |low, high| ControllerInput { low, high, ..affine_input([0.0; OBSERVATION_SIZE], 0.0) };
+        let input = |low, high| ControllerInput {
+            low,
+            high,
+            ..affine_input([0.0; OBSERVATION_SIZE], 0.0)
+        };
         NeuralController {
             inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
             layers: steps,
@@ -190,17 +245,28 @@ mod tests {
     }
 
     fn layer(weights: [f64; 4], biases: [f64; 2]) -> NetworkLayer {
-        NetworkLayer::Linear(LinearLayer { inputs: 2, outputs: 2, weights: weights.to_vec(), biases: biases.to_vec() })
+        NetworkLayer::Linear(LinearLayer {
+            inputs: 2,
+            outputs: 2,
+            weights: weights.to_vec(),
+            biases: biases.to_vec(),
+        })
     }
 
     #[test]
     fn the_largest_answer_is_a_sum_of_sizes() {
         let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
         for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
-            assert_eq!(two_input_controller(vec![plain.clone()], answer).max_output_magnitude(), Ok(expected));
             assert_eq!(
-                two_input_controller(vec![plain.clone(), NetworkLayer::Activation(Activation::Tanh)], answer)
-                    .max_output_magnitude(),
+                two_input_controller(vec![plain.clone()], answer).max_output_magnitude(),
+                Ok(expected)
+            );
+            assert_eq!(
+                two_input_controller(
+                    vec![plain.clone(), NetworkLayer::Activation(Activation::Tanh)],
+                    answer
+                )
+                .max_output_magnitude(),
                 Ok(1.0)
             );
         }
@@ -208,7 +274,11 @@ mod tests {
             [0, 1].map(|answer| two_input_controller(vec![], answer).max_output_magnitude()),
             [Ok(2.0), Ok(3.0)]
         );
-        assert_eq!(two_input_controller(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
+        assert_eq!(
+            two_input_controller(vec![plain], 2).max_output_magnitude(),
+            Err(1),
+            "there is none"
+        );
     }
 
     #[test]
@@ -216,12 +286,26 @@ mod tests {
         let half = 0.5 * f64::from(f32::MAX);
         let calm = layer([1.0, 0.0, 0.0, 1.0], [0.0, 0.0]);
         let wild = |number: f64| layer([0.25 * number, 0.0, 0.0, 0.0], [0.5 * number, 0.0]);
-        assert_eq!(two_input_controller(vec![wild(half)], 0).max_output_magnitude(), Ok(half));
-        assert_eq!(two_input_controller(vec![wild(half.next_up())], 0).max_output_magnitude(), Err(0));
-        assert_eq!(two_input_controller(vec![calm.clone(), wild(half)], 0).max_output_magnitude(), Ok(half));
-        assert_eq!(two_input_controller(vec![calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(1));
         assert_eq!(
-            two_input_controller(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(),
+            two_input_controller(vec![wild(half)], 0).max_output_magnitude(),
+            Ok(half)
+        );
+        assert_eq!(
+            two_input_controller(vec![wild(half.next_up())], 0).max_output_magnitude(),
+            Err(0)
+        );
+        assert_eq!(
+            two_input_controller(vec![calm.clone(), wild(half)], 0).max_output_magnitude(),
+            Ok(half)
+        );
+        assert_eq!(
+            two_input_controller(vec![calm.clone(), wild(half.next_up())], 0)
+                .max_output_magnitude(),
+            Err(1)
+        );
+        assert_eq!(
+            two_input_controller(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0)
+                .max_output_magnitude(),
             Err(2)
         );
         let multiplied = NetworkLayer::Activation(Activation::Multiply(vec![half, 0.0]));
@@ -240,15 +324,32 @@ mod tests {
     #[test]
     fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
         let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
-            let data: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-            let entry = TensorInfo { dtype: dtype.to_owned(), shape: shape.to_vec(), data_offsets: place };
-            let mut file = SafetensorsFile { tensors: [("w".to_owned(), entry)].into(), data: &data };
+            let data: Vec<u8> = numbers
+                .iter()
+                .flat_map(|number| number.to_le_bytes())
+                .collect();
+            let entry = TensorInfo {
+                dtype: dtype.to_owned(),
+                shape: shape.to_vec(),
+                data_offsets: place,
+            };
+            let mut file = SafetensorsFile {
+                tensors: [("w".to_owned(), entry)].into(),
+                data: &data,
+            };
             let read = file.take_tensor("w", &[2, 3]);
-            assert_eq!(file.take_tensor("w", &[2, 3]), Err("has no tensor w".to_owned()), "a second time");
+            assert_eq!(
+                file.take_tensor("w", &[2, 3]),
+                Err("has no tensor w".to_owned()),
+                "a second time"
+            );
             read
         };
         let (numbers, all) = ([1.0, -2.0, 0.5, 3.0, 0.25, f32::MAX], [0, 24]);
-        assert_eq!(of("F32", &[2, 3], all, numbers), Ok(numbers.map(f64::from).to_vec()));
+        assert_eq!(
+            of("F32", &[2, 3], all, numbers),
+            Ok(numbers.map(f64::from).to_vec())
+        );
         for (dtype, shape, place) in [
             ("I32", &[2, 3][..], all),
             ("f32", &[2, 3], all),
@@ -259,11 +360,18 @@ mod tests {
             ("F32", &[2, 3], [0, 0]),
         ] {
             let wrong = Err("tensor w has a wrong type or shape".to_owned());
-            assert_eq!(of(dtype, shape, place, numbers), wrong, "{dtype} {shape:?} {place:?}");
+            assert_eq!(
+                of(dtype, shape, place, numbers),
+                wrong,
+                "{dtype} {shape:?} {place:?}"
+            );
         }
         for number in [f32::NAN, f32::INFINITY] {
             let endless = of("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
-            assert_eq!(endless, Err("tensor w contains a number that is not finite".to_owned()));
+            assert_eq!(
+                endless,
+                Err("tensor w contains a number that is not finite".to_owned())
+            );
         }
     }
 
@@ -271,7 +379,8 @@ mod tests {
     fn a_file_without_tensors_gets_the_expected_format() {
         let file = [&2_u64.to_le_bytes()[..], b"[]"].concat();
         let error = NeuralController::from_bytes(&file).unwrap_err();
-        let expected = "header: invalid type: sequence, expected tensors by name, and `__metadata__`";
+        let expected =
+            "header: invalid type: sequence, expected tensors by name, and `__metadata__`";
         assert!(error.starts_with(expected), "{error}");
     }
 }

@@ -26,13 +26,22 @@ fn claim(partition: Vec<PartitionCell>) -> ReachClaim {
 }
 
 fn problem<T>(result: Result<T, Rejection>) -> String {
-    result.err().map(|rejection| rejection.to_string()).unwrap_or_default()
+    result
+        .err()
+        .map(|rejection| rejection.to_string())
+        .unwrap_or_default()
 }
 
 #[test]
 fn a_file_name_begins_with_kind_and_digest() {
-    assert_eq!(controller_file_name("0123456789abcdef", false), "policy-0123456789ab.safetensors");
-    assert_eq!(controller_file_name("0123456789abcdef", true), "network-0123456789ab.safetensors");
+    assert_eq!(
+        controller_file_name("0123456789abcdef", false),
+        "policy-0123456789ab.safetensors"
+    );
+    assert_eq!(
+        controller_file_name("0123456789abcdef", true),
+        "network-0123456789ab.safetensors"
+    );
 }
 
 #[test]
@@ -43,7 +52,15 @@ fn a_claim_is_about_as_many_steps_as_it_has() {
 #[test]
 fn steps_are_positive_and_divide_the_time_between_decisions() {
     let controller = constant_controller(0.0);
-    let of = |step_s: f64| problem(ReachClaim { step_s, ..claim(vec![PartitionCell::Undecided]) }.problem(&controller));
+    let of = |step_s: f64| {
+        problem(
+            ReachClaim {
+                step_s,
+                ..claim(vec![PartitionCell::Undecided])
+            }
+            .problem(&controller),
+        )
+    };
     for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
         assert!(of(step_s).ends_with("must be positive"), "{step_s}");
     }
@@ -55,12 +72,20 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
 fn a_cell_is_cut_no_more_often_than_may_be() {
     let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
     for (cuts, expected) in [(MAX_CUTS, ""), (MAX_CUTS + 1, "cuts too often")] {
-        let lower: Vec<PartitionCell> = [vec![cut; cuts], vec![PartitionCell::Undecided; cuts + 1]].concat();
-        let upper: Vec<PartitionCell> =
-            [[cut, PartitionCell::Undecided].repeat(cuts), vec![PartitionCell::Undecided]].concat();
+        let lower: Vec<PartitionCell> =
+            [vec![cut; cuts], vec![PartitionCell::Undecided; cuts + 1]].concat();
+        let upper: Vec<PartitionCell> = [
+            [cut, PartitionCell::Undecided].repeat(cuts),
+            vec![PartitionCell::Undecided],
+        ]
+        .concat();
         for partition in [lower, upper] {
             let leaves = claim(partition).leaves();
-            assert!(leaves.as_ref().map_or(true, |leaves| leaves.len() == cuts + 1));
+            assert!(
+                leaves
+                    .as_ref()
+                    .map_or(true, |leaves| leaves.len() == cuts + 1)
+            );
             assert!(problem(leaves).ends_with(expected));
         }
     }
@@ -68,9 +93,13 @@ fn a_cell_is_cut_no_more_often_than_may_be() {
 
 #[test]
 fn a_partition_of_too_many_cells_is_refused_as_such() {
-    assert!(problem(claim(vec![PartitionCell::Undecided; MAX_CELLS + 1]).leaves()).ends_with("has too many cells"));
     assert!(
-        problem(claim(vec![PartitionCell::Undecided; 2]).leaves()).ends_with("is one cell more than the cuts create")
+        problem(claim(vec![PartitionCell::Undecided; MAX_CELLS + 1]).leaves())
+            .ends_with("has too many cells")
+    );
+    assert!(
+        problem(claim(vec![PartitionCell::Undecided; 2]).leaves())
+            .ends_with("is one cell more than the cuts create")
     );
 }
 
@@ -80,11 +109,23 @@ fn a_point_is_one_of_its_cell() {
     let controller = constant_controller(0.0);
     let mut ranges = point_box([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     ranges.gap_ahead_m = interval(1.0, 2.0);
-    let (scene, work) = (default_problem(&controller, ranges), OpBudget::new(WorkLimit::UNLIMITED));
+    let (scene, work) = (
+        default_problem(&controller, ranges),
+        OpBudget::new(WorkLimit::UNLIMITED),
+    );
     let point = |gap_m: f64| PartitionCell::Falsified([gap_m, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     let mut cell = ranges;
     cell.gap_ahead_m = interval(1.0, 1.5);
-    assert_eq!(check_leaf(&scene, &point(1.25), &cell, &work), Ok(f64::INFINITY));
-    assert_eq!(check_leaf(&scene, &point(1.75), &cell, &work), Err("the point is outside the cell".to_owned()));
-    assert_eq!(check_leaf(&scene, &point(1.75), &ranges, &work), Ok(f64::INFINITY));
+    assert_eq!(
+        check_leaf(&scene, &point(1.25), &cell, &work),
+        Ok(f64::INFINITY)
+    );
+    assert_eq!(
+        check_leaf(&scene, &point(1.75), &cell, &work),
+        Err("the point is outside the cell".to_owned())
+    );
+    assert_eq!(
+        check_leaf(&scene, &point(1.75), &ranges, &work),
+        Ok(f64::INFINITY)
+    );
 }

@@ -12,10 +12,14 @@ impl ReachClaim {
     /// [`Rejection`] if the cuts do not make a partition.
     pub fn volume_shares(&self) -> Result<[f64; 2], Rejection> {
         let leaves = self.leaves()?;
-        if leaves.iter().all(|(cell, ..)| *cell == PartitionCell::Verified) {
+        if leaves
+            .iter()
+            .all(|(cell, ..)| *cell == PartitionCell::Verified)
+        {
             return Ok([1.0, 0.0]);
         }
-        let of = |sums: [f64; 2], (cell, _, share): (PartitionCell, InitialRanges, f64)| match cell {
+        let of = |sums: [f64; 2], (cell, _, share): (PartitionCell, InitialRanges, f64)| match cell
+        {
             PartitionCell::Verified => [add_shares(sums[0], share), sums[1]],
             PartitionCell::Falsified(_) => [sums[0], add_shares(sums[1], share)],
             PartitionCell::Undecided | PartitionCell::Cut(_) => sums,
@@ -38,7 +42,9 @@ pub(super) fn part_share(share: f64, part: Interval, whole: Interval) -> f64 {
         return 0.5 * share;
     }
     let size = |range: Interval| Interval::point(range.high()) - Interval::point(range.low());
-    (Interval::point(share) * size(part).over(size(whole))).low().clamp(0.0, share)
+    (Interval::point(share) * size(part).over(size(whole)))
+        .low()
+        .clamp(0.0, share)
 }
 
 /// Adds two shares, rounded down unless exact.

@@ -23,7 +23,12 @@ pub(super) struct FiringWindow {
 
 impl FiringWindow {
     pub(super) fn new(k: u32) -> Self {
-        Self { k, members: ByMode::default(), fires_by_mode: [false; 3], instants: [f64::INFINITY, f64::NEG_INFINITY] }
+        Self {
+            k,
+            members: ByMode::default(),
+            fires_by_mode: [false; 3],
+            instants: [f64::INFINITY, f64::NEG_INFINITY],
+        }
     }
 
     pub(super) fn may_fire(&self) -> bool {
@@ -37,9 +42,14 @@ impl FiringWindow {
 
     /// Adds the members that fire in a later window. Moving ones moved before; all others may have been in any mode.
     fn extend(&mut self, later: &Self) {
-        let before =
-            if later.fires_by_mode == [true, false, false] { &[MotionMode::Moving][..] } else { &MotionMode::ALL };
-        before.iter().for_each(|&mode| self.record_firing(mode, later.instants));
+        let before = if later.fires_by_mode == [true, false, false] {
+            &[MotionMode::Moving][..]
+        } else {
+            &MotionMode::ALL
+        };
+        before
+            .iter()
+            .for_each(|&mode| self.record_firing(mode, later.instants));
     }
 
     pub(super) fn into_firing_sets(self) -> ByMode<EgoSet> {
@@ -52,16 +62,21 @@ impl FiringWindow {
 }
 
 /// Merges many windows into fewer, in order.
-pub(super) fn merge_windows(windows: Vec<FiringWindow>, scene: &ReachProblem<'_>) -> Vec<FiringWindow> {
+pub(super) fn merge_windows(
+    windows: Vec<FiringWindow>,
+    scene: &ReachProblem<'_>,
+) -> Vec<FiringWindow> {
     let longest = (MAX_SPACING_S / scene.step_s).round() as u32;
     let most = longest.min(windows.len().div_ceil(TARGET_WINDOWS) as u32 * scene.decision_steps);
-    windows.into_iter().fold(Vec::new(), |mut merged: Vec<FiringWindow>, window| {
-        match merged.last_mut() {
-            Some(last) if window.k - last.k < most => last.extend(&window),
-            _ => merged.push(window),
-        }
-        merged
-    })
+    windows
+        .into_iter()
+        .fold(Vec::new(), |mut merged: Vec<FiringWindow>, window| {
+            match merged.last_mut() {
+                Some(last) if window.k - last.k < most => last.extend(&window),
+                _ => merged.push(window),
+            }
+            merged
+        })
 }
 
 #[cfg(test)]

@@ -4,7 +4,13 @@ use num_traits::{Signed, Zero};
 use proptest::prelude::*;
 
 fn ego(max_brake_mps2: f64, max_accel_mps2: f64) -> SceneEgo {
-    SceneEgo { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
+    SceneEgo {
+        position_m: Interval::ZERO,
+        length_m: 2.0,
+        speed_mps: Interval::ZERO,
+        max_brake_mps2,
+        max_accel_mps2,
+    }
 }
 
 fn rational(value: f64) -> BigRational {
@@ -23,7 +29,8 @@ fn integral(ego: &SceneEgo, [begin, end]: [f64; 2], step_s: f64) -> BigRational 
             (false, false) => BigRational::zero(),
         }
     };
-    -(rational(ego.max_brake_mps2) * part(1.0) + rational(ego.max_accel_mps2) * part(-1.0)) * rational(step_s)
+    -(rational(ego.max_brake_mps2) * part(1.0) + rational(ego.max_accel_mps2) * part(-1.0))
+        * rational(step_s)
 }
 
 proptest! {
@@ -55,6 +62,9 @@ fn a_q_that_may_be_zero_at_an_end_is_integrated_as_a_trapezoid() {
         (point(-1.0), of(0.0, 2.0), -2.0 * brake - accel),
     ] {
         let found = min_step_integral(&ego(brake, accel), begin, end, point(0.5)).low();
-        assert!((found - 0.25 * expected).abs() < 1e-12, "{begin:?} {end:?}: {found}");
+        assert!(
+            (found - 0.25 * expected).abs() < 1e-12,
+            "{begin:?} {end:?}: {found}"
+        );
     }
 }

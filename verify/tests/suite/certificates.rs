@@ -4,7 +4,9 @@ use std::process::Command;
 
 use crate::support;
 use crate::support::mutants::mutants;
-use crate::support::{certificate, expand_to_substeps, has_escape, pick_member, proofs, simulate_scene};
+use crate::support::{
+    certificate, expand_to_substeps, has_escape, pick_member, proofs, simulate_scene,
+};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -25,7 +27,8 @@ fn unavoidable_file() -> Value {
     loop {
         let (scene, branches) = proofs(1).new_tree(&mut runner).unwrap().current();
         if is_rich(&scene, &branches) {
-            let certificate = certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }));
+            let certificate =
+                certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }));
             if check(&certificate).is_ok() {
                 return serde_json::to_value(certificate).unwrap();
             }
@@ -60,12 +63,17 @@ fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
     match &certificate.statement {
         Statement::Avoidable(claim) => corners.iter().all(|&corner| {
             let profiles = expand_to_substeps(&claim.witness);
-            let min_gap_m = simulate_scene(&claim.scene, &pick_member(&claim.scene, || corner), &profiles).min_gap_m;
+            let min_gap_m = simulate_scene(
+                &claim.scene,
+                &pick_member(&claim.scene, || corner),
+                &profiles,
+            )
+            .min_gap_m;
             min_gap_m > 0.0 && min_gap_m >= claim.min_gap_m_at_least.unwrap_or(0.0) - 1e-9
         }),
-        Statement::Unavoidable(claim) => {
-            corners.iter().all(|&corner| !has_escape(&claim.scene, &pick_member(&claim.scene, || corner), 5))
-        }
+        Statement::Unavoidable(claim) => corners
+            .iter()
+            .all(|&corner| !has_escape(&claim.scene, &pick_member(&claim.scene, || corner), 5)),
         _ => panic!("a statement about no scene"),
     }
 }
@@ -80,14 +88,20 @@ fn accepted_changed_certificates_are_true() {
             match read(&mutant) {
                 Ok(certificate) if check(&certificate).is_ok() => {
                     accepted += 1;
-                    assert!(is_confirmed_by_simulation(&certificate), "{change} was accepted");
+                    assert!(
+                        is_confirmed_by_simulation(&certificate),
+                        "{change} was accepted"
+                    );
                 }
                 _ => rejected += 1,
             }
         }
         let share = f64::from(rejected) / f64::from(rejected + accepted);
         println!("{accepted} accepted, {rejected} rejected");
-        assert!(accepted > 10 && share > least_rejected, "{accepted} accepted, {rejected} rejected");
+        assert!(
+            accepted > 10 && share > least_rejected,
+            "{accepted} accepted, {rejected} rejected"
+        );
     }
 }
 
@@ -95,8 +109,15 @@ fn accepted_changed_certificates_are_true() {
 #[test]
 fn mutants_change_every_number_once_or_more() {
     let original = avoidable_file();
-    for place in ["/statement/avoidable/scene/follower/brake_mps2", "/statement/avoidable/witness/0/1/1", "/version"] {
-        assert!(mutants(&original).any(|(change, _)| change.starts_with(place)), "{place}");
+    for place in [
+        "/statement/avoidable/scene/follower/brake_mps2",
+        "/statement/avoidable/witness/0/1/1",
+        "/version",
+    ] {
+        assert!(
+            mutants(&original).any(|(change, _)| change.starts_with(place)),
+            "{place}"
+        );
     }
     assert!(mutants(&original).all(|(_, mutant)| mutant != original));
 }
@@ -108,11 +129,36 @@ fn assumptions_are_those_of_the_statement() {
         file["assumptions"] = assumptions;
         check(&Certificate::from_json(&file.to_string()).unwrap()).is_ok()
     };
-    assert!(with(json!(["ego-on-profile", "latched-follower", "scripted-leader", "exact-motion", "noise-of-seed"])));
-    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion"])));
-    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion", "noise-of-seed"])));
-    assert!(!with(json!(["ego-on-profile", "scripted-leader", "exact-motion", "exact-motion"])));
-    assert!(!with(json!(["ego-within-limits", "latched-follower", "scripted-leader", "exact-motion"])));
+    assert!(with(json!([
+        "ego-on-profile",
+        "latched-follower",
+        "scripted-leader",
+        "exact-motion",
+        "noise-of-seed"
+    ])));
+    assert!(!with(json!([
+        "ego-on-profile",
+        "scripted-leader",
+        "exact-motion"
+    ])));
+    assert!(!with(json!([
+        "ego-on-profile",
+        "scripted-leader",
+        "exact-motion",
+        "noise-of-seed"
+    ])));
+    assert!(!with(json!([
+        "ego-on-profile",
+        "scripted-leader",
+        "exact-motion",
+        "exact-motion"
+    ])));
+    assert!(!with(json!([
+        "ego-within-limits",
+        "latched-follower",
+        "scripted-leader",
+        "exact-motion"
+    ])));
 }
 
 #[test]
@@ -121,29 +167,64 @@ fn files_that_are_no_certificates_say_where() {
     assert!(Certificate::from_json(&text).is_ok());
     for (from, to, expected) in [
         ("\"version\": 1", "\"version\": 3", "version 3"),
-        ("\"version\": 1", "\"version\": 2", "is not in canonical form from line 2 column 4 on"),
-        ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": 1e400", "line"),
+        (
+            "\"version\": 1",
+            "\"version\": 2",
+            "is not in canonical form from line 2 column 4 on",
+        ),
+        (
+            "\"max_brake_mps2\": 5.0",
+            "\"max_brake_mps2\": 1e400",
+            "line",
+        ),
         ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": NaN", "line"),
-        ("\"max_brake_mps2\": 5.0", "\"max_brake_mps2\": null", "line"),
+        (
+            "\"max_brake_mps2\": 5.0",
+            "\"max_brake_mps2\": null",
+            "line",
+        ),
         (
             "\"max_brake_mps2\": 5.0",
             "\"max_brake_mps2\": 5.0, \"max_brake_mps2\": 6.0",
             "duplicate field `max_brake_mps2`",
         ),
-        ("\"max_brake_mps2\"", "\"strongest_brake_mps2\"", "unknown field `strongest_brake_mps2`"),
+        (
+            "\"max_brake_mps2\"",
+            "\"strongest_brake_mps2\"",
+            "unknown field `strongest_brake_mps2`",
+        ),
         ("\"length_m\"", "\"position_m\"", "duplicate field"),
         ("\"steps\": 20", "\"steps\": 20.5", "expected u32"),
         ("\"steps\": 20", "\"steps\": -20", "expected u32"),
-        ("\"low\"", "\"lowest\"", "unknown field `lowest`, expected `low` or `high`"),
-        ("\"brake_mps2\": 6", "\"brake_mps2\": [6]", "{\"low\": number, \"high\": number}"),
+        (
+            "\"low\"",
+            "\"lowest\"",
+            "unknown field `lowest`, expected `low` or `high`",
+        ),
+        (
+            "\"brake_mps2\": 6",
+            "\"brake_mps2\": [6]",
+            "{\"low\": number, \"high\": number}",
+        ),
     ] {
         assert!(text.contains(from), "{from}");
-        let message = Certificate::from_json(&text.replacen(from, to, 1)).unwrap_err().to_string();
+        let message = Certificate::from_json(&text.replacen(from, to, 1))
+            .unwrap_err()
+            .to_string();
         assert!(message.contains(expected), "{to}: {message}");
     }
-    assert!(Certificate::from_json(&format!("{text} 1")).is_err(), "something follows");
-    assert!(matches!(Certificate::from_reader(&b"\xff"[..]), Err(CertificateParseError::Read(_))));
-    assert!(matches!(Certificate::from_reader(std::io::repeat(b' ')), Err(CertificateParseError::TooLong)));
+    assert!(
+        Certificate::from_json(&format!("{text} 1")).is_err(),
+        "something follows"
+    );
+    assert!(matches!(
+        Certificate::from_reader(&b"\xff"[..]),
+        Err(CertificateParseError::Read(_))
+    ));
+    assert!(matches!(
+        Certificate::from_reader(std::io::repeat(b' ')),
+        Err(CertificateParseError::TooLong)
+    ));
 }
 
 #[test]
@@ -152,19 +233,36 @@ fn exit_codes() {
     std::fs::create_dir_all(&folder).unwrap();
     let mut false_claim = avoidable_file();
     false_claim["statement"]["avoidable"]["min_gap_m_at_least"] = json!(9.0);
-    let paths = [("true", avoidable_file()), ("false", false_claim), ("other", json!({}))].map(|(name, file)| {
+    let paths = [
+        ("true", avoidable_file()),
+        ("false", false_claim),
+        ("other", json!({})),
+    ]
+    .map(|(name, file)| {
         let path = folder.join(name);
         std::fs::write(&path, file.to_string()).unwrap();
         path
     });
     let run = |paths: &[&std::path::PathBuf]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_crumple-verify")).args(paths).output().unwrap();
-        (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap())
+        let output = Command::new(env!("CARGO_BIN_EXE_crumple-verify"))
+            .args(paths)
+            .output()
+            .unwrap();
+        (
+            output.status.code().unwrap(),
+            String::from_utf8(output.stdout).unwrap(),
+        )
     };
     let (code, text) = run(&[&paths[0]]);
-    assert!(code == 0 && text.contains("accepted: avoidable") && text.contains("assuming that"), "{text}");
+    assert!(
+        code == 0 && text.contains("accepted: avoidable") && text.contains("assuming that"),
+        "{text}"
+    );
     let (code, text) = run(&[&paths[0], &paths[1]]);
-    assert!(code == 1 && text.contains("rejected: `min_gap_m_at_least` is 9"), "{text}");
+    assert!(
+        code == 1 && text.contains("rejected: `min_gap_m_at_least` is 9"),
+        "{text}"
+    );
     assert_eq!(run(&[&paths[1], &paths[2], &paths[0]]).0, 2);
     assert_eq!((run(&[]).0, run(&[&folder.join("absent")]).0), (2, 2));
     std::fs::remove_dir_all(folder).unwrap();
@@ -181,13 +279,18 @@ fn any_json() -> impl Strategy<Value = Value> {
         any::<u64>().prop_map(|x| json!(x)),
         (0..9_u32).prop_map(|x| json!(x))
     ];
-    let leaf = prop_oneof![4 => number, 1 => Just(Value::Null), 1 => any::<bool>().prop_map(Value::from)];
+    let leaf =
+        prop_oneof![4 => number, 1 => Just(Value::Null), 1 => any::<bool>().prop_map(Value::from)];
     leaf.prop_recursive(3, 16, 4, |inner| {
-        let name = prop::sample::select(vec!["low", "high", "first", "last", "front", "scene", "steps", "speed"]);
+        let name = prop::sample::select(vec![
+            "low", "high", "first", "last", "front", "scene", "steps", "speed",
+        ]);
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
-            prop::collection::vec((name, inner), 0..4)
-                .prop_map(|fields| fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()),
+            prop::collection::vec((name, inner), 0..4).prop_map(|fields| fields
+                .into_iter()
+                .map(|(name, value)| (name.to_owned(), value))
+                .collect()),
         ]
     })
 }
@@ -247,7 +350,10 @@ fn a_file_is_as_long_as_is_allowed_and_no_longer() {
     let (file, mut text) = (avoidable_file().to_string(), " ".repeat(most + 1));
     text.replace_range(..file.len(), &file);
     assert!(Certificate::from_json(&text[..most]).is_ok());
-    assert!(matches!(Certificate::from_json(&text), Err(CertificateParseError::TooLong)));
+    assert!(matches!(
+        Certificate::from_json(&text),
+        Err(CertificateParseError::TooLong)
+    ));
 }
 
 #[test]
@@ -277,8 +383,14 @@ fn results_are_printed_in_words() {
          up to 7.5 m/s², \
          with no vehicle behind; 0.19 % of it is in cells with an initial state that ends in a collision"
     );
-    let avoidable =
-        |afterwards| ProvedClaim::Avoidable { min_gap_m: 0.25, horizon_s: 2.0, after_horizon: afterwards }.to_string();
+    let avoidable = |afterwards| {
+        ProvedClaim::Avoidable {
+            min_gap_m: 0.25,
+            horizon_s: 2.0,
+            after_horizon: afterwards,
+        }
+        .to_string()
+    };
     for (afterwards, name, said) in [
         (
             SafetyAfterHorizon::ForAnyLeader,
@@ -290,14 +402,34 @@ fn results_are_printed_in_words() {
             "if-the-leader-does-not-brake",
             "and a collision remains avoidable afterwards, if the leader does not brake again",
         ),
-        (SafetyAfterHorizon::Unproved, "not-shown", "nothing is proved about the time afterwards"),
+        (
+            SafetyAfterHorizon::Unproved,
+            "not-shown",
+            "nothing is proved about the time afterwards",
+        ),
     ] {
         assert_eq!(afterwards.name(), name);
-        let all = format!("avoidable: on the stated profile no gap is ever smaller than 0.25 m for 2 s; {said}");
+        let all = format!(
+            "avoidable: on the stated profile no gap is ever smaller than 0.25 m for 2 s; {said}"
+        );
         assert_eq!(avoidable(afterwards), all);
     }
-    let gap_bound = ProvedClaim::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
-    assert_eq!(gap_bound, "gap bound: for every command, some gap is at most 1.5 m within 3 s");
-    let rate = ProvedClaim::Rate { max_rate: 0.002_305_979_158_525_014_4, confidence: 0.999 }.to_string();
-    assert_eq!(rate, "rate: at most 0.002306 at confidence 0.999, if its counts are right");
+    let gap_bound = ProvedClaim::GapBound {
+        gap_m: 1.5,
+        horizon_s: 3.0,
+    }
+    .to_string();
+    assert_eq!(
+        gap_bound,
+        "gap bound: for every command, some gap is at most 1.5 m within 3 s"
+    );
+    let rate = ProvedClaim::Rate {
+        max_rate: 0.002_305_979_158_525_014_4,
+        confidence: 0.999,
+    }
+    .to_string();
+    assert_eq!(
+        rate,
+        "rate: at most 0.002306 at confidence 0.999, if its counts are right"
+    );
 }

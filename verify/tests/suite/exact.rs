@@ -1,6 +1,8 @@
 //! Comparison of reach bounds with an independent exact simulation of members, to the last bit.
 
-use crumple_verify::reach::{FollowerModel, NeuralController, PartitionCell, ReachProblem, ReachTube, reach_with_tube};
+use crumple_verify::reach::{
+    FollowerModel, NeuralController, PartitionCell, ReachProblem, ReachTube, reach_with_tube,
+};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
@@ -26,7 +28,12 @@ fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     move |k| {
         let held = if seed.is_multiple_of(2) { 1 } else { 37 };
         let mut numbers = XorShiftRng::for_index(seed, k / held);
-        limit_mps2 * if held == 1 { numbers.next_unit() } else { numbers.next_unit().round() }
+        limit_mps2
+            * if held == 1 {
+                numbers.next_unit()
+            } else {
+                numbers.next_unit().round()
+            }
     }
 }
 
@@ -35,8 +42,15 @@ fn simulate_member(
     start: ReachPoint,
     seed: u64,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
-    let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| random_braking(limit_mps2, seed));
-    simulate_exactly(scene, start, random_errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
+    let brake = scene
+        .leader_brakes_at_most_mps2
+        .map(|limit_mps2| random_braking(limit_mps2, seed));
+    simulate_exactly(
+        scene,
+        start,
+        random_errors(scene, seed),
+        brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64),
+    )
 }
 
 /// Checks that a run is within the bounds, without tolerance.
@@ -55,7 +69,10 @@ fn is_bounded(
     assert_eq!(tube.len(), trace.len());
     for (decision, (bounds, seen)) in tube.iter().zip(trace).enumerate() {
         if let Some(i) = (0..8).find(|&i| !seen[i].is_in(bounds[i])) {
-            return Err(format!("number {i} at decision {decision}: {:?} not in {:?}", seen[i], bounds[i]));
+            return Err(format!(
+                "number {i} at decision {decision}: {:?} not in {:?}",
+                seen[i], bounds[i]
+            ));
         }
     }
     Ok(())
@@ -113,18 +130,34 @@ fn committed_claims_are_true_of_their_members() {
     let mut numbers = XorShiftRng(77);
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     for name in ["reach-paper-1", "reach-paper-2"] {
-        let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
+        let path = format!(
+            "{}/../corpora/certificates/{name}.json",
+            env!("CARGO_MANIFEST_DIR")
+        );
         let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
-        let Statement::Reach(claim) = certificate.statement else { panic!("{name}") };
-        let leaves: Vec<_> =
-            claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == PartitionCell::Verified).collect();
+        let Statement::Reach(claim) = certificate.statement else {
+            panic!("{name}")
+        };
+        let leaves: Vec<_> = claim
+            .leaves()
+            .unwrap()
+            .into_iter()
+            .filter(|(cell, ..)| *cell == PartitionCell::Verified)
+            .collect();
         for _ in 0..12 {
             let (_, ranges, _) = leaves[(numbers.next_unit() * leaves.len() as f64) as usize];
-            let scene = ReachProblem { ranges, ..claim.problem(&controller).unwrap() };
+            let scene = ReachProblem {
+                ranges,
+                ..claim.problem(&controller).unwrap()
+            };
             let start = box_member(&ranges, std::array::from_fn(|_| numbers.next_unit()));
             let run = simulate_member(&scene, start, numbers.0).unwrap();
             is_bounded(None, Some([claim.min_gap_m_at_least; 2]), &run).unwrap();
-            assert!(!run.1[0].min(&run.1[1]).is_at_least(claim.min_gap_m_at_least + 10.0));
+            assert!(
+                !run.1[0]
+                    .min(&run.1[1])
+                    .is_at_least(claim.min_gap_m_at_least + 10.0)
+            );
         }
     }
 }
@@ -132,13 +165,24 @@ fn committed_claims_are_true_of_their_members() {
 #[test]
 fn two_derivations_agree() {
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
-    let scene = ReachProblem { observation_error: [0.0; 8], ..paper_problem(&controller, paper_box(0.5, 0.1)) };
+    let scene = ReachProblem {
+        observation_error: [0.0; 8],
+        ..paper_problem(&controller, paper_box(0.5, 0.1))
+    };
     for place in [0.0, 0.3, 1.0] {
         let start = box_member(&scene.ranges, [place; 8]);
-        let ((exact, _), (plain, _)) = (simulate_member(&scene, start, 1).unwrap(), simulate(&scene, start));
+        let ((exact, _), (plain, _)) = (
+            simulate_member(&scene, start, 1).unwrap(),
+            simulate(&scene, start),
+        );
         for (exact, plain) in exact.iter().zip(plain) {
-            let near = |x: &FixedPointInterval, plain: f64| x.is_in(Interval::new(plain - 1e-3, plain + 1e-3).unwrap());
-            assert!(exact.iter().zip(plain).all(|(x, plain)| near(x, plain)), "{exact:?} {plain:?}");
+            let near = |x: &FixedPointInterval, plain: f64| {
+                x.is_in(Interval::new(plain - 1e-3, plain + 1e-3).unwrap())
+            };
+            assert!(
+                exact.iter().zip(plain).all(|(x, plain)| near(x, plain)),
+                "{exact:?} {plain:?}"
+            );
         }
     }
 }

@@ -46,7 +46,11 @@ prop_compose! {
 }
 
 fn without_rest(form: &AffineForm, symbols: &[f64; SYMBOLS]) -> BigRational {
-    let terms = form.terms().iter().zip(symbols).map(|(&term, &symbol)| rational(term) * rational(symbol));
+    let terms = form
+        .terms()
+        .iter()
+        .zip(symbols)
+        .map(|(&term, &symbol)| rational(term) * rational(symbol));
     terms.fold(rational(form.centre()), |sum, term| sum + term)
 }
 

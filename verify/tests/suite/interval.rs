@@ -69,7 +69,9 @@ proptest! {
 
 #[test]
 fn undefined_values_are_the_whole_line() {
-    let everything = |interval: Interval| interval.low() == f64::NEG_INFINITY && interval.high() == f64::INFINITY;
+    let everything = |interval: Interval| {
+        interval.low() == f64::NEG_INFINITY && interval.high() == f64::INFINITY
+    };
     let (zero, huge) = (Interval::ZERO, Interval::point(f64::MAX));
     assert!(everything(Interval::point(f64::NAN)) && everything(Interval::point(f64::INFINITY)));
     assert!(everything(huge.over(zero)) && everything(zero.over(zero)));
@@ -80,7 +82,9 @@ fn undefined_values_are_the_whole_line() {
     let to_huge = Interval::new(0.0, f64::MAX).unwrap();
     assert_eq!((huge * huge).low(), f64::MAX);
     assert!(
-        (huge * to_huge).low() >= -1e-300 && (to_huge * huge).low() >= -1e-300 && (huge * -to_huge).high() <= 1e-300
+        (huge * to_huge).low() >= -1e-300
+            && (to_huge * huge).low() >= -1e-300
+            && (huge * -to_huge).high() <= 1e-300
     );
     assert!(zero.sqrt().low() == 0.0 && zero.sqrt().high() <= 1e-300);
 }
@@ -92,12 +96,23 @@ fn errors_of_files_name_the_expected_form() {
         ("[1]", "a number or"),
         ("null", "a number or"),
         ("{\"low\": 1}", "missing field `high`"),
-        ("{\"low\": 1, \"high\": 2, \"middle\": 1.5}", "unknown field `middle`"),
+        (
+            "{\"low\": 1, \"high\": 2, \"middle\": 1.5}",
+            "unknown field `middle`",
+        ),
         ("{\"low\": 2, \"high\": 1}", "no members"),
         ("1e400", "out of range"),
     ] {
-        let message = serde_json::from_str::<Vec<Interval>>(&format!("[\n{text}]")).unwrap_err().to_string();
-        assert!(message.contains(expected) && message.contains("line 2 column"), "{text}: {message}");
+        let message = serde_json::from_str::<Vec<Interval>>(&format!("[\n{text}]"))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains(expected) && message.contains("line 2 column"),
+            "{text}: {message}"
+        );
     }
-    assert_eq!(serde_json::from_str::<Interval>("3").unwrap(), Interval::point(3.0));
+    assert_eq!(
+        serde_json::from_str::<Interval>("3").unwrap(),
+        Interval::point(3.0)
+    );
 }

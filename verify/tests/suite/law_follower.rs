@@ -1,11 +1,14 @@
 //! Bounds of followers with a control law hold for each member.
 
 use crumple_verify::reach::{
-    AccAebLaw, FollowerLaw, FollowerModel, IdmLaw, InitialRanges, NeuralController, ReachProblem, reach_with_tube,
+    AccAebLaw, FollowerLaw, FollowerModel, IdmLaw, InitialRanges, NeuralController, ReachProblem,
+    reach_with_tube,
 };
 use proptest::prelude::*;
 
-use crate::reach::{any_ranges, any_unit, box_member, is_bounded, paper_box, paper_problem, prove_and_attack};
+use crate::reach::{
+    any_ranges, any_unit, box_member, is_bounded, paper_box, paper_problem, prove_and_attack,
+};
 use crate::support::closed_loop::simulate;
 use crate::support::networks::{any_network, native_network};
 use crate::support::policy_bytes;
@@ -36,9 +39,23 @@ pub const ACC_AEB: FollowerLaw = FollowerLaw::AccAeb(ACC_AEB_LAW);
 /// Generates laws, some with zero parameters.
 pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
     let rate = || prop_oneof![4 => 0.1..4.0_f64, 1 => 4.0..30.0_f64];
-    let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, rate(), rate(), 0.0..3.0_f64);
+    let idm = (
+        5.0..45.0_f64,
+        0.0..3.0_f64,
+        0.0..5.0_f64,
+        rate(),
+        rate(),
+        0.0..3.0_f64,
+    );
     let idm = idm.prop_map(
-        |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
+        |(
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            comfortable_brake_mps2,
+            max_accel_mps2,
+        )| {
             FollowerLaw::Idm(IdmLaw {
                 desired_speed_mps,
                 time_headway_s,
@@ -86,7 +103,10 @@ fn with_law_follower<'a>(
     ranges: InitialRanges,
     law: FollowerLaw,
 ) -> ReachProblem<'a> {
-    ReachProblem { follower: Some(FollowerModel::ByLaw(law)), ..paper_problem(controller, ranges) }
+    ReachProblem {
+        follower: Some(FollowerModel::ByLaw(law)),
+        ..paper_problem(controller, ranges)
+    }
 }
 
 proptest! {
@@ -118,7 +138,11 @@ proptest! {
 #[test]
 fn verified_boxes_survive_search() {
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
-    let acc = FollowerLaw::AccAeb(AccAebLaw { ttc_s: 0.0, time_headway_s: 1.6, ..ACC_AEB_LAW });
+    let acc = FollowerLaw::AccAeb(AccAebLaw {
+        ttc_s: 0.0,
+        time_headway_s: 1.6,
+        ..ACC_AEB_LAW
+    });
     for (law, least_m) in [(IDM, 1.8), (acc, 0.0)] {
         let scene = with_law_follower(&controller, paper_box(0.1, 0.02), law);
         let [proved_m, found_m] = prove_and_attack(&scene, 3000, 300, 9);

@@ -1,12 +1,17 @@
 //! Bounds of leaders with bounded braking hold for any braking.
 
 use crumple_verify::reach::{
-    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, reach, reach_with_tube,
+    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, reach,
+    reach_with_tube,
 };
-use crumple_verify::{Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit, check_with};
+use crumple_verify::{
+    Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit, check_with,
+};
 use proptest::prelude::*;
 
-use crate::reach::{LATCHED, any_ranges, any_unit, box_member, claim, is_bounded, paper_box, paper_problem};
+use crate::reach::{
+    LATCHED, any_ranges, any_unit, box_member, claim, is_bounded, paper_box, paper_problem,
+};
 use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
 use crate::support::networks::{any_network, native_network};
 use crate::support::{policy_bytes, reach_certificate};
@@ -46,7 +51,11 @@ fn any_braking_pattern() -> impl Strategy<Value = BrakingPattern> {
 }
 
 pub fn unscripted(ranges: InitialRanges) -> InitialRanges {
-    InitialRanges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
+    InitialRanges {
+        leader_brake_mps2: Interval::ZERO,
+        onset_steps: Interval::ZERO,
+        ..ranges
+    }
 }
 
 fn with_bounded_leader<'a>(
@@ -54,7 +63,10 @@ fn with_bounded_leader<'a>(
     ranges: InitialRanges,
     limit_mps2: f64,
 ) -> ReachProblem<'a> {
-    ReachProblem { leader_brakes_at_most_mps2: Some(limit_mps2), ..paper_problem(controller, unscripted(ranges)) }
+    ReachProblem {
+        leader_brakes_at_most_mps2: Some(limit_mps2),
+        ..paper_problem(controller, unscripted(ranges))
+    }
 }
 
 fn any_limit() -> impl Strategy<Value = f64> {
@@ -122,20 +134,31 @@ fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f
     let mut numbers = XorShiftRng(seed);
     let gap = |place: [f64; 8], pieces: &[f64; PIECES]| {
         let share = |k: u32| pieces[(k as usize * PIECES / scene.steps as usize).min(PIECES - 1)];
-        let (_, least) = simulate_with_leader(scene, box_member(&scene.ranges, place), |k| limit_mps2 * share(k));
+        let (_, least) = simulate_with_leader(scene, box_member(&scene.ranges, place), |k| {
+            limit_mps2 * share(k)
+        });
         least[0].min(least[1])
     };
     let mut best_m = f64::INFINITY;
     for begin in 0..4 {
-        let pieces =
-            std::array::from_fn(|piece| [1.0, 0.0, f64::from(u8::from(piece < 15)), numbers.next_unit()][begin]);
+        let pieces = std::array::from_fn(|piece| {
+            [
+                1.0,
+                0.0,
+                f64::from(u8::from(piece < 15)),
+                numbers.next_unit(),
+            ][begin]
+        });
         let mut best = ([0.5; 8], pieces, gap([0.5; 8], &pieces));
         for round in 0..rounds {
             let size = 0.99_f64.powi(round as i32 % 300);
-            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
+            let place = best
+                .0
+                .map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut pieces = best.1;
             for _ in 0..1 + (numbers.next_unit() * 3.0) as usize {
-                pieces[(numbers.next_unit() * PIECES as f64) as usize] = numbers.next_unit().round();
+                pieces[(numbers.next_unit() * PIECES as f64) as usize] =
+                    numbers.next_unit().round();
             }
             let found_m = gap(place, &pieces);
             if found_m < best.2 {
@@ -162,7 +185,10 @@ mod tier_2 {
             let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
             let found_m = min_gap_under_attack(&scene, 500, 7);
             println!("{limit_mps2} m/s²: proved {proved_m:.3} m, found {found_m:.3} m");
-            assert!(found_m >= proved_m && proved_m > found_m - 1.5, "{found_m} {reached:?}");
+            assert!(
+                found_m >= proved_m && proved_m > found_m - 1.5,
+                "{found_m} {reached:?}"
+            );
         }
     }
 }
@@ -175,7 +201,10 @@ fn worst_leader_at_each_limit() {
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     for limit_mps2 in [0.1, 0.2, 0.3, 0.4, 0.46, 0.5, 1.0, 2.0, 3.0, 3.5, 4.0] {
         let scene = with_bounded_leader(&controller, paper_box(0.7, 0.0), limit_mps2);
-        println!("{limit_mps2} m/s²: {:.3} m", min_gap_under_attack(&scene, 1000, 7));
+        println!(
+            "{limit_mps2} m/s²: {:.3} m",
+            min_gap_under_attack(&scene, 1000, 7)
+        );
     }
 }
 
@@ -192,38 +221,67 @@ fn bounded_leader_claim() -> ReachClaim {
 }
 
 fn check_claim(claim: ReachClaim) -> Result<ProvedClaim, Rejection> {
-    check_with(&reach_certificate(claim), Some(&policy_bytes("reference")), WorkLimit::default())
+    check_with(
+        &reach_certificate(claim),
+        Some(&policy_bytes("reference")),
+        WorkLimit::default(),
+    )
 }
 
 #[test]
 fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() {
     let genuine = bounded_leader_claim();
     match check_claim(genuine.clone()) {
-        Ok(ProvedClaim::Reach { verified_share, leader_brakes_at_most_mps2, .. }) => {
-            assert_eq!((verified_share, leader_brakes_at_most_mps2), (1.0, Some(0.05)));
+        Ok(ProvedClaim::Reach {
+            verified_share,
+            leader_brakes_at_most_mps2,
+            ..
+        }) => {
+            assert_eq!(
+                (verified_share, leader_brakes_at_most_mps2),
+                (1.0, Some(0.05))
+            );
         }
         other => panic!("{other:?}"),
     }
     let message = check_claim(genuine.clone()).unwrap().to_string();
-    assert!(message.contains("however the leader brakes at up to 0.05 m/s²"), "{message}");
+    assert!(
+        message.contains("however the leader brakes at up to 0.05 m/s²"),
+        "{message}"
+    );
     let scope = reach_certificate(genuine.clone()).scope().to_string();
     assert!(
         scope.contains("never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.05 m/s²"),
         "{scope}"
     );
     let text = serde_json::to_string(&reach_certificate(genuine.clone())).unwrap();
-    assert_eq!(Certificate::from_json(&text).unwrap(), reach_certificate(genuine.clone()));
+    assert_eq!(
+        Certificate::from_json(&text).unwrap(),
+        reach_certificate(genuine.clone())
+    );
 
     for limit_mps2 in [4.0, 30.0, 1e9, 1e300] {
-        let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
-        assert!(matches!(check_claim(forged), Err(Rejection::Leaf { leaf: 0, .. })), "{limit_mps2}");
+        let forged = ReachClaim {
+            leader_brakes_at_most_mps2: Some(limit_mps2),
+            ..genuine.clone()
+        };
+        assert!(
+            matches!(check_claim(forged), Err(Rejection::Leaf { leaf: 0, .. })),
+            "{limit_mps2}"
+        );
     }
     for limit_mps2 in [-0.0001, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
+        let forged = ReachClaim {
+            leader_brakes_at_most_mps2: Some(limit_mps2),
+            ..genuine.clone()
+        };
         let field = "leader_brakes_at_most_mps2".to_owned();
         assert_eq!(
             check_claim(forged),
-            Err(Rejection::Invalid { field, problem: "is negative or infinite" }),
+            Err(Rejection::Invalid {
+                field,
+                problem: "is negative or infinite"
+            }),
             "{limit_mps2}"
         );
     }
@@ -231,19 +289,30 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         let mut forged = genuine.clone();
         *forged.ranges.get_mut(dimension) = Interval::new(0.0, 0.05).unwrap();
         let field = format!("ranges.{}", dimension.field_name());
-        assert!(matches!(check_claim(forged), Err(Rejection::Invalid { field: found, .. }) if found == field));
+        assert!(
+            matches!(check_claim(forged), Err(Rejection::Invalid { field: found, .. }) if found == field)
+        );
     }
     // The assumption missing, doubled, or exchanged with that of a script.
     let with = |claim: &ReachClaim, assumptions: Vec<Assumption>| {
         check_with(
-            &Certificate { assumptions, ..reach_certificate(claim.clone()) },
+            &Certificate {
+                assumptions,
+                ..reach_certificate(claim.clone())
+            },
             Some(&policy_bytes("reference")),
             WorkLimit::default(),
         )
     };
     let needed = reach_certificate(genuine.clone()).assumptions;
-    assert!(needed.contains(&Assumption::LeaderWithinLimit) && !needed.contains(&Assumption::ScriptedLeader));
-    let place = needed.iter().position(|one| *one == Assumption::LeaderWithinLimit).unwrap();
+    assert!(
+        needed.contains(&Assumption::LeaderWithinLimit)
+            && !needed.contains(&Assumption::ScriptedLeader)
+    );
+    let place = needed
+        .iter()
+        .position(|one| *one == Assumption::LeaderWithinLimit)
+        .unwrap();
     let mut without = needed.clone();
     without.remove(place);
     let mut doubled = needed.clone();
@@ -251,29 +320,64 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     let mut scripted = needed.clone();
     scripted[place] = Assumption::ScriptedLeader;
     for assumptions in [without, doubled, scripted.clone()] {
-        assert!(matches!(with(&genuine, assumptions), Err(Rejection::Assumptions { .. })));
+        assert!(matches!(
+            with(&genuine, assumptions),
+            Err(Rejection::Assumptions { .. })
+        ));
     }
-    assert!(matches!(with(&claim(), needed), Err(Rejection::Assumptions { .. })));
-    let plain = ReachClaim { leader_brakes_at_most_mps2: None, ..genuine };
-    assert!(with(&plain, scripted).is_ok(), "that of a leader that holds its speed is another claim, and true");
+    assert!(matches!(
+        with(&claim(), needed),
+        Err(Rejection::Assumptions { .. })
+    ));
+    let plain = ReachClaim {
+        leader_brakes_at_most_mps2: None,
+        ..genuine
+    };
+    assert!(
+        with(&plain, scripted).is_ok(),
+        "that of a leader that holds its speed is another claim, and true"
+    );
 }
 
 #[test]
 fn a_start_with_a_leader_within_the_limit_falsifies() {
-    let ranges = unscripted(InitialRanges { gap_behind_m: Interval::point(16.0), ..paper_box(0.05, 0.0) });
+    let ranges = unscripted(InitialRanges {
+        gap_behind_m: Interval::point(16.0),
+        ..paper_box(0.05, 0.0)
+    });
     let falsified = |limit_mps2: f64, rate_mps2: f64, onset: f64| ReachClaim {
         leader_brakes_at_most_mps2: Some(limit_mps2),
         ranges,
-        partition: vec![PartitionCell::Falsified([16.0, 16.0, 25.0, 25.0, 25.0, rate_mps2, 6.0, onset])],
+        partition: vec![PartitionCell::Falsified([
+            16.0, 16.0, 25.0, 25.0, 25.0, rate_mps2, 6.0, onset,
+        ])],
         verified_share_at_least: 0.0,
         falsified_share_at_least: 1.0,
         min_gap_m_at_least: 0.0,
         ..claim()
     };
-    assert!(matches!(check_claim(falsified(29.0, 28.0, 100.0)), Ok(ProvedClaim::Reach { falsified_share: 1.0, .. })));
-    for outside in [falsified(27.0, 28.0, 100.0), falsified(29.0, 28.0, -1.0), falsified(29.0, 28.0, 301.0)] {
-        let Err(Rejection::Leaf { problem, .. }) = check_claim(outside) else { panic!("not a leaf") };
+    assert!(matches!(
+        check_claim(falsified(29.0, 28.0, 100.0)),
+        Ok(ProvedClaim::Reach {
+            falsified_share: 1.0,
+            ..
+        })
+    ));
+    for outside in [
+        falsified(27.0, 28.0, 100.0),
+        falsified(29.0, 28.0, -1.0),
+        falsified(29.0, 28.0, 301.0),
+    ] {
+        let Err(Rejection::Leaf { problem, .. }) = check_claim(outside) else {
+            panic!("not a leaf")
+        };
         assert_eq!(problem, "the point is outside the cell");
     }
-    assert!(matches!(check_claim(falsified(29.0, 0.0, 0.0)), Err(Rejection::Leaf { .. })), "that one does not touch");
+    assert!(
+        matches!(
+            check_claim(falsified(29.0, 0.0, 0.0)),
+            Err(Rejection::Leaf { .. })
+        ),
+        "that one does not touch"
+    );
 }

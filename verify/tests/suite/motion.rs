@@ -10,7 +10,11 @@ fn rational_distance_and_speed(v: f64, a: f64, t: f64) -> (BigRational, BigRatio
     let (v, a, t) = (rational(v), rational(a), rational(t));
     let end = &v + &a * &t;
     let two = rational(2.0);
-    if end.is_negative() { (-(&v * &v) / (two * a), BigRational::zero()) } else { (&v * &t + a * &t * &t / two, end) }
+    if end.is_negative() {
+        (-(&v * &v) / (two * a), BigRational::zero())
+    } else {
+        (&v * &t + a * &t * &t / two, end)
+    }
 }
 
 proptest! {
@@ -69,8 +73,11 @@ proptest! {
 
 #[test]
 fn a_vehicle_at_rest_stays_with_any_braking() {
-    let (covered, speed) =
-        motion::distance_and_speed_after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
+    let (covered, speed) = motion::distance_and_speed_after(
+        Interval::ZERO,
+        Interval::point(-5.0),
+        Interval::point(1.0),
+    );
     assert!(covered.contains(0.0) && covered.high() < 1e-300 && covered.low() > -1e-300);
     assert!(speed.contains(0.0) && speed.high() < 1e-300);
 }

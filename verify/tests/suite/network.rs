@@ -26,12 +26,25 @@ fn weighted_sum(
     seen: &[AffineForm; OBSERVATION_SIZE],
     of: impl Fn(&AffineForm) -> f64,
 ) -> f64 {
-    slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
+    slopes
+        .iter()
+        .zip(seen)
+        .map(|(slope, seen)| slope.abs() * of(seen))
+        .sum()
 }
 
-fn terms(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE]) -> [f64; SYMBOLS] {
+fn terms(
+    slopes: &[f64; OBSERVATION_SIZE],
+    seen: &[AffineForm; OBSERVATION_SIZE],
+) -> [f64; SYMBOLS] {
     let of = |form: &AffineForm, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
-    std::array::from_fn(|symbol| slopes.iter().zip(seen).map(|(slope, seen)| slope * of(seen, symbol)).sum())
+    std::array::from_fn(|symbol| {
+        slopes
+            .iter()
+            .zip(seen)
+            .map(|(slope, seen)| slope * of(seen, symbol))
+            .sum()
+    })
 }
 
 /// Computes h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
@@ -44,7 +57,11 @@ fn apply_linear(
     let gamma = nu / (1.0 - nu);
     let of_output = |output: usize| {
         let bias = layer.biases[output];
-        let mut sum = NumberBounds { centre: bias, rho: gamma * bias.abs(), ..NumberBounds::default() };
+        let mut sum = NumberBounds {
+            centre: bias,
+            rho: gamma * bias.abs(),
+            ..NumberBounds::default()
+        };
         for (input, number) in numbers.iter().enumerate() {
             let weight = layer.weights[input * layer.outputs + output];
             let most = number.centre.abs()
@@ -53,9 +70,16 @@ fn apply_linear(
                 + number.rho;
             sum.centre += weight * number.centre;
             sum.rho += weight.abs() * (number.rho + gamma * most);
-            sum.slopes.iter_mut().zip(number.slopes).for_each(|(sum, slope)| *sum += weight * slope);
-            sum.excess.resize(sum.excess.len().max(number.excess.len()), 0.0);
-            sum.excess.iter_mut().zip(&number.excess).for_each(|(sum, excess)| *sum += weight * excess);
+            sum.slopes
+                .iter_mut()
+                .zip(number.slopes)
+                .for_each(|(sum, slope)| *sum += weight * slope);
+            sum.excess
+                .resize(sum.excess.len().max(number.excess.len()), 0.0);
+            sum.excess
+                .iter_mut()
+                .zip(&number.excess)
+                .for_each(|(sum, excess)| *sum += weight * excess);
         }
         sum
     };
@@ -64,7 +88,11 @@ fn apply_linear(
 
 /// Applies max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
 fn apply_relu(numbers: &mut [NumberBounds], seen: &[AffineForm; OBSERVATION_SIZE]) {
-    let mut columns = numbers.iter().map(|number| number.excess.len()).max().unwrap_or(0);
+    let mut columns = numbers
+        .iter()
+        .map(|number| number.excess.len())
+        .max()
+        .unwrap_or(0);
     for number in numbers {
         let radius = abs_sum(&terms(&number.slopes, seen))
             + weighted_sum(&number.slopes, seen, AffineForm::rest)
@@ -77,7 +105,11 @@ fn apply_relu(numbers: &mut [NumberBounds], seen: &[AffineForm; OBSERVATION_SIZE
             let slope = high / (high - low);
             let half = -0.5 * slope * low;
             number.centre = slope * number.centre + half;
-            number.slopes.iter_mut().chain(&mut number.excess).for_each(|factor| *factor *= slope);
+            number
+                .slopes
+                .iter_mut()
+                .chain(&mut number.excess)
+                .for_each(|factor| *factor *= slope);
             number.rho *= slope;
             number.excess.resize(columns + 1, 0.0);
             number.excess[columns] = half;
@@ -104,18 +136,28 @@ prop_compose! {
 }
 
 fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = LinearLayer> {
-    let weights = prop::collection::vec(prop_oneof![4 => -1.0..1.0_f64, 1 => Just(0.0)], inputs * outputs);
-    (weights, prop::collection::vec(-2.0..2.0_f64, outputs)).prop_map(move |(weights, biases)| LinearLayer {
-        inputs,
-        outputs,
-        weights,
-        biases,
+    let weights = prop::collection::vec(
+        prop_oneof![4 => -1.0..1.0_f64, 1 => Just(0.0)],
+        inputs * outputs,
+    );
+    (weights, prop::collection::vec(-2.0..2.0_f64, outputs)).prop_map(move |(weights, biases)| {
+        LinearLayer {
+            inputs,
+            outputs,
+            weights,
+            biases,
+        }
     })
 }
 
 fn layers() -> impl Strategy<Value = Vec<LinearLayer>> {
     (1..6_usize, 1..6_usize).prop_flat_map(|(first, second)| {
-        (layer(OBSERVATION_SIZE, first), layer(first, second), layer(second, 1)).prop_map(|(a, b, c)| vec![a, b, c])
+        (
+            layer(OBSERVATION_SIZE, first),
+            layer(first, second),
+            layer(second, 1),
+        )
+            .prop_map(|(a, b, c)| vec![a, b, c])
     })
 }
 

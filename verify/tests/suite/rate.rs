@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::rate::binomial_tail_upper_bound;
-use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement, check};
+use crumple_verify::{
+    ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement, check,
+};
 
 use crate::support::certificate;
 
@@ -13,15 +15,30 @@ fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
 
 fn registration(runs: u64, confidence: f64) -> Registration {
     let configuration = BTreeMap::from([("controller".to_owned(), "policy".to_owned())]);
-    Registration { configuration, runs, confidence, block_runs: None }
+    Registration {
+        configuration,
+        runs,
+        confidence,
+        block_runs: None,
+    }
 }
 
 pub fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> RateClaim {
     let registration = registration(runs, confidence);
-    RateClaim { registration_sha256: registration.digest(), registration, failures, rate_at_most, blocks: Vec::new() }
+    RateClaim {
+        registration_sha256: registration.digest(),
+        registration,
+        failures,
+        rate_at_most,
+        blocks: Vec::new(),
+    }
 }
 
-pub fn comparison((runs, confidence): (u64, f64), only_first_failed: u64, only_second_failed: u64) -> Statement {
+pub fn comparison(
+    (runs, confidence): (u64, f64),
+    only_first_failed: u64,
+    only_second_failed: u64,
+) -> Statement {
     let registration = registration(runs, confidence);
     Statement::Comparison(ComparisonClaim {
         registration_sha256: registration.digest(),
@@ -53,18 +70,29 @@ fn one_in_ten_thousand_takes_138_149_clean_runs() {
 fn the_tail_is_above_the_exact_one_and_close() {
     use num_rational::BigRational;
     use num_traits::{One, Zero};
-    for (k, n, p) in [(0, 1, 0.5), (3, 10, 0.25), (0, 200, 0.01), (7, 120, 0.125), (59, 60, 0.9), (50, 100, 0.5)] {
+    for (k, n, p) in [
+        (0, 1, 0.5),
+        (3, 10, 0.25),
+        (0, 200, 0.01),
+        (7, 120, 0.125),
+        (59, 60, 0.9),
+        (50, 100, 0.5),
+    ] {
         let exact = BigRational::from_float(p).unwrap();
         let rest = BigRational::one() - &exact;
         let (mut sum, mut choose) = (BigRational::zero(), BigRational::one());
         for i in 0..=k {
             sum += &choose * exact.pow(i) * rest.pow(n - i);
-            choose = choose * BigRational::from_integer((n - i).into()) / BigRational::from_integer((i + 1).into());
+            choose = choose * BigRational::from_integer((n - i).into())
+                / BigRational::from_integer((i + 1).into());
         }
         let tail = binomial_tail_upper_bound(k as u64, n as u64, p);
         let bound = BigRational::from_float(tail).unwrap();
         assert!(bound >= sum, "{k} {n} {p}");
-        assert!(bound <= sum * BigRational::from_float(1.0 + 1e-12).unwrap(), "{k} {n} {p}");
+        assert!(
+            bound <= sum * BigRational::from_float(1.0 + 1e-12).unwrap(),
+            "{k} {n} {p}"
+        );
     }
 }
 
@@ -79,9 +107,18 @@ fn no_term_vanishes_or_overflows_for_large_counts() {
 #[test]
 fn a_change_of_any_number_that_matters_is_rejected() {
     let sound = serde_json::to_value(rate(3, 1000, 0.0201, 0.999)).unwrap();
-    let judge =
-        |value: &serde_json::Value| check_statement(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
-    assert_eq!(judge(&sound), Ok(ProvedClaim::Rate { max_rate: 0.0201, confidence: 0.999 }));
+    let judge = |value: &serde_json::Value| {
+        check_statement(Statement::Rate(
+            serde_json::from_value(value.clone()).unwrap(),
+        ))
+    };
+    assert_eq!(
+        judge(&sound),
+        Ok(ProvedClaim::Rate {
+            max_rate: 0.0201,
+            confidence: 0.999
+        })
+    );
     for (path, worse) in [
         ("/failures", 9.into()),
         ("/failures", 1001.into()),
@@ -113,14 +150,25 @@ fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
     let most = crumple_verify::rate::MAX_RUNS;
     let exact = (most as f64 * (-1e-9_f64).ln_1p()).exp();
     let tail = binomial_tail_upper_bound(0, most, 1e-9);
-    assert!(tail >= exact * (1.0 - 1e-12) && tail <= exact * (1.0 + 5e-7), "{tail} {exact}");
+    assert!(
+        tail >= exact * (1.0 - 1e-12) && tail <= exact * (1.0 + 5e-7),
+        "{tail} {exact}"
+    );
     for runs in [most + 1, most + 2, u64::MAX] {
         for rate in [1e-9, 1e-300, 0.5] {
-            assert_eq!(binomial_tail_upper_bound(0, runs, rate), 1.0, "{runs} {rate}");
+            assert_eq!(
+                binomial_tail_upper_bound(0, runs, rate),
+                1.0,
+                "{runs} {rate}"
+            );
         }
     }
     for (failures, runs) in [(5, 5), (6, 5), (0, 0)] {
-        assert_eq!(binomial_tail_upper_bound(failures, runs, 0.5), 1.0, "{failures} of {runs}");
+        assert_eq!(
+            binomial_tail_upper_bound(failures, runs, 0.5),
+            1.0,
+            "{failures} of {runs}"
+        );
     }
 }
 
@@ -129,7 +177,11 @@ fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
 fn a_rate_next_to_nothing_has_all_of_the_tail() {
     for runs in 1..9 {
         for failures in 0..runs {
-            assert_eq!(binomial_tail_upper_bound(failures, runs, 1e-300), 1.0, "{failures} of {runs}");
+            assert_eq!(
+                binomial_tail_upper_bound(failures, runs, 1e-300),
+                1.0,
+                "{failures} of {runs}"
+            );
         }
     }
 }
@@ -142,24 +194,39 @@ fn rejection_text(statement: Statement) -> String {
 fn limits_of_registrations_and_claims_are_exact() {
     for confidence in [-1.0, 0.4, 0.5, 1.0, 1.1, f64::NAN] {
         let refused = rejection_text(Statement::Rate(rate(0, 100, 0.9, confidence)));
-        assert_eq!(refused, "`registration.confidence` must be between 1/2 and 1", "{confidence}");
+        assert_eq!(
+            refused, "`registration.confidence` must be between 1/2 and 1",
+            "{confidence}"
+        );
     }
     for confidence in [0.5_f64.next_up(), 1.0_f64.next_down()] {
         assert!(is_shown(rate(0, 100, 0.9, confidence)), "{confidence}");
-        assert!(check_statement(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(), "{confidence}");
+        assert!(
+            check_statement(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(),
+            "{confidence}"
+        );
     }
     for rate_at_most in [-0.1, 0.0, 1.0, 1.5, f64::NAN] {
         let refused = rejection_text(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
-        assert_eq!(refused, "`rate_at_most` must be between 0 and 1", "{rate_at_most}");
+        assert_eq!(
+            refused, "`rate_at_most` must be between 0 and 1",
+            "{rate_at_most}"
+        );
     }
     assert!(check_statement(Statement::Rate(rate(99, 100, 1.0_f64.next_down(), 0.9))).is_ok());
     for (runs, failures) in [(0, 0), (1_000_000_001, 0)] {
         let refused = rejection_text(Statement::Rate(rate(failures, runs, 0.5, 0.9)));
-        assert_eq!(refused, "`registration.runs` must be from 1 to 1000 million", "{runs}");
+        assert_eq!(
+            refused, "`registration.runs` must be from 1 to 1000 million",
+            "{runs}"
+        );
     }
     for failures in [100, 101] {
         let refused = rejection_text(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
-        assert_eq!(refused, "`failures` equal the number of runs: no bound on the rate follows");
+        assert_eq!(
+            refused,
+            "`failures` equal the number of runs: no bound on the rate follows"
+        );
     }
 
     assert_eq!(
@@ -169,6 +236,9 @@ fn limits_of_registrations_and_claims_are_exact() {
     );
     for only_second_failed in [11, 12, u64::MAX] {
         let refused = rejection_text(comparison((10, 0.99), 0, only_second_failed));
-        assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");
+        assert_eq!(
+            refused,
+            "`only_first_failed` and `only_second_failed` must not exceed the runs"
+        );
     }
 }

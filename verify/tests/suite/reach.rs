@@ -5,10 +5,13 @@ use crumple_verify::reach::form::AffineForm;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    BoxDimension, FollowerModel, InitialRanges, LinearLayer, NetworkLayer, NeuralController, PartitionCell, ReachClaim,
-    ReachProblem, ReachResult, ReachTube, Undecided, reach, reach_with_tube,
+    BoxDimension, FollowerModel, InitialRanges, LinearLayer, NetworkLayer, NeuralController,
+    PartitionCell, ReachClaim, ReachProblem, ReachResult, ReachTube, Undecided, reach,
+    reach_with_tube,
 };
-use crumple_verify::{Certificate, Interval, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::{
+    Certificate, Interval, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with,
+};
 use proptest::prelude::*;
 
 use crate::support::closed_loop::{
@@ -46,7 +49,10 @@ pub fn point_box(start: ReachPoint) -> InitialRanges {
     ranges
 }
 
-pub fn paper_problem<'a>(controller: &'a NeuralController, ranges: InitialRanges) -> ReachProblem<'a> {
+pub fn paper_problem<'a>(
+    controller: &'a NeuralController,
+    ranges: InitialRanges,
+) -> ReachProblem<'a> {
     ReachProblem {
         controller,
         ranges,
@@ -68,19 +74,37 @@ pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> ReachPoint {
 }
 
 fn widen_network(controller: &NeuralController, copies: usize) -> NeuralController {
-    let last = controller.layers.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
+    let last = controller
+        .layers
+        .iter()
+        .rposition(|step| matches!(step, NetworkLayer::Linear(_)));
     let widen = |(index, step): (usize, &NetworkLayer)| {
-        let NetworkLayer::Linear(layer) = step else { return step.clone() };
-        let (in_copies, out_copies) =
-            (if index == 0 { 1 } else { copies }, if Some(index) == last { 1 } else { copies });
+        let NetworkLayer::Linear(layer) = step else {
+            return step.clone();
+        };
+        let (in_copies, out_copies) = (
+            if index == 0 { 1 } else { copies },
+            if Some(index) == last { 1 } else { copies },
+        );
         let (inputs, outputs) = (layer.inputs * in_copies, layer.outputs * out_copies);
-        let weight =
-            |i: usize, o: usize| layer.weights[i / in_copies * layer.outputs + o / out_copies] / in_copies as f64;
-        let weights = (0..inputs * outputs).map(|place| weight(place / outputs, place % outputs)).collect();
+        let weight = |i: usize, o: usize| {
+            layer.weights[i / in_copies * layer.outputs + o / out_copies] / in_copies as f64
+        };
+        let weights = (0..inputs * outputs)
+            .map(|place| weight(place / outputs, place % outputs))
+            .collect();
         let biases = (0..outputs).map(|o| layer.biases[o / out_copies]).collect();
-        NetworkLayer::Linear(LinearLayer { inputs, outputs, weights, biases })
+        NetworkLayer::Linear(LinearLayer {
+            inputs,
+            outputs,
+            weights,
+            biases,
+        })
     };
-    NeuralController { layers: controller.layers.iter().enumerate().map(widen).collect(), ..controller.clone() }
+    NeuralController {
+        layers: controller.layers.iter().enumerate().map(widen).collect(),
+        ..controller.clone()
+    }
 }
 
 pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
@@ -148,7 +172,10 @@ pub fn is_bounded(
     whose: &impl Debug,
 ) -> Result<(), TestCaseError> {
     if reached.undecided.is_none() {
-        prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{whose:?} {least:?} {reached:?}");
+        prop_assert!(
+            least[0] >= reached.gaps_m[0] - 1e-8,
+            "{whose:?} {least:?} {reached:?}"
+        );
         let is_behind = scene.follower.is_none() || least[1] >= reached.gaps_m[1] - 1e-8;
         prop_assert!(is_behind, "{whose:?} {least:?} {reached:?}");
     }
@@ -161,7 +188,10 @@ pub fn is_bounded(
     for (decision, (bounds, seen)) in tube.iter().zip(&trace).enumerate() {
         for (i, (bound, seen)) in bounds.iter().zip(seen).enumerate() {
             let inside = bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8;
-            prop_assert!(inside, "number {i} at decision {decision}: {seen} not in {bound:?}; {whose:?}");
+            prop_assert!(
+                inside,
+                "number {i} at decision {decision}: {seen} not in {bound:?}; {whose:?}"
+            );
         }
     }
     Ok(())
@@ -209,7 +239,12 @@ fn standing_members_are_kept() {
 }
 
 /// Searches for the initial state with the smallest gap by hill climbing; returns the gap.
-pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
+pub fn min_gap_under_attack(
+    scene: &ReachProblem<'_>,
+    random: usize,
+    adversarial: usize,
+    seed: u64,
+) -> f64 {
     let mut numbers = XorShiftRng(seed);
     let gap = |place: [f64; 8]| {
         let start = box_member(&scene.ranges, place);
@@ -226,7 +261,9 @@ pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial
     }
     for round in 0..adversarial {
         let size = 0.5 * 0.995_f64.powi(round as i32);
-        let place = best.0.map(|at: f64| (at + size * numbers.next_signed()).clamp(0.0, 1.0));
+        let place = best
+            .0
+            .map(|at: f64| (at + size * numbers.next_signed()).clamp(0.0, 1.0));
         let found = gap(place);
         if found < best.1 {
             best = (place, found);
@@ -236,7 +273,12 @@ pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial
 }
 
 /// Returns the proved and the smallest found gap of a box that must be verified, in metres.
-pub fn prove_and_attack(scene: &ReachProblem<'_>, random: usize, adversarial: usize, seed: u64) -> [f64; 2] {
+pub fn prove_and_attack(
+    scene: &ReachProblem<'_>,
+    random: usize,
+    adversarial: usize,
+    seed: u64,
+) -> [f64; 2] {
     let reached = reach(scene);
     let found_m = min_gap_under_attack(scene, random, adversarial, seed);
     let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
@@ -257,11 +299,15 @@ mod tier_2 {
         light.follower_brake_mps2 = between(7.3, 7.7);
         let mut other = paper_box(0.1, 0.05);
         (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
-        (other.follower_speed_mps, other.onset_steps) = (between(25.0, 25.1), between(120.0, 123.5));
+        (other.follower_speed_mps, other.onset_steps) =
+            (between(25.0, 25.1), between(120.0, 123.5));
         for (ranges, least_m) in [(paper_box(0.5, 0.1), 1.8), (light, 2.7), (other, 1.2)] {
             let scene = paper_problem(&controller, ranges);
             let [proved_m, found_m] = prove_and_attack(&scene, 10_000, 1000, 9);
-            assert!(proved_m > least_m, "the bound is not idle: {found_m} {proved_m}");
+            assert!(
+                proved_m > least_m,
+                "the bound is not idle: {found_m} {proved_m}"
+            );
         }
     }
 }
@@ -301,8 +347,17 @@ pub fn claim() -> ReachClaim {
 #[test]
 fn a_claim_is_derived_again() {
     let bytes = policy_bytes("reference");
-    match check_with(&reach_certificate(claim()), Some(&bytes), WorkLimit::default()) {
-        Ok(ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. }) => {
+    match check_with(
+        &reach_certificate(claim()),
+        Some(&bytes),
+        WorkLimit::default(),
+    ) {
+        Ok(ProvedClaim::Reach {
+            verified_share,
+            falsified_share,
+            min_gap_m: smallest_gap_m,
+            ..
+        }) => {
             // The middle of a range is rounded.
             assert!(
                 (0.0..1e-12).contains(&(1.0 / 64.0 - verified_share))
@@ -312,9 +367,18 @@ fn a_claim_is_derived_again() {
         }
         other => panic!("{other:?}"),
     }
-    assert!(matches!(check(&reach_certificate(claim())), Err(Rejection::Policy { .. })), "no policy");
+    assert!(
+        matches!(
+            check(&reach_certificate(claim())),
+            Err(Rejection::Policy { .. })
+        ),
+        "no policy"
+    );
     let text = serde_json::to_string(&reach_certificate(claim())).unwrap();
-    assert_eq!(Certificate::from_json(&text).unwrap(), reach_certificate(claim()));
+    assert_eq!(
+        Certificate::from_json(&text).unwrap(),
+        reach_certificate(claim())
+    );
 }
 
 /// Five cuts of five ranges of three numbers each: a 32nd of the box by cuts, 3.12 %, and a 243rd of its volume, 0.41
@@ -336,8 +400,13 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
     }
     // The middle rounds to one side or the other; this names the smaller part.
     let partition = |is_low_smaller: [bool; 5]| {
-        let after = is_low_smaller.iter().rev().filter(|is_low| **is_low).map(|_| PartitionCell::Undecided);
-        let (mut cells, after): (Vec<PartitionCell>, Vec<PartitionCell>) = (Vec::new(), after.collect());
+        let after = is_low_smaller
+            .iter()
+            .rev()
+            .filter(|is_low| **is_low)
+            .map(|_| PartitionCell::Undecided);
+        let (mut cells, after): (Vec<PartitionCell>, Vec<PartitionCell>) =
+            (Vec::new(), after.collect());
         for (dimension, is_low) in cut.into_iter().zip(is_low_smaller) {
             cells.push(PartitionCell::Cut(dimension));
             cells.extend((!is_low).then_some(PartitionCell::Undecided));
@@ -355,14 +424,37 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
         ..claim()
     });
     let share = |claim: &ReachClaim| claim.volume_shares().unwrap()[0];
-    let stated = claims.min_by(|one, other| share(one).total_cmp(&share(other))).unwrap();
-    assert!(share(&stated) <= 1.0 / 243.0 && share(&stated) > 0.0041, "{}", share(&stated));
-    let refused =
-        check_with(&reach_certificate(stated.clone()), Some(&bytes), WorkLimit::default()).unwrap_err().to_string();
+    let stated = claims
+        .min_by(|one, other| share(one).total_cmp(&share(other)))
+        .unwrap();
+    assert!(
+        share(&stated) <= 1.0 / 243.0 && share(&stated) > 0.0041,
+        "{}",
+        share(&stated)
+    );
+    let refused = check_with(
+        &reach_certificate(stated.clone()),
+        Some(&bytes),
+        WorkLimit::default(),
+    )
+    .unwrap_err()
+    .to_string();
     assert!(refused.contains("verified_share_at_least"), "{refused}");
-    let measured = ReachClaim { verified_share_at_least: share(&stated), ..stated };
-    let shown = check_with(&reach_certificate(measured), Some(&bytes), WorkLimit::default()).unwrap().to_string();
-    assert!(shown.starts_with("reach: in 0.41 % of the box's volume"), "{shown}");
+    let measured = ReachClaim {
+        verified_share_at_least: share(&stated),
+        ..stated
+    };
+    let shown = check_with(
+        &reach_certificate(measured),
+        Some(&bytes),
+        WorkLimit::default(),
+    )
+    .unwrap()
+    .to_string();
+    assert!(
+        shown.starts_with("reach: in 0.41 % of the box's volume"),
+        "{shown}"
+    );
 }
 
 #[test]
@@ -370,21 +462,37 @@ fn one_changed_weight_is_another_policy() {
     let mut bytes = policy_bytes("reference");
     let last = bytes.len() - 7;
     bytes[last] ^= 1;
-    let changed = check_with(&reach_certificate(claim()), Some(&bytes), WorkLimit::default());
-    assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
+    let changed = check_with(
+        &reach_certificate(claim()),
+        Some(&bytes),
+        WorkLimit::default(),
+    );
+    assert!(
+        matches!(changed, Err(Rejection::Policy { .. })),
+        "{changed:?}"
+    );
     // With its own digest the claim is checked for the changed network: false if the change is large.
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
-    let Some(NetworkLayer::Linear(last)) =
-        controller.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_)))
+    let Some(NetworkLayer::Linear(last)) = controller
+        .layers
+        .iter()
+        .rfind(|step| matches!(step, NetworkLayer::Linear(_)))
     else {
         panic!()
     };
     let bias = (last.biases[0] as f32).to_le_bytes();
     let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
     bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
-    let changed = ReachClaim { policy_sha256: sha256(&bytes), ..claim() };
+    let changed = ReachClaim {
+        policy_sha256: sha256(&bytes),
+        ..claim()
+    };
     assert!(matches!(
-        check_with(&reach_certificate(changed), Some(&bytes), WorkLimit::default()),
+        check_with(
+            &reach_certificate(changed),
+            Some(&bytes),
+            WorkLimit::default()
+        ),
         Err(Rejection::Leaf { leaf: 0, .. })
     ));
 }
@@ -405,10 +513,15 @@ fn accepted_changed_certificates_are_true() {
             continue;
         }
         accepted += 1;
-        let Statement::Reach(claim) = certificate.statement else { panic!("another statement") };
+        let Statement::Reach(claim) = certificate.statement else {
+            panic!("another statement")
+        };
         let (mut verified, mut falsified) = (0.0, 0.0);
         for (cell, ranges, share) in claim.leaves().unwrap() {
-            let scene = ReachProblem { ranges, ..claim.problem(&controller).unwrap() };
+            let scene = ReachProblem {
+                ranges,
+                ..claim.problem(&controller).unwrap()
+            };
             match cell {
                 PartitionCell::Verified => {
                     verified += share;
@@ -428,11 +541,20 @@ fn accepted_changed_certificates_are_true() {
         }
         // Version 1 took every cut for one in equal halves.
         let is_enough = |found: f64, stated: f64| found + 1e-9 >= stated;
-        assert!(is_enough(verified, claim.verified_share_at_least), "{change}");
-        assert!(is_enough(falsified, claim.falsified_share_at_least), "{change}");
+        assert!(
+            is_enough(verified, claim.verified_share_at_least),
+            "{change}"
+        );
+        assert!(
+            is_enough(falsified, claim.falsified_share_at_least),
+            "{change}"
+        );
     }
     println!("{accepted} accepted, {rejected} rejected");
-    assert!(accepted > 10 && rejected > accepted, "{accepted} accepted, {rejected} rejected");
+    assert!(
+        accepted > 10 && rejected > accepted,
+        "{accepted} accepted, {rejected} rejected"
+    );
 }
 
 #[test]
@@ -440,10 +562,19 @@ fn the_reason_of_an_undecided_box_is_reported() {
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     let mut wide = paper_box(3.0, 1.0);
     let reached = reach(&paper_problem(&controller, wide));
-    assert!(matches!(reached.undecided, Some(Undecided::MayCollide { .. })) && !reached.surely_collides, "{reached:?}");
-    assert!(reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0, "{reached:?}");
+    assert!(
+        matches!(reached.undecided, Some(Undecided::MayCollide { .. })) && !reached.surely_collides,
+        "{reached:?}"
+    );
+    assert!(
+        reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0,
+        "{reached:?}"
+    );
     wide.ego_speed_mps = between(0.0, 100.0);
-    assert!(matches!(reach(&paper_problem(&controller, wide)).undecided, Some(Undecided::TooWide { step: 0 })));
+    assert!(matches!(
+        reach(&paper_problem(&controller, wide)).undecided,
+        Some(Undecided::TooWide { step: 0 })
+    ));
 }
 
 /// A policy that decides at every step stops at hundreds of instants, none of which may add a set.
@@ -451,8 +582,15 @@ fn the_reason_of_an_undecided_box_is_reported() {
 fn a_decision_at_every_step_is_bounded_as_well() {
     let reference = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     let wide = widen_network(&reference, 4);
-    for (controller, ranges) in [(&reference, paper_box(0.1, 0.02)), (&wide, paper_box(0.02, 0.0))] {
-        let scene = ReachProblem { decision_steps: 1, stop_when_undecided: false, ..paper_problem(controller, ranges) };
+    for (controller, ranges) in [
+        (&reference, paper_box(0.1, 0.02)),
+        (&wide, paper_box(0.02, 0.0)),
+    ] {
+        let scene = ReachProblem {
+            decision_steps: 1,
+            stop_when_undecided: false,
+            ..paper_problem(controller, ranges)
+        };
         let begin = std::time::Instant::now();
         let (reached, tube) = reach_with_tube(&scene);
         println!("{:?}, {:?}", begin.elapsed(), reached.gaps_m);
@@ -461,17 +599,19 @@ fn a_decision_at_every_step_is_bounded_as_well() {
         assert_eq!(tube.len(), 1501);
         let mut found_m = [f64::INFINITY; 2];
         for start in 0..40 {
-            let place =
-                std::array::from_fn(|_| if start % 2 == 0 { numbers.next_unit() } else { numbers.next_unit().round() });
+            let place = std::array::from_fn(|_| {
+                if start % 2 == 0 {
+                    numbers.next_unit()
+                } else {
+                    numbers.next_unit().round()
+                }
+            });
             let (trace, least) = simulate(&scene, box_member(&ranges, place));
             found_m = std::array::from_fn(|pair| found_m[pair].min(least[pair]));
             for (bounds, seen) in tube.iter().zip(&trace) {
-                assert!(
-                    bounds
-                        .iter()
-                        .zip(seen)
-                        .all(|(bound, seen)| bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8)
-                );
+                assert!(bounds.iter().zip(seen).all(
+                    |(bound, seen)| bound.low() - 1e-8 <= *seen && *seen <= bound.high() + 1e-8
+                ));
             }
         }
         for (proved, found) in reached.gaps_m.into_iter().zip(found_m) {
@@ -516,7 +656,9 @@ fn worst_errors_at_each_size() {
     const BLOCK: u32 = 5;
     let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     // Output of `cargo run -p crumple-experiments -- filter_errors paper-1`.
-    let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
+    let filter = [
+        0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211,
+    ];
     let mut ranges = paper_box(0.7, 0.2);
     (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));
     for factor in [0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0] {
@@ -525,7 +667,9 @@ fn worst_errors_at_each_size() {
         let gap = |place: [f64; 8], signs: &[[f64; 8]]| {
             let start = box_member(&ranges, place);
             let error = |decision: u32| {
-                std::array::from_fn(|i| factor * filter[i] * signs[(decision / BLOCK) as usize % signs.len()][i])
+                std::array::from_fn(|i| {
+                    factor * filter[i] * signs[(decision / BLOCK) as usize % signs.len()][i]
+                })
             };
             let (_, least) = simulate_with_errors(&scene, start, scripted_braking(&start), error);
             least[0].min(least[1])
@@ -533,7 +677,8 @@ fn worst_errors_at_each_size() {
         // First constant errors, then changes of each half second.
         let mut best = ([0.5; 8], vec![[1.0; 8]; 30], f64::INFINITY);
         for pattern in 0..256_u32 {
-            let signs = vec![std::array::from_fn(|i| if pattern >> i & 1 == 1 { 1.0 } else { -1.0 }); 30];
+            let signs =
+                vec![std::array::from_fn(|i| if pattern >> i & 1 == 1 { 1.0 } else { -1.0 }); 30];
             let found_m = gap(best.0, &signs);
             if found_m < best.2 {
                 best = (best.0, signs, found_m);
@@ -542,16 +687,22 @@ fn worst_errors_at_each_size() {
         let lasting_m = best.2;
         for round in 0..4000 {
             let size = 0.999_f64.powi(round % 1000);
-            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
+            let place = best
+                .0
+                .map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut signs = best.1.clone();
             for _ in 0..1 + (numbers.next_unit() * 4.0) as usize {
-                signs[(numbers.next_unit() * 30.0) as usize % 30][(numbers.next_unit() * 8.0) as usize % 8] *= -1.0;
+                signs[(numbers.next_unit() * 30.0) as usize % 30]
+                    [(numbers.next_unit() * 8.0) as usize % 8] *= -1.0;
             }
             let found_m = gap(place, &signs);
             if found_m < best.2 {
                 best = (place, signs, found_m);
             }
         }
-        println!("{factor} of six deviations: {lasting_m:.3} m by errors that last, {:.3} m", best.2);
+        println!(
+            "{factor} of six deviations: {lasting_m:.3} m by errors that last, {:.3} m",
+            best.2
+        );
     }
 }

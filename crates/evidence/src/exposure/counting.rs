@@ -17,7 +17,12 @@ pub(crate) struct EpisodeClusters {
 impl EpisodeClusters {
     #[must_use]
     pub(crate) fn singletons(episodes: u64) -> Self {
-        Self { clusters: episodes, episodes, sum_of_squares: episodes as f64, largest: 1 }
+        Self {
+            clusters: episodes,
+            episodes,
+            sum_of_squares: episodes as f64,
+            largest: 1,
+        }
     }
 
     #[must_use]
@@ -38,13 +43,25 @@ impl EpisodeClusters {
 /// episodes that is the exact Poisson interval (Garwood, 1936).
 #[must_use]
 pub(crate) fn expected_count_interval(seen: EpisodeClusters, confidence: f64) -> [f64; 2] {
-    let (sum, variance, largest) = (seen.episodes as f64, seen.sum_of_squares, seen.largest as f64);
+    let (sum, variance, largest) = (
+        seen.episodes as f64,
+        seen.sum_of_squares,
+        seen.largest as f64,
+    );
     let tail = 0.5 * (1.0 - confidence);
     let quantile = |mean: f64, variance: f64, share: f64| {
-        Gamma::new(mean * mean / variance, mean / variance).map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))
+        Gamma::new(mean * mean / variance, mean / variance)
+            .map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))
     };
-    let low = if sum > 0.0 { quantile(sum, variance, tail) } else { 0.0 };
-    [low, quantile(sum + largest, variance + largest * largest, 1.0 - tail)]
+    let low = if sum > 0.0 {
+        quantile(sum, variance, tail)
+    } else {
+        0.0
+    };
+    [
+        low,
+        quantile(sum + largest, variance + largest * largest, 1.0 - tail),
+    ]
 }
 
 #[cfg(test)]
@@ -53,15 +70,22 @@ mod tests {
 
     #[test]
     fn lone_waves_have_the_exact_interval_of_poisson() {
-        for (count, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.390), (100, 81.364, 121.627)] {
-            let [found_low, found_high] = expected_count_interval(EpisodeClusters::singletons(count), 0.95);
+        for (count, low, high) in [
+            (0, 0.0, 3.689),
+            (1, 0.0253, 5.572),
+            (10, 4.795, 18.390),
+            (100, 81.364, 121.627),
+        ] {
+            let [found_low, found_high] =
+                expected_count_interval(EpisodeClusters::singletons(count), 0.95);
             assert!(
                 (found_low - low).abs() < 1e-3 && (found_high - high).abs() < 1e-3,
                 "{count}: {found_low} {found_high}"
             );
         }
         let [low, high] = expected_count_interval(EpisodeClusters::from_sizes(&[3; 10]), 0.95);
-        let [lone_low, lone_high] = expected_count_interval(EpisodeClusters::from_sizes(&[1; 10]), 0.95);
+        let [lone_low, lone_high] =
+            expected_count_interval(EpisodeClusters::from_sizes(&[1; 10]), 0.95);
         assert!((low - 3.0 * lone_low).abs() < 1e-9 && (high - 3.0 * lone_high).abs() < 1e-9);
     }
 

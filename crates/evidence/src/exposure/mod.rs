@@ -46,8 +46,13 @@ impl IntervalEstimate {
     /// at [`CONFIDENCE`].
     #[must_use]
     pub fn poisson_rate(events: u64, exposure: f64) -> Self {
-        let [lower, upper] = expected_count_interval(EpisodeClusters::singletons(events), CONFIDENCE);
-        Self { estimate: events as f64 / exposure, lower: lower / exposure, upper: upper / exposure }
+        let [lower, upper] =
+            expected_count_interval(EpisodeClusters::singletons(events), CONFIDENCE);
+        Self {
+            estimate: events as f64 / exposure,
+            lower: lower / exposure,
+            upper: upper / exposure,
+        }
     }
 }
 
@@ -136,21 +141,31 @@ pub enum FailureProbability<'a> {
 impl FailureProbability<'_> {
     fn estimate(self) -> Option<f64> {
         match self {
-            Self::Counted { failures, runs, .. } => (runs > 0).then(|| failures as f64 / runs as f64),
+            Self::Counted { failures, runs, .. } => {
+                (runs > 0).then(|| failures as f64 / runs as f64)
+            }
             // Without a reached failure, only an upper end is known.
-            Self::Estimated(estimate) => estimate.probability.or((estimate.independent_runs > 0).then_some(0.0)),
+            Self::Estimated(estimate) => estimate
+                .probability
+                .or((estimate.independent_runs > 0).then_some(0.0)),
         }
     }
 
     fn interval(self, confidence: f64) -> Option<[f64; 2]> {
         match self {
-            Self::Counted { failures, unknown, runs } => Some([
+            Self::Counted {
+                failures,
+                unknown,
+                runs,
+            } => Some([
                 RateInterval::clopper_pearson(failures, runs, confidence).lower,
                 RateInterval::clopper_pearson(failures + unknown, runs, confidence).upper,
             ]),
             // Equal repetitions have no spread; the independent initial runs then bound the probability.
             Self::Estimated(estimate) => {
-                let spread = estimate.interval(confidence).filter(|[low, high]| low < high);
+                let spread = estimate
+                    .interval(confidence)
+                    .filter(|[low, high]| low < high);
                 spread.or_else(|| estimate.independent_interval(confidence))
             }
         }
@@ -159,8 +174,12 @@ impl FailureProbability<'_> {
     fn relative_variance(self) -> Option<f64> {
         match self {
             Self::Counted { failures: 0, .. } => None,
-            Self::Counted { failures, runs, .. } => Some((1.0 - failures as f64 / runs as f64) / failures as f64),
-            Self::Estimated(estimate) => estimate.coefficient_of_variation.map(|variation| variation * variation),
+            Self::Counted { failures, runs, .. } => {
+                Some((1.0 - failures as f64 / runs as f64) / failures as f64)
+            }
+            Self::Estimated(estimate) => estimate
+                .coefficient_of_variation
+                .map(|variation| variation * variation),
         }
     }
 }
@@ -188,7 +207,11 @@ impl RatePerExposure {
                 upper: jointly[1] * stands_for * counted[1] / amount,
             };
             FailureRates {
-                per_episode: IntervalEstimate { estimate, lower: low, upper: high },
+                per_episode: IntervalEstimate {
+                    estimate,
+                    lower: low,
+                    upper: high,
+                },
                 per_hour: per(exposure.hours),
                 per_1000_km: per(exposure.kilometres / 1000.0),
             }
@@ -197,15 +220,20 @@ impl RatePerExposure {
         let fitted = figures([estimate, low, high], jointly);
         let with_data = resamples.ok().and_then(|resamples| {
             // Data uncertainty never shortens the interval, even if all resamples lie on one side.
-            let with = |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
+            let with =
+                |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
             let [low, high] = with(resamples.percentile_interval(CONFIDENCE)?, [low, high]);
             Some(WithDataUncertainty {
-                rates: figures([estimate, low, high], with(resamples.percentile_interval(1.0 - alpha / 2.0)?, jointly)),
+                rates: figures(
+                    [estimate, low, high],
+                    with(resamples.percentile_interval(1.0 - alpha / 2.0)?, jointly),
+                ),
                 resamples: resamples.count(),
                 failed_fits: resamples.failed_fits,
                 runs_each: resamples.runs_each,
                 counting_variance: seen.sum_of_squares / episodes.powi(2),
-                data_variance: (estimate > 0.0).then(|| resamples.data_variance / (estimate * estimate)),
+                data_variance: (estimate > 0.0)
+                    .then(|| resamples.data_variance / (estimate * estimate)),
                 sampling_variance: known.relative_variance(),
             })
         });
@@ -226,7 +254,13 @@ impl RatePerExposure {
 /// Returns the clusters of a space's episodes; clusters of one each if unknown.
 fn episode_clusters(space: &ScenarioSpace) -> EpisodeClusters {
     let Some(observed) = &space.spec().observed else {
-        return EpisodeClusters::singletons(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));
+        return EpisodeClusters::singletons(
+            space
+                .spec()
+                .exposure
+                .as_ref()
+                .map_or(0, |exposure| exposure.episodes),
+        );
     };
     let mut sizes = vec![0; observed.braking_clusters.len()];
     for cluster in &observed.braking_clusters {

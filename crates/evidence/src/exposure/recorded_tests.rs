@@ -49,9 +49,14 @@ impl KnownTraffic {
         let brake = Gamma::new(self.brake.0, self.brake.1).unwrap();
         let gap = LogNormal::new(self.ln_gap.0, self.ln_gap.1).unwrap();
         let mut draw = |one: &dyn Fn(&mut Stream) -> f64, range: [f64; 2]| {
-            std::iter::repeat_with(|| one(random)).find(|value| (range[0]..range[1]).contains(value)).unwrap()
+            std::iter::repeat_with(|| one(random))
+                .find(|value| (range[0]..range[1]).contains(value))
+                .unwrap()
         };
-        [draw(&|random| brake.sample(random), [1.31, 11.5]), draw(&|random| gap.sample(random), [0.1, 20.0])]
+        [
+            draw(&|random| brake.sample(random), [1.31, 11.5]),
+            draw(&|random| gap.sample(random), [0.1, 20.0]),
+        ]
     }
 
     fn fails(&self, brake_mps2: f64, gap_s: f64) -> bool {
@@ -69,11 +74,18 @@ impl KnownTraffic {
 
     /// Returns a recording with a random number of brakings, and free driving for the rest of the time.
     fn record(&self, random: &mut Stream) -> String {
-        let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
-        let episodes = Poisson::new(self.episodes_per_hour * self.hours).unwrap().sample(random) as u32;
+        let mut text =
+            "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n"
+                .to_owned();
+        let episodes = Poisson::new(self.episodes_per_hour * self.hours)
+            .unwrap()
+            .sample(random) as u32;
         for event in 0..episodes {
             let [brake_mps2, time_gap_s] = self.draw(random);
-            let (lead_mps, share) = (20.0 + 10.0 * random.random::<f64>(), 0.95 + 0.1 * random.random::<f64>());
+            let (lead_mps, share) = (
+                20.0 + 10.0 * random.random::<f64>(),
+                0.95 + 0.1 * random.random::<f64>(),
+            );
             let braking_s = if random.random() { 1.25 } else { 1.5 };
             let leader_mps = |at_s: f64| lead_mps - brake_mps2 * (at_s - 3.0).clamp(0.0, braking_s);
             // The follower brakes half a second later.
@@ -82,8 +94,14 @@ impl KnownTraffic {
             for row in 0..ROWS {
                 let at_s = STEP_S * f64::from(row);
                 let [leader, follower] = [leader_mps(at_s), follower_mps(at_s)];
-                writeln!(text, "{event},{at_s},{gap_m:.4},{follower:.4},{:.4},{leader:.4}", leader - follower).unwrap();
-                let [next_leader, next_follower] = [leader_mps(at_s + STEP_S), follower_mps(at_s + STEP_S)];
+                writeln!(
+                    text,
+                    "{event},{at_s},{gap_m:.4},{follower:.4},{:.4},{leader:.4}",
+                    leader - follower
+                )
+                .unwrap();
+                let [next_leader, next_follower] =
+                    [leader_mps(at_s + STEP_S), follower_mps(at_s + STEP_S)];
                 gap_m += 0.5 * STEP_S * (leader + next_leader - follower - next_follower);
             }
         }
@@ -99,17 +117,37 @@ impl KnownTraffic {
 /// (binomial distribution). The seed is fixed.
 #[test]
 fn rates_of_twelve_recordings_are_held() {
-    let extraction = ExtractionConfig { vehicles: 2, min_brake: MinBrake::default(), leaders: LeaderSelection::Any };
+    let extraction = ExtractionConfig {
+        vehicles: 2,
+        min_brake: MinBrake::default(),
+        leaders: LeaderSelection::Any,
+    };
     let mut held = 0;
     for index in 0..12 {
         let traffic = KnownTraffic::new(index);
         let random = &mut stream(u64::from(index), Purpose::Search, 54);
-        let recording = read(traffic.record(random).as_bytes(), Path::new("known.csv"), None).unwrap();
+        let recording = read(
+            traffic.record(random).as_bytes(),
+            Path::new("known.csv"),
+            None,
+        )
+        .unwrap();
         assert_eq!(recording.dropped, [], "{index}");
         let sample = EpisodeSample::from_recordings(&[recording], extraction).unwrap();
-        assert!((sample.exposure.hours - traffic.hours).abs() < 1e-3, "{} {}", sample.exposure.hours, traffic.hours);
+        assert!(
+            (sample.exposure.hours - traffic.hours).abs() < 1e-3,
+            "{} {}",
+            sample.exposure.hours,
+            traffic.hours
+        );
         let space = fit(&sample, "known", 19, 0).unwrap().space;
-        let place = |name: &str| space.parameters().iter().position(|one| one.name() == name).unwrap();
+        let place = |name: &str| {
+            space
+                .parameters()
+                .iter()
+                .position(|one| one.name() == name)
+                .unwrap()
+        };
         let [brake, gap] = ["lead_brake_mps2", "time_gap_1_s"].map(place);
         let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
             let fails = |index| {
@@ -120,13 +158,22 @@ fn rates_of_twelve_recordings_are_held() {
         };
         let runs = 2000;
         let failed = failures(&space, 0, runs).unwrap();
-        let known = FailureProbability::Counted { failures: failed, unknown: 0, runs };
-        let resamples = count_on_resamples(&space, 0, 79, 200, &mut failures).unwrap().unwrap();
+        let known = FailureProbability::Counted {
+            failures: failed,
+            unknown: 0,
+            runs,
+        };
+        let resamples = count_on_resamples(&space, 0, 79, 200, &mut failures)
+            .unwrap()
+            .unwrap();
         let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
         let interval = rate.with_data_uncertainty.unwrap().rates.per_hour;
         let truth = traffic.failures_per_hour(random);
         let holds = (interval.lower..=interval.upper).contains(&truth);
-        println!("{} episodes, {truth:.3} failures an hour, {interval:.3?}, {holds}", sample.exposure.episodes);
+        println!(
+            "{} episodes, {truth:.3} failures an hour, {interval:.3?}, {holds}",
+            sample.exposure.episodes
+        );
         held += u32::from(holds);
     }
     println!("{held} of 12 intervals hold the rate per hour");

@@ -40,7 +40,9 @@ pub enum ResamplingError {
         what: String,
     },
     /// Too few resamples to which a space could be fitted.
-    #[error("only {fitted} of {tried} resamples could be fitted, and an interval needs {MIN_RESAMPLES}")]
+    #[error(
+        "only {fitted} of {tried} resamples could be fitted, and an interval needs {MIN_RESAMPLES}"
+    )]
     TooFewFits {
         /// Number of fitted spaces.
         fitted: u32,
@@ -73,10 +75,17 @@ impl Resamples {
         failed_fits: u32,
         runs_each: Option<u32>,
     ) -> Self {
-        bounds.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
+        bounds
+            .iter_mut()
+            .for_each(|drawn| drawn.sort_by(f64::total_cmp));
         let within = within / estimates.len() as f64;
         let data_variance = (sample_variance(estimates) - within).max(0.0);
-        Self { sorted_bounds: bounds, failed_fits, runs_each, data_variance }
+        Self {
+            sorted_bounds: bounds,
+            failed_fits,
+            runs_each,
+            data_variance,
+        }
     }
 
     /// Returns Efron's percentile interval: the values at rank ⌊(n + 1) α/2⌋ from both ends of n; `None` with too few
@@ -87,7 +96,10 @@ impl Resamples {
         // 1 − (1 − α) is not exactly α.
         let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
         let from_end = place.checked_sub(1)?;
-        Some([*lows.get(from_end)?, *highs.get(highs.len().checked_sub(place)?)?])
+        Some([
+            *lows.get(from_end)?,
+            *highs.get(highs.len().checked_sub(place)?)?,
+        ])
     }
 
     /// Returns the number of resamples.
@@ -104,10 +116,18 @@ fn refit_to_resamples(
 ) -> Result<(Vec<(u64, ScenarioSpace)>, u32), ResamplingError> {
     match resamples {
         0 => return Err(ResamplingError::NotRequested),
-        1..MIN_RESAMPLES => return Err(ResamplingError::TooFew { requested: resamples }),
+        1..MIN_RESAMPLES => {
+            return Err(ResamplingError::TooFew {
+                requested: resamples,
+            });
+        }
         _ => {}
     }
-    let observed = space.spec().observed.as_ref().ok_or(ResamplingError::NoData)?;
+    let observed = space
+        .spec()
+        .observed
+        .as_ref()
+        .ok_or(ResamplingError::NoData)?;
     let what = match find_edit(space, observed) {
         Ok(what) => what.map(|name| format!("`{name}`")),
         Err(why) => Some(format!("the space ({why})")),
@@ -115,8 +135,16 @@ fn refit_to_resamples(
     if let Some(what) = what {
         return Err(ResamplingError::Edited { what });
     }
-    let again = |index: u64| Some((index, refit(space.spec(), &resample(observed, seed, index)).ok()?));
-    let mut spaces: Vec<(u64, ScenarioSpace)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
+    let again = |index: u64| {
+        Some((
+            index,
+            refit(space.spec(), &resample(observed, seed, index)).ok()?,
+        ))
+    };
+    let mut spaces: Vec<(u64, ScenarioSpace)> = (0..u64::from(resamples))
+        .into_par_iter()
+        .filter_map(again)
+        .collect();
     let mut tried = resamples;
     while spaces.len() < resamples as usize && tried < 2 * resamples {
         spaces.extend(again(u64::from(tried)));
@@ -149,18 +177,30 @@ pub fn count_on_resamples<E>(
     let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     let n = f64::from(runs);
     for (index, space) in spaces {
-        let failed = failures(&space, derived_seed(seed, DRAW_STREAM_OFFSET + index), u64::from(runs))? as f64;
+        let failed = failures(
+            &space,
+            derived_seed(seed, DRAW_STREAM_OFFSET + index),
+            u64::from(runs),
+        )? as f64;
         let share = failed / n;
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
         let u: f64 = stream(seed, Purpose::Resampling, DRAW_STREAM_OFFSET + index).random();
         // Jeffreys' posterior, with exact ends (Brown, Cai and DasGupta, Statistical Science 16, 2001).
         let known = Beta::new(failed + 0.5, n - failed + 0.5);
-        let drawn = known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12)));
+        let drawn = known.map_or(share, |known| {
+            known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))
+        });
         spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
         spread[1].push(if failed == n { 1.0 } else { drawn });
     }
-    Ok(Ok(Resamples::new(&shares, spread, within, unfit, Some(runs))))
+    Ok(Ok(Resamples::new(
+        &shares,
+        spread,
+        within,
+        unfit,
+        Some(runs),
+    )))
 }
 
 /// Estimates the probability in spaces that are fitted to resamples; `again` takes a space and a seed. The inner error
@@ -187,8 +227,16 @@ pub(crate) fn estimate_on_resamples<E>(
         within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
         found.push(probability);
         // Without a reached failure, the last reached level is the upper bound.
-        let reached = estimate.levels.iter().map(|level| level.probability).filter(|level| *level > 0.0);
-        let at_most = if probability > 0.0 { probability } else { reached.fold(1.0, f64::min) };
+        let reached = estimate
+            .levels
+            .iter()
+            .map(|level| level.probability)
+            .filter(|level| *level > 0.0);
+        let at_most = if probability > 0.0 {
+            probability
+        } else {
+            reached.fold(1.0, f64::min)
+        };
         spread[0].push(probability);
         spread[1].push(at_most);
     }
@@ -198,5 +246,9 @@ pub(crate) fn estimate_on_resamples<E>(
 fn sample_variance(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
-    values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0).max(1.0)
+    values
+        .iter()
+        .map(|value| (value - mean) * (value - mean))
+        .sum::<f64>()
+        / (n - 1.0).max(1.0)
 }

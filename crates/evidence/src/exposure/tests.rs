@@ -37,33 +37,57 @@ fn fails(values: &[f64]) -> bool {
 }
 
 fn failures(space: &ScenarioSpace, seed: u64, runs: u64) -> Result<u64, std::convert::Infallible> {
-    Ok((0..runs).filter(|&index| fails(&space.values(&space.draw_point(seed, index)))).count() as u64)
+    Ok((0..runs)
+        .filter(|&index| fails(&space.values(&space.draw_point(seed, index))))
+        .count() as u64)
 }
 
 /// Observes traffic with a rate of episodes for some hours, and fits a space to it.
-fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut Stream) -> ScenarioSpace {
+fn observe_traffic(
+    truth: &ScenarioSpace,
+    hours: f64,
+    an_hour: f64,
+    random: &mut Stream,
+) -> ScenarioSpace {
     let waiting = Exp::new(an_hour).unwrap();
-    let (mut at_hours, mut columns): (f64, [Vec<f64>; 2]) = (waiting.sample(random), Default::default());
+    let (mut at_hours, mut columns): (f64, [Vec<f64>; 2]) =
+        (waiting.sample(random), Default::default());
     while at_hours < hours {
         let uniform = [random.random(), random.random()];
         let values = truth.values(&truth.quantile(&uniform));
-        columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+        columns
+            .iter_mut()
+            .zip(values)
+            .for_each(|(column, value)| column.push(value));
         at_hours += waiting.sample(random);
     }
     let mut spec = truth.spec().clone();
     let episodes = columns[0].len();
     let (kilometres, sources) = (70.0 * hours, Vec::new());
-    spec.exposure =
-        Some(DrivingExposure { episodes: episodes as u64, hours, kilometres, undescribed_brakings: 0, sources });
-    let parameters = truth.parameters().iter().zip(columns).map(|(parameter, values)| ObservedParameter {
-        name: parameter.name().to_owned(),
-        low: parameter.range()[0],
-        high: parameter.range()[1],
-        point_mass: None,
-        values,
+    spec.exposure = Some(DrivingExposure {
+        episodes: episodes as u64,
+        hours,
+        kilometres,
+        undescribed_brakings: 0,
+        sources,
     });
+    let parameters = truth
+        .parameters()
+        .iter()
+        .zip(columns)
+        .map(|(parameter, values)| ObservedParameter {
+            name: parameter.name().to_owned(),
+            low: parameter.range()[0],
+            high: parameter.range()[1],
+            point_mass: None,
+            values,
+        });
     let (braking_clusters, parameters) = ((0..episodes as u32).collect(), parameters.collect());
-    let observed = ObservedData { braking_clusters, search_share: None, parameters };
+    let observed = ObservedData {
+        braking_clusters,
+        search_share: None,
+        parameters,
+    };
     spec.observed = Some(observed.clone());
     refit(&spec, &observed).unwrap()
 }
@@ -75,17 +99,31 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     let probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
     let mut held = [0; 2];
     for trial in 0..trials {
-        let space = observe_traffic(&truth, hours, AN_HOUR, &mut stream(trial, Purpose::Search, 77));
+        let space = observe_traffic(
+            &truth,
+            hours,
+            AN_HOUR,
+            &mut stream(trial, Purpose::Search, 77),
+        );
         let runs = 2000;
-        let known = FailureProbability::Counted { failures: failures(&space, trial, runs).unwrap(), unknown: 0, runs };
-        let resamples = count_on_resamples(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
+        let known = FailureProbability::Counted {
+            failures: failures(&space, trial, runs).unwrap(),
+            unknown: 0,
+            runs,
+        };
+        let resamples = count_on_resamples(&space, trial, 100, 200, &mut failures)
+            .unwrap()
+            .unwrap();
         let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
-        let holds =
-            |figure: IntervalEstimate| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
+        let holds = |figure: IntervalEstimate| {
+            u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)))
+        };
         held[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
         held[1] += holds(rate.fitted.per_hour);
     }
-    println!("{hours} h, failures {probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour");
+    println!(
+        "{hours} h, failures {probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour"
+    );
     held
 }
 
@@ -109,41 +147,77 @@ fn coverage_at_several_exposures() {
 fn space_with_exposure(undescribed_brakings: u64) -> ScenarioSpace {
     let mut spec = traffic().spec().clone();
     let (kilometres, sources) = (100.0, Vec::new());
-    spec.exposure = Some(DrivingExposure { episodes: 50, hours: 2.0, kilometres, undescribed_brakings, sources });
+    spec.exposure = Some(DrivingExposure {
+        episodes: 50,
+        hours: 2.0,
+        kilometres,
+        undescribed_brakings,
+        sources,
+    });
     ScenarioSpace::new(spec, Path::new("")).unwrap()
 }
 
 #[test]
 fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_counting() {
     let truth = traffic();
-    let known = FailureProbability::Counted { failures: 3, unknown: 0, runs: 1000 };
+    let known = FailureProbability::Counted {
+        failures: 3,
+        unknown: 0,
+        runs: 1000,
+    };
     let none = Err(&ResamplingError::NotRequested);
     assert_eq!(RatePerExposure::new(&truth, known, none), None);
     let space = space_with_exposure(0);
-    assert_eq!(count_on_resamples(&space, 0, 79, 10, &mut failures).unwrap(), Err(ResamplingError::NoData));
+    assert_eq!(
+        count_on_resamples(&space, 0, 79, 10, &mut failures).unwrap(),
+        Err(ResamplingError::NoData)
+    );
     let rate = RatePerExposure::new(&space, known, none).unwrap();
     assert_eq!((rate.clusters, rate.with_data_uncertainty), (50, None));
-    let FailureRates { per_episode, per_hour, per_1000_km } = rate.fitted;
-    assert!((per_hour.estimate - 0.075).abs() < 1e-12 && (per_1000_km.estimate - 1.5).abs() < 1e-12);
+    let FailureRates {
+        per_episode,
+        per_hour,
+        per_1000_km,
+    } = rate.fitted;
+    assert!(
+        (per_hour.estimate - 0.075).abs() < 1e-12 && (per_1000_km.estimate - 1.5).abs() < 1e-12
+    );
     assert!(per_hour.upper / per_hour.estimate > per_episode.upper / per_episode.estimate);
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
 
 #[test]
 fn brakings_that_were_left_out_count_in_rates_per_hour() {
-    let known = FailureProbability::Counted { failures: 30, unknown: 0, runs: 1000 };
+    let known = FailureProbability::Counted {
+        failures: 30,
+        unknown: 0,
+        runs: 1000,
+    };
     let rate = |undescribed_brakings: u64| {
         let space = space_with_exposure(undescribed_brakings);
         RatePerExposure::new(&space, known, Err(&ResamplingError::NotRequested)).unwrap()
     };
     let (all, half) = (rate(0), rate(50));
     assert_eq!(
-        (all.undescribed_brakings, half.undescribed_brakings, half.fitted.per_episode),
+        (
+            all.undescribed_brakings,
+            half.undescribed_brakings,
+            half.fitted.per_episode
+        ),
         (0, 50, all.fitted.per_episode)
     );
     let of = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
-    for (one, two) in [(all.fitted.per_hour, half.fitted.per_hour), (all.fitted.per_1000_km, half.fitted.per_1000_km)] {
-        assert!(of(one).iter().zip(of(two)).all(|(one, two)| (2.0 * one - two).abs() < 1e-12), "{one:?} {two:?}");
+    for (one, two) in [
+        (all.fitted.per_hour, half.fitted.per_hour),
+        (all.fitted.per_1000_km, half.fitted.per_1000_km),
+    ] {
+        assert!(
+            of(one)
+                .iter()
+                .zip(of(two))
+                .all(|(one, two)| (2.0 * one - two).abs() < 1e-12),
+            "{one:?} {two:?}"
+        );
     }
 }
 
@@ -162,18 +236,40 @@ fn estimates_without_a_spread_still_bound_the_rate() {
             independent_failures,
             ..RareEstimate::default()
         };
-        RatePerExposure::new(&space, FailureProbability::Estimated(&estimate), Err(&ResamplingError::NotRequested))
+        RatePerExposure::new(
+            &space,
+            FailureProbability::Estimated(&estimate),
+            Err(&ResamplingError::NotRequested),
+        )
     };
     for nothing in [rate(None, (0, 500)), rate(Some(0.0), (0, 500))] {
-        let FailureRates { per_episode, per_hour, .. } = nothing.expect("an upper end is known").fitted;
-        assert_eq!((per_episode.estimate, per_episode.lower, per_hour.estimate), (0.0, 0.0, 0.0));
-        assert!((per_episode.upper - (1.0 - 0.025_f64.powf(1.0 / 500.0))).abs() < 1e-9, "{per_episode:?}");
+        let FailureRates {
+            per_episode,
+            per_hour,
+            ..
+        } = nothing.expect("an upper end is known").fitted;
+        assert_eq!(
+            (per_episode.estimate, per_episode.lower, per_hour.estimate),
+            (0.0, 0.0, 0.0)
+        );
+        assert!(
+            (per_episode.upper - (1.0 - 0.025_f64.powf(1.0 / 500.0))).abs() < 1e-9,
+            "{per_episode:?}"
+        );
         // 50 episodes in 2 h: at most 69 expected, each with a probability of up to 0.9 %.
         assert!((0.2..0.35).contains(&per_hour.upper), "{per_hour:?}");
     }
-    let all = rate(Some(1.0), (500, 500)).expect("a lower end is known").fitted;
-    assert_eq!((all.per_episode.estimate, all.per_episode.upper), (1.0, 1.0));
-    assert!((all.per_episode.lower - 0.025_f64.powf(1.0 / 500.0)).abs() < 1e-9, "{all:?}");
+    let all = rate(Some(1.0), (500, 500))
+        .expect("a lower end is known")
+        .fitted;
+    assert_eq!(
+        (all.per_episode.estimate, all.per_episode.upper),
+        (1.0, 1.0)
+    );
+    assert!(
+        (all.per_episode.lower - 0.025_f64.powf(1.0 / 500.0)).abs() < 1e-9,
+        "{all:?}"
+    );
     assert_eq!(rate(None, (0, 0)), None);
 }
 
@@ -182,12 +278,20 @@ fn estimates_without_a_spread_still_bound_the_rate() {
 fn percentiles_of_few_resamples_are_not_stated() {
     let resamples = |count: u32| {
         let values: Vec<f64> = (1..=count).map(f64::from).collect();
-        Resamples { sorted_bounds: [values.clone(), values], failed_fits: 0, runs_each: None, data_variance: 0.0 }
+        Resamples {
+            sorted_bounds: [values.clone(), values],
+            failed_fits: 0,
+            runs_each: None,
+            data_variance: 0.0,
+        }
     };
     assert_eq!(resamples(78).percentile_interval(0.975), None);
     assert_eq!(resamples(79).percentile_interval(0.975), Some([1.0, 79.0]));
     assert_eq!(resamples(79).percentile_interval(0.95), Some([2.0, 78.0]));
-    assert_eq!(resamples(159).percentile_interval(0.975), Some([2.0, 158.0]));
+    assert_eq!(
+        resamples(159).percentile_interval(0.975),
+        Some([2.0, 158.0])
+    );
     assert_eq!(resamples(200).percentile_interval(0.95), Some([5.0, 196.0]));
     let space = observe_traffic(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
     let few = count_on_resamples(&space, 0, 78, 10, &mut failures).unwrap();
@@ -196,7 +300,12 @@ fn percentiles_of_few_resamples_are_not_stated() {
     spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
     let changed = ScenarioSpace::new(spec, Path::new("")).unwrap();
     let refused = count_on_resamples(&changed, 0, 79, 10, &mut failures).unwrap();
-    assert_eq!(refused, Err(ResamplingError::Edited { what: "`gap_m`".to_owned() }));
+    assert_eq!(
+        refused,
+        Err(ResamplingError::Edited {
+            what: "`gap_m`".to_owned()
+        })
+    );
 }
 
 #[test]
@@ -207,16 +316,30 @@ fn estimates_in_resamples_agree_with_new_runs() {
         probability,
         coefficient_of_variation: probability.map(|_| 1e-6),
         independent_runs: 500,
-        levels: vec![Level { margin: 1.0, probability: 1e-3, share: 0.1, ..Level::default() }],
+        levels: vec![Level {
+            margin: 1.0,
+            probability: 1e-3,
+            share: 0.1,
+            ..Level::default()
+        }],
         ..RareEstimate::default()
     };
-    let share = |space: &ScenarioSpace, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
+    let share = |space: &ScenarioSpace, seed: u64| {
+        failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0)
+    };
     let climbed = estimate_on_resamples(&space, 9, 80, &mut |space: &ScenarioSpace, seed| {
         Ok::<_, std::convert::Infallible>(estimate(Some(share(space, seed)?)))
     });
-    let (climbed, counted) =
-        (climbed.unwrap().unwrap(), count_on_resamples(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
-    for (a, b) in climbed.sorted_bounds[0].iter().zip(&counted.sorted_bounds[0]) {
+    let (climbed, counted) = (
+        climbed.unwrap().unwrap(),
+        count_on_resamples(&space, 9, 80, 4000, &mut failures)
+            .unwrap()
+            .unwrap(),
+    );
+    for (a, b) in climbed.sorted_bounds[0]
+        .iter()
+        .zip(&counted.sorted_bounds[0])
+    {
         assert!((a - b).abs() < 0.03, "{a} {b}");
     }
     let ratio = climbed.data_variance / counted.data_variance;
@@ -224,5 +347,8 @@ fn estimates_in_resamples_agree_with_new_runs() {
     let none = estimate_on_resamples(&space, 9, 80, &mut |_: &ScenarioSpace, _| {
         Ok::<_, std::convert::Infallible>(estimate(None))
     });
-    assert_eq!(none.unwrap().unwrap().percentile_interval(0.95), Some([0.0, 1e-3]));
+    assert_eq!(
+        none.unwrap().unwrap().percentile_interval(0.95),
+        Some([0.0, 1e-3])
+    );
 }

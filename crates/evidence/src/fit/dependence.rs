@@ -29,13 +29,21 @@ pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>
         }
         latent[row.min(column)].correlation(&latent[row.max(column)])
     };
-    let found = (0..latent.len()).map(|row| (0..latent.len()).map(|column| entry(row, column)).collect()).collect();
-    if latent.iter().any(|one| one.has_points) { shrink_to_positive_definite(found) } else { found }
+    let found = (0..latent.len())
+        .map(|row| (0..latent.len()).map(|column| entry(row, column)).collect())
+        .collect();
+    if latent.iter().any(|one| one.has_points) {
+        shrink_to_positive_definite(found)
+    } else {
+        found
+    }
 }
 
 /// Shrinks a matrix towards independence until its eigenvalues are at least [`MIN_EIGENVALUE`].
 pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| entries[row][column]);
+    let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| {
+        entries[row][column]
+    });
     let least = least.symmetric_eigenvalues().min();
     if least >= MIN_EIGENVALUE {
         return entries;
@@ -43,7 +51,11 @@ pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64
     // (1 − s) R + s I moves the eigenvalues of R towards 1.
     let kept = 1.0 - (MIN_EIGENVALUE - least) / (1.0 - least);
     let drawn = |(row, entries): (usize, Vec<f64>)| {
-        entries.into_iter().enumerate().map(|(column, entry)| if row == column { 1.0 } else { kept * entry }).collect()
+        entries
+            .into_iter()
+            .enumerate()
+            .map(|(column, entry)| if row == column { 1.0 } else { kept * entry })
+            .collect()
     };
     entries.into_iter().enumerate().map(drawn).collect()
 }
@@ -63,7 +75,10 @@ struct LatentColumn {
 
 impl LatentColumn {
     fn new(column: &CopulaColumn<'_>) -> Self {
-        let CopulaColumn { values, distribution } = *column;
+        let CopulaColumn {
+            values,
+            distribution,
+        } = *column;
         let is_point = |value: f64| match distribution {
             DistributionSpec::Choice(_) => true,
             DistributionSpec::PointMass(point) => value == point.at,
@@ -81,7 +96,8 @@ impl LatentColumn {
         let n = values.len();
         let score = |rank: f64| Normal::standard().inverse_cdf(rank / (n as f64 + 1.0));
         // Scores of few values have a variance below 1.
-        let spread = ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
+        let spread =
+            ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         let (mut scores, mut known) = (vec![0.0; n], vec![LatentNormal::Exact(0.0); n]);
@@ -95,17 +111,27 @@ impl LatentColumn {
                 rank if rank == n => f64::INFINITY,
                 rank => score(rank as f64 + 0.5) / spread,
             };
-            let is_point = equal.first().is_some_and(|&index| is_point(column.values[index]));
+            let is_point = equal
+                .first()
+                .is_some_and(|&index| is_point(column.values[index]));
             let latent = if is_point {
                 LatentNormal::Interval(end(before), end(until))
             } else {
                 LatentNormal::Exact(middle / spread)
             };
-            equal.iter().for_each(|&index| (scores[index], known[index]) = (middle, latent));
+            equal
+                .iter()
+                .for_each(|&index| (scores[index], known[index]) = (middle, latent));
             before = until;
         }
-        let has_points = known.iter().any(|latent| matches!(latent, LatentNormal::Interval(..)));
-        Self { scores, latent: known, has_points }
+        let has_points = known
+            .iter()
+            .any(|latent| matches!(latent, LatentNormal::Interval(..)));
+        Self {
+            scores,
+            latent: known,
+            has_points,
+        }
     }
 
     fn correlation(&self, other: &Self) -> f64 {
@@ -136,7 +162,8 @@ impl LatentPairs {
             match pair {
                 (LatentNormal::Exact(x), LatentNormal::Exact(y)) => {
                     let [count, squares, products] = &mut pairs.exact_sums;
-                    (*count, *squares, *products) = (*count + 1.0, *squares + x * x + y * y, *products + x * y);
+                    (*count, *squares, *products) =
+                        (*count + 1.0, *squares + x * x + y * y, *products + x * y);
                 }
                 (LatentNormal::Exact(x), LatentNormal::Interval(low, high))
                 | (LatentNormal::Interval(low, high), LatentNormal::Exact(x)) => {
@@ -144,7 +171,11 @@ impl LatentPairs {
                 }
                 (LatentNormal::Interval(low_x, high_x), LatentNormal::Interval(low_y, high_y)) => {
                     let (x, y) = ([*low_x, *high_x], [*low_y, *high_y]);
-                    match pairs.rectangles.iter_mut().find(|known| (known.0, known.1) == (x, y)) {
+                    match pairs
+                        .rectangles
+                        .iter_mut()
+                        .find(|known| (known.0, known.1) == (x, y))
+                    {
                         Some(known) => known.2 += 1.0,
                         None => pairs.rectangles.push((x, y, 1.0)),
                     }
@@ -158,13 +189,23 @@ impl LatentPairs {
     fn ln_likelihood(&self, rho: f64) -> f64 {
         let rest = 1.0 - rho * rho;
         let [count, squares, products] = self.exact_sums;
-        let exact = -0.5 * count * rest.ln() - (squares - 2.0 * rho * products) / (2.0 * rest) + 0.5 * squares;
+        let exact = -0.5 * count * rest.ln() - (squares - 2.0 * rho * products) / (2.0 * rest)
+            + 0.5 * squares;
         let cdf = |x: f64| Normal::standard().cdf(x);
-        let given = |x: f64, end: f64| if end.is_finite() { cdf((end - rho * x) / rest.sqrt()) } else { cdf(end) };
-        let half = |(x, [low, high]): &(f64, [f64; 2])| (given(*x, *high) - given(*x, *low)).max(1e-300).ln();
+        let given = |x: f64, end: f64| {
+            if end.is_finite() {
+                cdf((end - rho * x) / rest.sqrt())
+            } else {
+                cdf(end)
+            }
+        };
+        let half = |(x, [low, high]): &(f64, [f64; 2])| {
+            (given(*x, *high) - given(*x, *low)).max(1e-300).ln()
+        };
         let rectangle = |([left, right], [low, high], count): &([f64; 2], [f64; 2], f64)| {
             let below = |x: f64, y: f64| bivariate_normal_cdf(x, y, rho);
-            let inside = below(*right, *high) - below(*left, *high) - below(*right, *low) + below(*left, *low);
+            let inside = below(*right, *high) - below(*left, *high) - below(*right, *low)
+                + below(*left, *low);
             count * inside.max(1e-300).ln()
         };
         exact
@@ -182,10 +223,20 @@ fn bivariate_normal_cdf(x: f64, y: f64, rho: f64) -> f64 {
     if !(x.is_finite() && y.is_finite()) {
         return apart;
     }
-    let height = |theta: f64| (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp();
+    let height = |theta: f64| {
+        (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp()
+    };
     let step = rho.asin() / PARTS as f64;
-    let weight = |part: usize| if part == 0 || part == PARTS { 1.0 } else { 2.0 + 2.0 * (part % 2) as f64 };
-    let sum: f64 = (0..=PARTS).map(|part| weight(part) * height(part as f64 * step)).sum();
+    let weight = |part: usize| {
+        if part == 0 || part == PARTS {
+            1.0
+        } else {
+            2.0 + 2.0 * (part % 2) as f64
+        }
+    };
+    let sum: f64 = (0..=PARTS)
+        .map(|part| weight(part) * height(part as f64 * step))
+        .sum();
     apart + sum * step / 3.0 / (2.0 * std::f64::consts::PI)
 }
 
@@ -194,7 +245,9 @@ fn maximize_over_correlation(of: &dyn Fn(f64) -> f64) -> f64 {
     const GRID: i32 = 20;
     const STEPS: usize = 40;
     let at = |index: i32| MAX_CORRELATION * f64::from(index) / f64::from(GRID);
-    let best = (-GRID..=GRID).max_by(|&a, &b| of(at(a)).total_cmp(&of(at(b)))).unwrap_or(0);
+    let best = (-GRID..=GRID)
+        .max_by(|&a, &b| of(at(a)).total_cmp(&of(at(b))))
+        .unwrap_or(0);
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut low, mut high) = (at((best - 1).max(-GRID)), at((best + 1).min(GRID)));
     let inner = |low: f64, high: f64| (high - golden * (high - low), low + golden * (high - low));
@@ -222,9 +275,18 @@ mod tests {
     fn probabilities_of_rectangles_are_known() {
         for rho in [-0.95_f64, -0.4, 0.0, 0.3, 0.9] {
             let known = 0.25 + rho.asin() / (2.0 * std::f64::consts::PI);
-            assert!((bivariate_normal_cdf(0.0, 0.0, rho) - known).abs() < 1e-9, "{rho}");
-            assert!((bivariate_normal_cdf(0.7, f64::INFINITY, rho) - Normal::standard().cdf(0.7)).abs() < 1e-12);
-            assert!((bivariate_normal_cdf(0.7, 9.0, rho) - Normal::standard().cdf(0.7)).abs() < 1e-6, "{rho}");
+            assert!(
+                (bivariate_normal_cdf(0.0, 0.0, rho) - known).abs() < 1e-9,
+                "{rho}"
+            );
+            assert!(
+                (bivariate_normal_cdf(0.7, f64::INFINITY, rho) - Normal::standard().cdf(0.7)).abs()
+                    < 1e-12
+            );
+            assert!(
+                (bivariate_normal_cdf(0.7, 9.0, rho) - Normal::standard().cdf(0.7)).abs() < 1e-6,
+                "{rho}"
+            );
             assert_eq!(bivariate_normal_cdf(f64::NEG_INFINITY, 0.7, rho), 0.0);
         }
     }

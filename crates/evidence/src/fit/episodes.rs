@@ -6,10 +6,12 @@ use super::FitError;
 use super::exclusions::ExclusionCounts;
 use super::sizes::VehicleSizes;
 use crumple_exchange::recording::{
-    BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2, MinBrake,
-    Recording, braking_clusters, find_episodes, following_exposure,
+    BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2,
+    MinBrake, Recording, braking_clusters, find_episodes, following_exposure,
 };
-use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
+use crumple_world::scenario::space::{
+    DrivingExposure, ObservedData, ObservedParameter, SourceExposure,
+};
 
 /// Selection of episodes from recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,7 +53,14 @@ pub struct EpisodeFeature {
 
 impl EpisodeFeature {
     pub(super) fn new(name: &str, field: &str, unit: &'static str, range: [f64; 2]) -> Self {
-        Self { name: name.to_owned(), field: field.to_owned(), unit, range, point_mass: None, choices: None }
+        Self {
+            name: name.to_owned(),
+            field: field.to_owned(),
+            unit,
+            range,
+            point_mass: None,
+            choices: None,
+        }
     }
 }
 
@@ -60,7 +69,12 @@ impl EpisodeFeature {
 pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
     let number = EpisodeFeature::new;
     let mut all = vec![
-        number("lead_speed_mps", "vehicles[*].speed_mps", "m/s", [1.0, 50.0]),
+        number(
+            "lead_speed_mps",
+            "vehicles[*].speed_mps",
+            "m/s",
+            [1.0, 50.0],
+        ),
         number(
             "lead_brake_mps2",
             "vehicles[0].driver.brake-to-speed.rate_mps2",
@@ -69,13 +83,28 @@ pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
         ),
         EpisodeFeature {
             point_mass: Some(0.0),
-            ..number("lead_final_share", "vehicles[0].driver.brake-to-speed.final_share", "1", [0.0, 0.98])
+            ..number(
+                "lead_final_share",
+                "vehicles[0].driver.brake-to-speed.final_share",
+                "1",
+                [0.0, 0.98],
+            )
         },
     ];
     for follower in 1..taken.vehicles {
         let of = |field: &str| format!("vehicles[{follower}].{field}");
-        all.push(number(&format!("speed_share_{follower}"), &of("speed_share"), "1", [0.2, 2.0]));
-        all.push(number(&format!("time_gap_{follower}_s"), &of("time_gap_s"), "s", [0.1, 20.0]));
+        all.push(number(
+            &format!("speed_share_{follower}"),
+            &of("speed_share"),
+            "1",
+            [0.2, 2.0],
+        ));
+        all.push(number(
+            &format!("time_gap_{follower}_s"),
+            &of("time_gap_s"),
+            "s",
+            [0.1, 20.0],
+        ));
     }
     all
 }
@@ -84,21 +113,33 @@ pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
 fn feature_values(episode: &BrakingEpisode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
-    let lowest_mps = Some(lowest_mps(episode)).filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS).unwrap_or(0.0);
+    let lowest_mps = Some(lowest_mps(episode))
+        .filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS)
+        .unwrap_or(0.0);
     // The largest loss of speed in one second, so a deceleration.
     let mut all = vec![lead_mps, episode.largest_drop_mps, lowest_mps / lead_mps];
     for follower in line.iter().skip(1) {
         all.push(follower.speed_mps / lead_mps);
         all.push(follower.gap_ahead_m / follower.speed_mps);
     }
-    Some(all.into_iter().map(|value| (value * 1e6).round() / 1e6).collect())
+    Some(
+        all.into_iter()
+            .map(|value| (value * 1e6).round() / 1e6)
+            .collect(),
+    )
 }
 
 /// Returns the lowest speed of the braking leader, which may accelerate between two phases.
 fn lowest_mps(episode: &BrakingEpisode) -> f64 {
     let braking = episode.onset_s..=episode.braking_end_s;
-    let samples = episode.time_s.iter().zip(&episode.speed_mps).filter(|(time_s, _)| braking.contains(*time_s));
-    samples.map(|(_, speed_mps)| *speed_mps).fold(episode.end_speed_mps, f64::min)
+    let samples = episode
+        .time_s
+        .iter()
+        .zip(&episode.speed_mps)
+        .filter(|(time_s, _)| braking.contains(*time_s));
+    samples
+        .map(|(_, speed_mps)| *speed_mps)
+        .fold(episode.end_speed_mps, f64::min)
 }
 
 #[must_use]
@@ -131,9 +172,14 @@ impl EpisodeSample {
     /// # Errors
     /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes; [`FitError::Vehicles`];
     /// [`FitError::MinBrake`].
-    pub fn from_recordings(recordings: &[Recording], taken: ExtractionConfig) -> Result<Self, FitError> {
+    pub fn from_recordings(
+        recordings: &[Recording],
+        taken: ExtractionConfig,
+    ) -> Result<Self, FitError> {
         let mut collector = EpisodeCollector::new(taken)?;
-        recordings.iter().try_for_each(|recording| collector.add(recording))?;
+        recordings
+            .iter()
+            .try_for_each(|recording| collector.add(recording))?;
         collector.finish()
     }
 }
@@ -166,7 +212,10 @@ impl EpisodeCollector {
             return Err(FitError::Vehicles { found: vehicles });
         }
         if found >= MAX_PLAUSIBLE_ACCEL_MPS2 {
-            return Err(FitError::MinBrake { found, limit: MAX_PLAUSIBLE_ACCEL_MPS2 });
+            return Err(FitError::MinBrake {
+                found,
+                limit: MAX_PLAUSIBLE_ACCEL_MPS2,
+            });
         }
         let numbers = features(&taken);
         Ok(Self {
@@ -200,10 +249,16 @@ impl EpisodeCollector {
             ..
         } = self;
         let taken = self.extraction;
-        let most_out_of_range =
-            features.iter().zip(&out_of_range).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
+        let most_out_of_range = features
+            .iter()
+            .zip(&out_of_range)
+            .max_by_key(|(_, count)| **count)
+            .filter(|(_, count)| **count > 0);
         let most_out_of_range = most_out_of_range.map(|(feature, _)| feature.name.clone());
-        let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::new(lengths)).collect();
+        let sizes: Vec<VehicleSizes> = lengths
+            .iter()
+            .map(|lengths| VehicleSizes::new(lengths))
+            .collect();
         for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
             if let Some(feature) = sizes.feature(index) {
                 features.push(feature);
@@ -212,13 +267,23 @@ impl EpisodeCollector {
         }
         let (found, needed) = (clusters.len(), min_episodes(features.len()));
         if found < needed {
-            let mut most = most_out_of_range.map(|name| format!(", most of them {name}")).unwrap_or_default();
+            let mut most = most_out_of_range
+                .map(|name| format!(", most of them {name}"))
+                .unwrap_or_default();
             if exclusions.impossible_speeds + exclusions.no_follower > 0 {
-                let ExclusionCounts { no_follower, impossible_speeds, .. } = exclusions;
-                most += &format!(", {no_follower} have no known follower, {impossible_speeds} have impossible speeds");
+                let ExclusionCounts {
+                    no_follower,
+                    impossible_speeds,
+                    ..
+                } = exclusions;
+                most += &format!(
+                    ", {no_follower} have no known follower, {impossible_speeds} have impossible speeds"
+                );
             }
             // A recording in which no braking is detectable looks like one without braking.
-            let mut evaluated = sources.iter().zip(hardest.into_iter().map(HardestSearch::finish));
+            let mut evaluated = sources
+                .iter()
+                .zip(hardest.into_iter().map(HardestSearch::finish));
             if let Some((source, why)) =
                 evaluated.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
             {
@@ -234,7 +299,11 @@ impl EpisodeCollector {
             });
         }
         if found > MAX_EPISODES {
-            return Err(FitError::TooMany { found, max: MAX_EPISODES, what: "episodes" });
+            return Err(FitError::TooMany {
+                found,
+                max: MAX_EPISODES,
+                what: "episodes",
+            });
         }
         let parameter = |(feature, values): (&EpisodeFeature, Vec<f64>)| ObservedParameter {
             name: feature.name.clone(),
@@ -255,7 +324,15 @@ impl EpisodeCollector {
             search_share: Some(SEARCH_SHARE),
             parameters: features.iter().zip(columns).map(parameter).collect(),
         };
-        Ok(EpisodeSample { extraction: taken, features, observed, exposure, sizes, exclusions, most_out_of_range })
+        Ok(EpisodeSample {
+            extraction: taken,
+            features,
+            observed,
+            exposure,
+            sizes,
+            exclusions,
+            most_out_of_range,
+        })
     }
 
     /// Adds a recording, or its next part.
@@ -263,30 +340,48 @@ impl EpisodeCollector {
     /// # Errors
     /// [`FitError::TooMany`].
     pub fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
-        let ExtractionConfig { vehicles, min_brake, leaders } = self.extraction;
+        let ExtractionConfig {
+            vehicles,
+            min_brake,
+            leaders,
+        } = self.extraction;
         let found = find_episodes(recording, min_brake, leaders);
         if found.episodes.len() > MAX_EPISODES {
-            return Err(FitError::TooMany { found: found.episodes.len(), max: MAX_EPISODES, what: "episodes" });
+            return Err(FitError::TooMany {
+                found: found.episodes.len(),
+                max: MAX_EPISODES,
+                what: "episodes",
+            });
         }
         let (before, left_out) = (self.clusters.len(), self.exclusions.count_in_exposure());
         let first_wave = self.clusters.iter().max().map_or(0, |last| last + 1);
-        found.dropped.iter().for_each(|dropped| self.exclusions.add(dropped));
+        found
+            .dropped
+            .iter()
+            .for_each(|dropped| self.exclusions.add(dropped));
         for (episode, cluster) in found.episodes.iter().zip(braking_clusters(&found.episodes)) {
             let Some(values) = feature_values(episode, vehicles) else {
                 self.exclusions.too_few_vehicles += 1;
                 continue;
             };
-            let is_outside =
-                |(number, value): (&EpisodeFeature, &f64)| !(number.range[0]..=number.range[1]).contains(value);
+            let is_outside = |(number, value): (&EpisodeFeature, &f64)| {
+                !(number.range[0]..=number.range[1]).contains(value)
+            };
             if let Some(which) = self.features.iter().zip(&values).position(is_outside) {
                 self.exclusions.out_of_range += 1;
                 self.out_of_range[which] += 1;
                 continue;
             }
             self.clusters.push(first_wave + cluster);
-            self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+            self.columns
+                .iter_mut()
+                .zip(values)
+                .for_each(|(column, value)| column.push(value));
             let lengths = episode.vehicles.iter().map(|placed| placed.length_m);
-            self.lengths.iter_mut().zip(lengths).for_each(|(known, length_m)| known.push(length_m));
+            self.lengths
+                .iter_mut()
+                .zip(lengths)
+                .for_each(|(known, length_m)| known.push(length_m));
         }
         let driven = following_exposure(recording, leaders, vehicles - 1);
         let new = SourceExposure {
@@ -296,7 +391,10 @@ impl EpisodeCollector {
             kilometres: driven.kilometres,
             undescribed_brakings: (self.exclusions.count_in_exposure() - left_out) as u64,
         };
-        let (is_same, count) = (self.last_path.as_ref() == Some(&recording.path), self.sources.len());
+        let (is_same, count) = (
+            self.last_path.as_ref() == Some(&recording.path),
+            self.sources.len(),
+        );
         match self.sources.last_mut().filter(|_| is_same) {
             Some(source) => {
                 source.episodes += new.episodes;
@@ -305,7 +403,11 @@ impl EpisodeCollector {
                 source.undescribed_brakings += new.undescribed_brakings;
             }
             None if count >= MAX_RECORDINGS => {
-                return Err(FitError::TooMany { found: count + 1, max: MAX_RECORDINGS, what: "recordings" });
+                return Err(FitError::TooMany {
+                    found: count + 1,
+                    max: MAX_RECORDINGS,
+                    what: "recordings",
+                });
             }
             None => {
                 self.last_path = Some(recording.path.clone());
@@ -313,7 +415,11 @@ impl EpisodeCollector {
                 self.hardest.push(HardestSearch::default());
             }
         }
-        self.hardest.iter_mut().last().into_iter().for_each(|search| search.add(recording));
+        self.hardest
+            .iter_mut()
+            .last()
+            .into_iter()
+            .for_each(|search| search.add(recording));
         Ok(())
     }
 }
@@ -322,11 +428,26 @@ fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
     let mut known: Vec<u32> = waves.to_vec();
     known.sort_unstable();
     known.dedup();
-    waves.iter().map(|cluster| known.partition_point(|other| other < cluster) as u32).collect()
+    waves
+        .iter()
+        .map(|cluster| known.partition_point(|other| other < cluster) as u32)
+        .collect()
 }
 
 fn source_name(recording: &Recording) -> String {
-    let name = recording.path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
-    let plain: String = name.chars().map(|letter| if letter.is_control() { '?' } else { letter }).take(200).collect();
-    if plain.is_empty() { recording.format.clone() } else { plain }
+    let name = recording
+        .path
+        .file_name()
+        .map(|name| name.to_string_lossy())
+        .unwrap_or_default();
+    let plain: String = name
+        .chars()
+        .map(|letter| if letter.is_control() { '?' } else { letter })
+        .take(200)
+        .collect();
+    if plain.is_empty() {
+        recording.format.clone()
+    } else {
+        plain
+    }
 }

@@ -44,7 +44,12 @@ impl ExclusionCounts {
     /// Describes the exclusions in sentences, for episodes of this number of vehicles.
     #[must_use]
     pub fn sentences(&self, vehicles: usize) -> Vec<String> {
-        let Self { no_follower, too_few_vehicles, impossible_speeds, out_of_range } = self;
+        let Self {
+            no_follower,
+            too_few_vehicles,
+            impossible_speeds,
+            out_of_range,
+        } = self;
         let mut words = Vec::new();
         if no_follower + too_few_vehicles > 0 {
             words.push(format!(

@@ -4,7 +4,9 @@ use serde::Serialize;
 use statrs::function::gamma::ln_gamma;
 
 use super::minimum::{hessian, minimize};
-use crumple_world::scenario::space::{DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec};
+use crumple_world::scenario::space::{
+    DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec,
+};
 
 /// Distribution family with two parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -75,7 +77,13 @@ const Z_95: f64 = 1.959_963_984_540_054;
 
 impl DistributionFamily {
     /// All families.
-    pub const ALL: [Self; 5] = [Self::Uniform, Self::Normal, Self::LogNormal, Self::Gamma, Self::Weibull];
+    pub const ALL: [Self; 5] = [
+        Self::Uniform,
+        Self::Normal,
+        Self::LogNormal,
+        Self::Gamma,
+        Self::Weibull,
+    ];
 
     /// Returns the name in a space file.
     #[must_use]
@@ -136,16 +144,29 @@ impl DistributionFamily {
     fn initial_point(self, sums: &SampleStatistics<'_>) -> [f64; 2] {
         match self {
             Self::Uniform | Self::Normal | Self::LogNormal => [0.0, 0.0],
-            Self::Gamma => [(2.0 * (sums.mean / sums.deviation).ln()).clamp(-4.0, 13.0), 0.0],
+            Self::Gamma => [
+                (2.0 * (sums.mean / sums.deviation).ln()).clamp(-4.0, 13.0),
+                0.0,
+            ],
             // The logarithm of a Weibull variable has the standard deviation π / (√6 k).
-            Self::Weibull => [(std::f64::consts::PI / 6.0_f64.sqrt() / sums.ln_deviation).ln().clamp(-4.0, 13.0), 0.0],
+            Self::Weibull => [
+                (std::f64::consts::PI / 6.0_f64.sqrt() / sums.ln_deviation)
+                    .ln()
+                    .clamp(-4.0, 13.0),
+                0.0,
+            ],
         }
     }
 
     fn estimates(self, sums: &SampleStatistics<'_>, [a, b]: [f64; 2]) -> [f64; 2] {
         match self {
-            Self::Uniform | Self::Normal => [sums.mean + sums.deviation * a, sums.deviation * b.exp()],
-            Self::LogNormal => [sums.ln_mean + sums.ln_deviation * a, sums.ln_deviation * b.exp()],
+            Self::Uniform | Self::Normal => {
+                [sums.mean + sums.deviation * a, sums.deviation * b.exp()]
+            }
+            Self::LogNormal => [
+                sums.ln_mean + sums.ln_deviation * a,
+                sums.ln_deviation * b.exp(),
+            ],
             Self::Gamma => [a.exp(), sums.mean * (b - a).exp()],
             Self::Weibull => [a.exp(), sums.mean * b.exp()],
         }
@@ -153,13 +174,34 @@ impl DistributionFamily {
 
     fn distribution(self, [first, second]: [f64; 2], [low, high]: [f64; 2]) -> DistributionSpec {
         match self {
-            Self::Uniform => DistributionSpec::Uniform(UniformSpec { low: first, high: second }),
-            Self::Normal => DistributionSpec::Normal(NormalSpec { mean: first, deviation: second, low, high }),
-            Self::LogNormal => {
-                DistributionSpec::LogNormal(LogNormalSpec { ln_mean: first, ln_deviation: second, low, high })
-            }
-            Self::Gamma => DistributionSpec::Gamma(ShapeScaleSpec { shape: first, scale: second, low, high }),
-            Self::Weibull => DistributionSpec::Weibull(ShapeScaleSpec { shape: first, scale: second, low, high }),
+            Self::Uniform => DistributionSpec::Uniform(UniformSpec {
+                low: first,
+                high: second,
+            }),
+            Self::Normal => DistributionSpec::Normal(NormalSpec {
+                mean: first,
+                deviation: second,
+                low,
+                high,
+            }),
+            Self::LogNormal => DistributionSpec::LogNormal(LogNormalSpec {
+                ln_mean: first,
+                ln_deviation: second,
+                low,
+                high,
+            }),
+            Self::Gamma => DistributionSpec::Gamma(ShapeScaleSpec {
+                shape: first,
+                scale: second,
+                low,
+                high,
+            }),
+            Self::Weibull => DistributionSpec::Weibull(ShapeScaleSpec {
+                shape: first,
+                scale: second,
+                low,
+                high,
+            }),
         }
     }
 
@@ -167,7 +209,9 @@ impl DistributionFamily {
     fn ln_likelihood(self, sums: &SampleStatistics<'_>, at: [f64; 2]) -> f64 {
         let n = sums.values.len() as f64;
         let parameters @ [first, second] = self.estimates(sums, at);
-        let Ok(ready) = self.distribution(parameters, sums.range).build() else { return f64::NEG_INFINITY };
+        let Ok(ready) = self.distribution(parameters, sums.range).build() else {
+            return f64::NEG_INFINITY;
+        };
         let ln_root = 0.5 * (2.0 * std::f64::consts::PI).ln();
         let gauss = |mean: f64, deviation: f64, of_mean: f64, of_deviation: f64| {
             let (off, spread) = ((of_mean - mean) / deviation, of_deviation / deviation);
@@ -176,14 +220,23 @@ impl DistributionFamily {
         let whole = match self {
             Self::Uniform => return f64::NEG_INFINITY,
             Self::Normal => gauss(first, second, sums.mean, sums.deviation),
-            Self::LogNormal => gauss(first, second, sums.ln_mean, sums.ln_deviation) - n * sums.ln_mean,
+            Self::LogNormal => {
+                gauss(first, second, sums.ln_mean, sums.ln_deviation) - n * sums.ln_mean
+            }
             Self::Gamma => {
                 let (shape, scale) = (first, second);
-                n * ((shape - 1.0) * sums.ln_mean - sums.mean / scale - shape * scale.ln() - ln_gamma(shape))
+                n * ((shape - 1.0) * sums.ln_mean
+                    - sums.mean / scale
+                    - shape * scale.ln()
+                    - ln_gamma(shape))
             }
             Self::Weibull => {
                 let (shape, scale) = (first, second);
-                let powers: f64 = sums.logarithms.iter().map(|ln| (shape * (ln - scale.ln())).exp()).sum();
+                let powers: f64 = sums
+                    .logarithms
+                    .iter()
+                    .map(|ln| (shape * (ln - scale.ln())).exp())
+                    .sum();
                 n * (shape.ln() - shape * scale.ln() + (shape - 1.0) * sums.ln_mean) - powers
             }
         };
@@ -244,16 +297,36 @@ impl<'a> SampleStatistics<'a> {
         let logarithms: Vec<f64> = values.iter().map(|value| value.ln()).collect();
         let (mean, deviation) = moments(values);
         let (ln_mean, ln_deviation) = moments(&logarithms);
-        Self { values, logarithms, mean, deviation, ln_mean, ln_deviation, range }
+        Self {
+            values,
+            logarithms,
+            mean,
+            deviation,
+            ln_mean,
+            ln_deviation,
+            range,
+        }
     }
 }
 
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
-    (mean, (values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / n).sqrt())
+    (
+        mean,
+        (values
+            .iter()
+            .map(|value| (value - mean) * (value - mean))
+            .sum::<f64>()
+            / n)
+            .sqrt(),
+    )
 }
 
 fn min_max(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)))
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| {
+            (low.min(value), high.max(value))
+        })
 }

@@ -10,8 +10,8 @@ use super::goodness::{GoodnessOfFit, Tails};
 use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
 use super::space::{build_space, fit_marginals, median};
 use crumple_world::scenario::space::{
-    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec, ParameterValue, SPACE_VERSION,
-    ScenarioSpace, SpaceSpec, UniformSpec,
+    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec,
+    ParameterValue, SPACE_VERSION, ScenarioSpace, SpaceSpec, UniformSpec,
 };
 
 /// Fit of a continuous feature.
@@ -72,7 +72,12 @@ pub struct FittedSpace {
 ///
 /// # Errors
 /// [`FitError`] if no family describes a feature.
-pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Result<FittedSpace, FitError> {
+pub fn fit(
+    sample: &EpisodeSample,
+    name: &str,
+    samples: u32,
+    seed: u64,
+) -> Result<FittedSpace, FitError> {
     let parameter = |(number, observed): (&EpisodeFeature, &ObservedParameter)| ParameterSpec {
         name: number.name.clone(),
         field: number.field.clone(),
@@ -85,7 +90,12 @@ pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Resul
         name: name.to_owned(),
         about: describe_space(sample),
         base: Base::Inline(Box::new(base_scenario(sample, name))),
-        parameters: sample.features.iter().zip(&sample.observed.parameters).map(parameter).collect(),
+        parameters: sample
+            .features
+            .iter()
+            .zip(&sample.observed.parameters)
+            .map(parameter)
+            .collect(),
         dependence: None,
         exposure: Some(sample.exposure.clone()),
         observed: Some(sample.observed.clone()),
@@ -94,29 +104,49 @@ pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Resul
     let space = build_space(&spec, &sample.observed, &marginals)?;
     let (mut numbers, mut sizes) = (Vec::new(), Vec::new());
     for (place, (number, marginal)) in sample.features.iter().zip(marginals).enumerate() {
-        let values = sample.observed.parameters.get(place).map_or(&[][..], |observed| observed.values.as_slice());
+        let values = sample
+            .observed
+            .parameters
+            .get(place)
+            .map_or(&[][..], |observed| observed.values.as_slice());
         match marginal {
             FittedMarginal::Discrete(values) => {
-                sizes.push(FittedSize { name: number.name.clone(), unit: number.unit, values });
+                sizes.push(FittedSize {
+                    name: number.name.clone(),
+                    unit: number.unit,
+                    values,
+                });
             }
-            FittedMarginal::Continuous(dense) => {
-                numbers.push(assess_fit(number, values, *dense, (samples, seed, place as u64))?)
-            }
+            FittedMarginal::Continuous(dense) => numbers.push(assess_fit(
+                number,
+                values,
+                *dense,
+                (samples, seed, place as u64),
+            )?),
         }
     }
     let (depending, correlation) = match &space.spec().dependence {
-        Some(Dependence::GaussianCopula(copula)) => (copula.parameters.clone(), copula.correlation.clone()),
+        Some(Dependence::GaussianCopula(copula)) => {
+            (copula.parameters.clone(), copula.correlation.clone())
+        }
         None => (Vec::new(), Vec::new()),
     };
-    Ok(FittedSpace { space, features: numbers, sizes, copula_parameters: depending, correlation })
+    Ok(FittedSpace {
+        space,
+        features: numbers,
+        sizes,
+        copula_parameters: depending,
+        correlation,
+    })
 }
 
 fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
     let [low, high] = number.range;
     match number.choices {
-        Some(values) => {
-            DistributionSpec::Choice(ChoiceSpec { values: values.map(ParameterValue::Number).to_vec(), weights: None })
-        }
+        Some(values) => DistributionSpec::Choice(ChoiceSpec {
+            values: values.map(ParameterValue::Number).to_vec(),
+            weights: None,
+        }),
         None => DistributionSpec::Uniform(UniformSpec { low, high }),
     }
 }
@@ -131,8 +161,11 @@ fn assess_fit(
     let ContinuousMarginal { families, point } = dense;
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let others: Vec<f64> =
-        sorted.iter().copied().filter(|value| point.is_none_or(|point| *value != point.at)).collect();
+    let others: Vec<f64> = sorted
+        .iter()
+        .copied()
+        .filter(|value| point.is_none_or(|point| *value != point.at))
+        .collect();
     let ready = families.chosen.distribution.build()?;
     Ok(FittedFeature {
         name: number.name.clone(),
@@ -142,7 +175,11 @@ fn assess_fit(
         tails: Tails::new(&others, &ready),
         chosen: families.chosen,
         others: families.others,
-        impossible: families.impossible.into_iter().map(|(family, why)| (family, why.to_string())).collect(),
+        impossible: families
+            .impossible
+            .into_iter()
+            .map(|(family, why)| (family, why.to_string()))
+            .collect(),
         sorted,
         distribution,
     })

@@ -43,8 +43,10 @@ pub struct Tails {
 
 impl Tails {
     pub(super) fn new(sorted: &[f64], fitted: &ParameterDistribution) -> Self {
-        let (smallest, largest) =
-            (sorted.first().copied().unwrap_or(f64::NAN), sorted.last().copied().unwrap_or(f64::NAN));
+        let (smallest, largest) = (
+            sorted.first().copied().unwrap_or(f64::NAN),
+            sorted.last().copied().unwrap_or(f64::NAN),
+        );
         let (low, high) = (fitted.quantile(0.1), fitted.quantile(0.9));
         Self {
             smallest,
@@ -60,7 +62,11 @@ impl Tails {
 /// Formats a p-value, with two significant digits if it is small: 1 in 200 is 0.0050.
 #[must_use]
 pub fn format_p_value(p: f64) -> String {
-    let decimals = if p > 0.0 && p < 0.1 { (1.0 - p.log10()).ceil().min(12.0) as usize } else { 2 };
+    let decimals = if p > 0.0 && p < 0.1 {
+        (1.0 - p.log10()).ceil().min(12.0) as usize
+    } else {
+        2
+    };
     format!("{p:.decimals$}")
 }
 
@@ -69,7 +75,9 @@ fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
     let (mut largest, mut squares) = (0.0_f64, 1.0 / (12.0 * n));
     for (index, &value) in sorted.iter().enumerate() {
         let (below, index) = (fitted.cdf(value), index as f64);
-        largest = largest.max((index + 1.0) / n - below).max(below - index / n);
+        largest = largest
+            .max((index + 1.0) / n - below)
+            .max(below - index / n);
         squares += ((2.0 * index + 1.0) / (2.0 * n) - below).powi(2);
     }
     [largest, squares]
@@ -87,14 +95,20 @@ impl GoodnessOfFit {
         let seen = edf_statistics(sorted, fitted);
         let again = |index: u32| {
             let mut random = stream(seed, Purpose::Resampling, (place << 32) + u64::from(index));
-            let mut drawn: Vec<f64> = sorted.iter().map(|_| fitted.quantile(random.random())).collect();
+            let mut drawn: Vec<f64> = sorted
+                .iter()
+                .map(|_| fitted.quantile(random.random()))
+                .collect();
             drawn.sort_by(f64::total_cmp);
             let refitted = fit.family.fit(&drawn, range).ok()?;
             Some(edf_statistics(&drawn, &refitted.distribution.build().ok()?))
         };
         let again: Vec<[f64; 2]> = (0..samples).into_par_iter().filter_map(again).collect();
         let share = |which: usize| {
-            let as_far = again.iter().filter(|distances| distances[which] >= seen[which]).count();
+            let as_far = again
+                .iter()
+                .filter(|distances| distances[which] >= seen[which])
+                .count();
             (as_far + 1) as f64 / (again.len() + 1) as f64
         };
         Self {

@@ -3,7 +3,9 @@
 use super::FitError;
 use super::family::{DistributionFamily, FamilyFit, FamilyFitError};
 use crate::RateInterval;
-use crumple_world::scenario::space::{ChoiceSpec, DistributionSpec, ObservedParameter, ParameterValue, PointMassSpec};
+use crumple_world::scenario::space::{
+    ChoiceSpec, DistributionSpec, ObservedParameter, ParameterValue, PointMassSpec,
+};
 use serde::Serialize;
 
 /// Fit of a value with a point mass.
@@ -22,9 +24,17 @@ pub struct PointFit {
 
 impl PointFit {
     fn new(at: f64, values: &[f64]) -> Self {
-        let (seen, of) = (values.iter().filter(|value| **value == at).count() as u64, values.len() as u64);
+        let (seen, of) = (
+            values.iter().filter(|value| **value == at).count() as u64,
+            values.len() as u64,
+        );
         let RateInterval { lower, upper } = RateInterval::clopper_pearson(seen, of, 0.95);
-        Self { at, count: seen, probability: seen as f64 / of.max(1) as f64, interval_95: [lower, upper] }
+        Self {
+            at,
+            count: seen,
+            probability: seen as f64 / of.max(1) as f64,
+            interval_95: [lower, upper],
+        }
     }
 }
 
@@ -43,38 +53,69 @@ impl ContinuousMarginal {
         let others = self.families.chosen.distribution.clone();
         match self.point {
             None => others,
-            Some(PointFit { at, probability, .. }) => {
-                DistributionSpec::PointMass(PointMassSpec { at, probability, others: Box::new(others) })
-            }
+            Some(PointFit {
+                at, probability, ..
+            }) => DistributionSpec::PointMass(PointMassSpec {
+                at,
+                probability,
+                others: Box::new(others),
+            }),
         }
     }
 }
 
 impl FittedMarginal {
     /// Fits a feature. A feature that is discrete in the space, by `stated`, stays discrete.
-    pub(super) fn fit(parameter: &ObservedParameter, stated: &DistributionSpec) -> Result<Self, FitError> {
+    pub(super) fn fit(
+        parameter: &ObservedParameter,
+        stated: &DistributionSpec,
+    ) -> Result<Self, FitError> {
         let values = &parameter.values;
         if let DistributionSpec::Choice(choice) = stated {
-            let number =
-                |value: &ParameterValue| if let ParameterValue::Number(number) = value { Some(*number) } else { None };
+            let number = |value: &ParameterValue| {
+                if let ParameterValue::Number(number) = value {
+                    Some(*number)
+                } else {
+                    None
+                }
+            };
             return Ok(Self::Discrete(
-                choice.values.iter().filter_map(number).map(|at| PointFit::new(at, values)).collect(),
+                choice
+                    .values
+                    .iter()
+                    .filter_map(number)
+                    .map(|at| PointFit::new(at, values))
+                    .collect(),
             ));
         }
-        let point = parameter.point_mass.map(|at| PointFit::new(at, values)).filter(|point| point.count > 0);
+        let point = parameter
+            .point_mass
+            .map(|at| PointFit::new(at, values))
+            .filter(|point| point.count > 0);
         let others = match point {
-            Some(point) => &values.iter().copied().filter(|value| *value != point.at).collect::<Vec<f64>>(),
+            Some(point) => &values
+                .iter()
+                .copied()
+                .filter(|value| *value != point.at)
+                .collect::<Vec<f64>>(),
             None => values,
         };
-        let families = FamilyRanking::fit(&parameter.name, others, [parameter.low, parameter.high])?;
-        Ok(Self::Continuous(Box::new(ContinuousMarginal { families, point })))
+        let families =
+            FamilyRanking::fit(&parameter.name, others, [parameter.low, parameter.high])?;
+        Ok(Self::Continuous(Box::new(ContinuousMarginal {
+            families,
+            point,
+        })))
     }
 
     pub(super) fn distribution(&self) -> DistributionSpec {
         match self {
             Self::Continuous(dense) => dense.distribution(),
             Self::Discrete(points) => DistributionSpec::Choice(ChoiceSpec {
-                values: points.iter().map(|point| ParameterValue::Number(point.at)).collect(),
+                values: points
+                    .iter()
+                    .map(|point| ParameterValue::Number(point.at))
+                    .collect(),
                 weights: Some(points.iter().map(|point| point.count as f64).collect()),
             }),
         }
@@ -98,8 +139,17 @@ impl FamilyRanking {
         }
         fits.sort_by(|a: &FamilyFit, b| b.ln_likelihood.total_cmp(&a.ln_likelihood));
         let mut fits = fits.into_iter();
-        let why = impossible.first().map_or(FamilyFitError::NoMaximum, |(_, why)| *why);
-        let chosen = fits.next().ok_or_else(|| FitError::NoFamily { name: name.to_owned(), why })?;
-        Ok(Self { chosen, others: fits.collect(), impossible })
+        let why = impossible
+            .first()
+            .map_or(FamilyFitError::NoMaximum, |(_, why)| *why);
+        let chosen = fits.next().ok_or_else(|| FitError::NoFamily {
+            name: name.to_owned(),
+            why,
+        })?;
+        Ok(Self {
+            chosen,
+            others: fits.collect(),
+            impossible,
+        })
     }
 }

@@ -13,10 +13,21 @@ pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2
 fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
     let evaluated = |at: [f64; 2]| {
         let value = of(at);
-        (at, if value.is_finite() { value } else { f64::INFINITY })
+        (
+            at,
+            if value.is_finite() {
+                value
+            } else {
+                f64::INFINITY
+            },
+        )
     };
     let [x, y] = start;
-    let mut corners = [evaluated(start), evaluated([x + size, y]), evaluated([x, y + size])];
+    let mut corners = [
+        evaluated(start),
+        evaluated([x + size, y]),
+        evaluated([x, y + size]),
+    ];
     for _ in 0..MAX_STEPS {
         corners.sort_by(|a, b| a.1.total_cmp(&b.1));
         let [best, middle, worst] = corners;
@@ -34,17 +45,27 @@ fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64
         let reflected = towards(1.0);
         let replaced = if reflected.1 < best.1 {
             let expanded = towards(2.0);
-            Some(if expanded.1 < reflected.1 { expanded } else { reflected })
+            Some(if expanded.1 < reflected.1 {
+                expanded
+            } else {
+                reflected
+            })
         } else if reflected.1 < middle.1 {
             Some(reflected)
         } else {
-            let contracted = if reflected.1 < worst.1 { towards(0.5) } else { towards(-0.5) };
+            let contracted = if reflected.1 < worst.1 {
+                towards(0.5)
+            } else {
+                towards(-0.5)
+            };
             (contracted.1 < worst.1.min(reflected.1)).then_some(contracted)
         };
         match replaced {
             Some(better) => corners[2] = better,
             None => {
-                let half = |corner: [f64; 2]| evaluated([0.5 * (corner[0] + best.0[0]), 0.5 * (corner[1] + best.0[1])]);
+                let half = |corner: [f64; 2]| {
+                    evaluated([0.5 * (corner[0] + best.0[0]), 0.5 * (corner[1] + best.0[1])])
+                };
                 corners = [best, half(middle.0), half(worst.0)];
             }
         }
@@ -62,7 +83,10 @@ pub(super) fn hessian(of: &dyn Fn([f64; 2]) -> f64, [x, y]: [f64; 2]) -> Option<
     let xx = (at(1.0, 0.0) - 2.0 * middle + at(-1.0, 0.0)) / squared;
     let yy = (at(0.0, 1.0) - 2.0 * middle + at(0.0, -1.0)) / squared;
     let xy = (at(1.0, 1.0) - at(1.0, -1.0) - at(-1.0, 1.0) + at(-1.0, -1.0)) / (4.0 * squared);
-    [xx, yy, xy].iter().all(|entry| entry.is_finite()).then_some([[xx, xy], [xy, yy]])
+    [xx, yy, xy]
+        .iter()
+        .all(|entry| entry.is_finite())
+        .then_some([[xx, xy], [xy, yy]])
 }
 
 #[cfg(test)]
@@ -73,8 +97,14 @@ mod tests {
     fn a_banana_is_descended_and_its_curvature_known() {
         let banana = |[x, y]: [f64; 2]| (1.0 - x).powi(2) + 100.0 * (y - x * x).powi(2);
         let found = minimize(&banana, [-1.2, 1.0]);
-        assert!((found[0] - 1.0).abs() < 1e-5 && (found[1] - 1.0).abs() < 1e-5, "{found:?}");
+        assert!(
+            (found[0] - 1.0).abs() < 1e-5 && (found[1] - 1.0).abs() < 1e-5,
+            "{found:?}"
+        );
         let [[xx, xy], [_, yy]] = hessian(&banana, found).unwrap();
-        assert!((xx - 802.0).abs() < 0.1 && (xy + 400.0).abs() < 0.1 && (yy - 200.0).abs() < 0.1, "{xx} {xy} {yy}");
+        assert!(
+            (xx - 802.0).abs() < 0.1 && (xy + 400.0).abs() < 0.1 && (yy - 200.0).abs() < 0.1,
+            "{xx} {xy} {yy}"
+        );
     }
 }

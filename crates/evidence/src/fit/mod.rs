@@ -21,7 +21,9 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{EpisodeCollector, EpisodeFeature, EpisodeSample, ExtractionConfig, MAX_VEHICLES};
+pub use episodes::{
+    EpisodeCollector, EpisodeFeature, EpisodeSample, ExtractionConfig, MAX_VEHICLES,
+};
 pub use error::FitError;
 pub use exclusions::ExclusionCounts;
 pub use family::{DistributionFamily, FamilyFit, FamilyFitError};

@@ -9,7 +9,11 @@ use crumple_world::scenario::space::{ObservedData, ObservedParameter};
 /// another look at the jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
 #[must_use]
 pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> ObservedData {
-    let clusters = observed.braking_clusters.iter().max().map_or(0, |last| *last as usize + 1);
+    let clusters = observed
+        .braking_clusters
+        .iter()
+        .max()
+        .map_or(0, |last| *last as usize + 1);
     let mut members: Vec<Vec<usize>> = vec![Vec::new(); clusters];
     for (episode, cluster) in observed.braking_clusters.iter().enumerate() {
         if let Some(members) = members.get_mut(*cluster as usize) {
@@ -18,9 +22,14 @@ pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> Observ
     }
     members.retain(|members| !members.is_empty());
     let mut random = stream(seed, Purpose::Resampling, index);
-    let drawn: Vec<&Vec<usize>> =
-        members.iter().filter_map(|_| members.get(random.random_range(0..members.len()))).collect();
-    let numbered = drawn.iter().enumerate().flat_map(|(cluster, members)| members.iter().map(move |_| cluster as u32));
+    let drawn: Vec<&Vec<usize>> = members
+        .iter()
+        .filter_map(|_| members.get(random.random_range(0..members.len())))
+        .collect();
+    let numbered = drawn
+        .iter()
+        .enumerate()
+        .flat_map(|(cluster, members)| members.iter().map(move |_| cluster as u32));
     let values = |parameter: &ObservedParameter| ObservedParameter {
         values: drawn
             .iter()

@@ -11,8 +11,8 @@ use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::{LeaderSelection, MinBrake, Recording, read};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::space::{
-    Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter, ScenarioSpace,
-    ShapeScaleSpec, UniformSpec, file,
+    Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter,
+    ScenarioSpace, ShapeScaleSpec, UniformSpec, file,
 };
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
@@ -21,31 +21,54 @@ fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2],
     let [low, high] = range;
     vec![
         (
-            DistributionSpec::Uniform(UniformSpec { low: 1.0, high: 4.0 }),
+            DistributionSpec::Uniform(UniformSpec {
+                low: 1.0,
+                high: 4.0,
+            }),
             DistributionFamily::Uniform,
             [1.0, 4.0],
             range,
         ),
         (
-            DistributionSpec::Normal(NormalSpec { mean: 2.0, deviation: 1.2, low, high }),
+            DistributionSpec::Normal(NormalSpec {
+                mean: 2.0,
+                deviation: 1.2,
+                low,
+                high,
+            }),
             DistributionFamily::Normal,
             [2.0, 1.2],
             range,
         ),
         (
-            DistributionSpec::LogNormal(LogNormalSpec { ln_mean: 0.3, ln_deviation: 0.5, low, high }),
+            DistributionSpec::LogNormal(LogNormalSpec {
+                ln_mean: 0.3,
+                ln_deviation: 0.5,
+                low,
+                high,
+            }),
             DistributionFamily::LogNormal,
             [0.3, 0.5],
             range,
         ),
         (
-            DistributionSpec::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }),
+            DistributionSpec::Gamma(ShapeScaleSpec {
+                shape: 4.0,
+                scale: 0.5,
+                low,
+                high,
+            }),
             DistributionFamily::Gamma,
             [4.0, 0.5],
             range,
         ),
         (
-            DistributionSpec::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }),
+            DistributionSpec::Weibull(ShapeScaleSpec {
+                shape: 2.0,
+                scale: 2.2,
+                low,
+                high,
+            }),
             DistributionFamily::Weibull,
             [2.0, 2.2],
             range,
@@ -54,8 +77,13 @@ fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2],
 }
 
 fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<f64> {
-    let (ready, mut random) = (distribution.build().unwrap(), stream(seed, Purpose::Resampling, 0));
-    (0..count).map(|_| ready.quantile(random.random())).collect()
+    let (ready, mut random) = (
+        distribution.build().unwrap(),
+        stream(seed, Purpose::Resampling, 0),
+    );
+    (0..count)
+        .map(|_| ready.quantile(random.random()))
+        .collect()
 }
 
 /// With 200 trials, an interval at 95 % misses at least 18 times with a probability below 2 %; the seeds are fixed.
@@ -64,15 +92,24 @@ fn intervals_hold_the_parameters_of_known_distributions() {
     for (distribution, family, truth, range) in known_distributions() {
         let mut held = [0; 2];
         for trial in 0..200 {
-            let fit = family.fit(&draw_values(&distribution, 200, trial), range).unwrap();
+            let fit = family
+                .fit(&draw_values(&distribution, 200, trial), range)
+                .unwrap();
             let intervals = fit.intervals_95.unwrap();
             for which in 0..2 {
                 let [low, high] = intervals[which];
                 held[which] += u32::from(low <= truth[which] && truth[which] <= high);
             }
         }
-        println!("{}: {held:?} of 200 intervals hold the parameters", family.name());
-        assert!(held.iter().all(|held| (183..=200).contains(held)), "{}: {held:?}", family.name());
+        println!(
+            "{}: {held:?} of 200 intervals hold the parameters",
+            family.name()
+        );
+        assert!(
+            held.iter().all(|held| (183..=200).contains(held)),
+            "{}: {held:?}",
+            family.name()
+        );
     }
 }
 
@@ -80,10 +117,14 @@ fn intervals_hold_the_parameters_of_known_distributions() {
 fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
     for (distribution, family, _, range) in known_distributions() {
         let chosen = |trial: u64| {
-            FamilyRanking::fit(family.name(), &draw_values(&distribution, 1000, 1000 + trial), range)
-                .unwrap()
-                .chosen
-                .family
+            FamilyRanking::fit(
+                family.name(),
+                &draw_values(&distribution, 1000, 1000 + trial),
+                range,
+            )
+            .unwrap()
+            .chosen
+            .family
         };
         let right = (0..40).filter(|&trial| chosen(trial) == family).count();
         println!("{}: chosen in {right} of 40", family.name());
@@ -97,17 +138,32 @@ fn the_p_value_is_even_where_the_family_is_right() {
     let evaluated = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
         values.sort_by(f64::total_cmp);
         let fit = family.fit(values, range).unwrap();
-        GoodnessOfFit::bootstrap(values, range, &fit, &fit.distribution.build().unwrap(), (99, trial, 0))
+        GoodnessOfFit::bootstrap(
+            values,
+            range,
+            &fit,
+            &fit.distribution.build().unwrap(),
+            (99, trial, 0),
+        )
     };
     let mut low = 0;
     for trial in 0..60 {
-        let goodness = evaluated(&mut draw_values(&distribution, 100, 500 + trial), family, trial);
+        let goodness = evaluated(
+            &mut draw_values(&distribution, 100, 500 + trial),
+            family,
+            trial,
+        );
         low += u32::from(goodness.cramer_von_mises_p <= 0.2);
     }
     assert!((4..=22).contains(&low), "{low} of 60 below 0.2");
-    let two_humps: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 1.0 } else { 5.0 } + 0.01 * f64::from(i)).collect();
+    let two_humps: Vec<f64> = (0..100)
+        .map(|i| if i % 2 == 0 { 1.0 } else { 5.0 } + 0.01 * f64::from(i))
+        .collect();
     let goodness = evaluated(&mut two_humps.clone(), DistributionFamily::Normal, 0);
-    assert!(goodness.cramer_von_mises_p <= 0.01 && goodness.kolmogorov_smirnov_p <= 0.01, "{goodness:?}");
+    assert!(
+        goodness.cramer_von_mises_p <= 0.01 && goodness.kolmogorov_smirnov_p <= 0.01,
+        "{goodness:?}"
+    );
 }
 
 fn dependent_space() -> ScenarioSpace {
@@ -144,12 +200,17 @@ fn the_correlation_of_2000_draws_is_recovered() {
     let truth = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]];
     let (mut close, mut sums) = (0, [0.0; 3]);
     for seed in 0..30 {
-        let draws: Vec<Vec<f64>> = (0..2000).map(|index| space.values(&space.draw_point(seed, index))).collect();
+        let draws: Vec<Vec<f64>> = (0..2000)
+            .map(|index| space.values(&space.draw_point(seed, index)))
+            .collect();
         let column = |which: usize| draws.iter().map(|draw| draw[which]).collect::<Vec<f64>>();
         let columns = [column(2), column(0), column(1)];
         let distribution = &space.spec().parameters[0].distribution;
         let found =
-            dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn { values, distribution }));
+            dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn {
+                values,
+                distribution,
+            }));
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = found[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
@@ -157,20 +218,27 @@ fn the_correlation_of_2000_draws_is_recovered() {
         }
     }
     println!("{close} of 90 correlations to 0.05, mean errors {sums:.4?}");
-    assert!(close >= 86 && sums.iter().all(|mean| mean.abs() < 0.012), "{close} {sums:?}");
+    assert!(
+        close >= 86 && sums.iter().all(|mean| mean.abs() < 0.012),
+        "{close} {sums:?}"
+    );
 }
 
 fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
-    let draws: Vec<Vec<f64>> = (0..count.into()).map(|index| space.values(&space.draw_point(seed, index))).collect();
-    let seen = |(which, parameter): (usize, &crumple_world::scenario::space::SpaceParameter)| ObservedParameter {
-        name: parameter.name().to_owned(),
-        low: parameter.range()[0],
-        high: parameter.range()[1],
-        point_mass: match &space.spec().parameters[which].distribution {
-            DistributionSpec::PointMass(point) => Some(point.at),
-            _ => None,
-        },
-        values: draws.iter().map(|draw| draw[which]).collect(),
+    let draws: Vec<Vec<f64>> = (0..count.into())
+        .map(|index| space.values(&space.draw_point(seed, index)))
+        .collect();
+    let seen = |(which, parameter): (usize, &crumple_world::scenario::space::SpaceParameter)| {
+        ObservedParameter {
+            name: parameter.name().to_owned(),
+            low: parameter.range()[0],
+            high: parameter.range()[1],
+            point_mass: match &space.spec().parameters[which].distribution {
+                DistributionSpec::PointMass(point) => Some(point.at),
+                _ => None,
+            },
+            values: draws.iter().map(|draw| draw[which]).collect(),
+        }
     };
     ObservedData {
         braking_clusters: (0..count).collect(),
@@ -214,36 +282,71 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     for seed in 0..8 {
         let observed = observe_draws(&space, 2000, seed);
         let again = refit(space.spec(), &observed).unwrap();
-        let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else { panic!("dependent") };
+        let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else {
+            panic!("dependent")
+        };
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = copula.correlation[row][column] - truth[row][column];
             errors[place] += off / 8.0;
             most = most.max(off.abs());
         }
-        let [friction, _, size] = &again.spec().parameters[..] else { panic!("three") };
-        let DistributionSpec::PointMass(point) = &friction.distribution else { panic!("{friction:?}") };
-        assert!(point.at == 0.3 && (point.probability - 0.3).abs() < 0.035, "{point:?}");
-        let (fitted, stated) =
-            (point.others.build().unwrap(), space.spec().parameters[0].distribution.build().unwrap());
+        let [friction, _, size] = &again.spec().parameters[..] else {
+            panic!("three")
+        };
+        let DistributionSpec::PointMass(point) = &friction.distribution else {
+            panic!("{friction:?}")
+        };
+        assert!(
+            point.at == 0.3 && (point.probability - 0.3).abs() < 0.035,
+            "{point:?}"
+        );
+        let (fitted, stated) = (
+            point.others.build().unwrap(),
+            space.spec().parameters[0].distribution.build().unwrap(),
+        );
         for u in [0.35, 0.5, 0.7, 0.9] {
             let value = stated.quantile(u);
-            assert!((fitted.cdf(value) - (u - 0.3) / 0.7).abs() < 0.04, "{value}");
+            assert!(
+                (fitted.cdf(value) - (u - 0.3) / 0.7).abs() < 0.04,
+                "{value}"
+            );
         }
-        let DistributionSpec::Choice(choice) = &size.distribution else { panic!("{size:?}") };
-        assert!((choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035, "{choice:?}");
+        let DistributionSpec::Choice(choice) = &size.distribution else {
+            panic!("{size:?}")
+        };
+        assert!(
+            (choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035,
+            "{choice:?}"
+        );
         let text = file::to_toml(&again).unwrap();
-        assert_eq!(file::from_toml(&text, Path::new("again.toml")).unwrap().draw(3, 4), again.draw(3, 4));
+        assert_eq!(
+            file::from_toml(&text, Path::new("again.toml"))
+                .unwrap()
+                .draw(3, 4),
+            again.draw(3, 4)
+        );
         assert_eq!(find_edit(&again, &observed), Ok(None));
     }
     println!("mean errors {errors:.4?}, the largest {most:.3}");
-    assert!(most < 0.12 && errors.iter().all(|error| error.abs() < 0.02), "{errors:?} {most}");
+    assert!(
+        most < 0.12 && errors.iter().all(|error| error.abs() < 0.02),
+        "{errors:?} {most}"
+    );
     // The mean of the density ratio over independent samples is 1. The mean of its inverse is as well, but with
     // infinite variance.
-    let apart = file::from_toml(WITH_POINTS.split("[dependence").next().unwrap(), Path::new("apart.toml")).unwrap();
-    let density = |point: Vec<f64>| (space.ln_likelihood(&point) - apart.ln_likelihood(&point)).exp();
-    let mean: f64 = (0..20_000).map(|index| density(apart.draw_point(5, index)) / 20_000.0).sum();
+    let apart = file::from_toml(
+        WITH_POINTS.split("[dependence").next().unwrap(),
+        Path::new("apart.toml"),
+    )
+    .unwrap();
+    let density =
+        |point: Vec<f64>| (space.ln_likelihood(&point) - apart.ln_likelihood(&point)).exp();
+    let mean: f64 = (0..20_000)
+        .map(|index| density(apart.draw_point(5, index)) / 20_000.0)
+        .sum();
     assert!((mean - 1.0).abs() < 0.1, "{mean}");
-    let heavy = (0..2000).filter(|&index| space.draw(8, index).unwrap().vehicles()[2].class == VehicleClass::Heavy);
+    let heavy = (0..2000)
+        .filter(|&index| space.draw(8, index).unwrap().vehicles()[2].class == VehicleClass::Heavy);
     assert!((450..550).contains(&heavy.count()));
 }
 
@@ -253,7 +356,10 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     let observed = observe_draws(&space, 300, 4);
     let fitted = refit(space.spec(), &observed).unwrap();
     assert_eq!(find_edit(&fitted, &observed), Ok(None));
-    assert_eq!(find_edit(&space, &observed), Ok(Some("friction".to_owned())));
+    assert_eq!(
+        find_edit(&space, &observed),
+        Ok(Some("friction".to_owned()))
+    );
     let changed = |change: &dyn Fn(&mut crumple_world::scenario::space::SpaceSpec)| {
         let mut spec = fitted.spec().clone();
         change(&mut spec);
@@ -265,7 +371,10 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
         spec.parameters[1].distribution = DistributionSpec::Uniform(UniformSpec { low, high });
     });
     assert_eq!(narrower.as_deref(), Some("ahead_m"));
-    assert_eq!(changed(&|spec| spec.dependence = None).as_deref(), Some("dependence"));
+    assert_eq!(
+        changed(&|spec| spec.dependence = None).as_deref(),
+        Some("dependence")
+    );
     assert_eq!(changed(&|spec| spec.name = "mine".to_owned()), None);
     let stated = |space: &ScenarioSpace| match &space.spec().dependence {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
@@ -273,7 +382,14 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     };
     for kept in [1, 2] {
         let parameters = observed.parameters[..kept].to_vec();
-        let again = refit(space.spec(), &ObservedData { parameters, ..observed.clone() }).unwrap();
+        let again = refit(
+            space.spec(),
+            &ObservedData {
+                parameters,
+                ..observed.clone()
+            },
+        )
+        .unwrap();
         let (before, after) = (stated(&space), stated(&again));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {
@@ -307,8 +423,16 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
     for pair in 0..40_u32 {
         let turn = |step: f64| (f64::from(pair) * step).fract();
         let (speed, brake) = (12.0 + 12.0 * turn(0.618), brake_mps2 + 3.0 * turn(0.414));
-        let lasts_s = if pair % 5 == 0 { 100.0 } else { 1.5 + turn(0.732) };
-        let length = if pair % 4 == 0 { 12.5 } else { 4.0 + turn(0.303) };
+        let lasts_s = if pair % 5 == 0 {
+            100.0
+        } else {
+            1.5 + turn(0.732)
+        };
+        let length = if pair % 4 == 0 {
+            12.5
+        } else {
+            4.0 + turn(0.303)
+        };
         for tenth in 0..200 {
             let at_s = f64::from(tenth) / 10.0;
             let jump = if pair == 38 && tenth > 45 { 6.0 } else { 0.0 };
@@ -334,40 +458,100 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 
 #[test]
 fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
-    let taken = ExtractionConfig { vehicles: 2, min_brake: MinBrake::default(), leaders: LeaderSelection::Any };
+    let taken = ExtractionConfig {
+        vehicles: 2,
+        min_brake: MinBrake::default(),
+        leaders: LeaderSelection::Any,
+    };
     let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], taken).unwrap();
-    let left_out = ExclusionCounts { no_follower: 1, impossible_speeds: 1, ..ExclusionCounts::default() };
-    assert_eq!((sample.exclusions, sample.exposure.episodes, sample.exposure.undescribed_brakings), (left_out, 38, 1));
+    let left_out = ExclusionCounts {
+        no_follower: 1,
+        impossible_speeds: 1,
+        ..ExclusionCounts::default()
+    };
+    assert_eq!(
+        (
+            sample.exclusions,
+            sample.exposure.episodes,
+            sample.exposure.undescribed_brakings
+        ),
+        (left_out, 38, 1)
+    );
     assert_eq!(sample.exposure.sources[0].undescribed_brakings, 1);
     // 39 leaders with a follower, for 19.9 s each; braking cannot begin in the last second.
-    assert!((sample.exposure.hours * 3600.0 - 39.0 * 18.9).abs() < 1e-6, "{}", sample.exposure.hours);
-    let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
-    assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
-    assert_eq!((followers.light, followers.heavy, followers.heavy_m), (28, 10, 12.5));
-    let FittedSpace { space, features: numbers, sizes, copula_parameters: depending, .. } =
-        fit(&sample, "mine", 19, 0).unwrap();
+    assert!(
+        (sample.exposure.hours * 3600.0 - 39.0 * 18.9).abs() < 1e-6,
+        "{}",
+        sample.exposure.hours
+    );
+    let [leaders, followers] = &sample.sizes[..] else {
+        panic!("{:?}", sample.sizes)
+    };
+    assert_eq!(
+        (leaders.light, leaders.light_m, leaders.heavy),
+        (38, 4.6, 0)
+    );
+    assert_eq!(
+        (followers.light, followers.heavy, followers.heavy_m),
+        (28, 10, 12.5)
+    );
+    let FittedSpace {
+        space,
+        features: numbers,
+        sizes,
+        copula_parameters: depending,
+        ..
+    } = fit(&sample, "mine", 19, 0).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
-    assert_eq!((point.at, point.count, numbers[2].chosen.distribution.build().unwrap().cdf(0.0)), (0.0, 8, 0.0));
-    assert_eq!((sizes[0].values[1].at, sizes[0].values[1].count), (12.5, 10));
+    assert_eq!(
+        (
+            point.at,
+            point.count,
+            numbers[2].chosen.distribution.build().unwrap().cdf(0.0)
+        ),
+        (0.0, 8, 0.0)
+    );
+    assert_eq!(
+        (sizes[0].values[1].at, sizes[0].values[1].count),
+        (12.5, 10)
+    );
     assert_eq!(depending.len(), 6);
     let about = &space.spec().about;
-    for message in
-        ["1 episodes without a known follower", "1 episodes with impossible speeds", "10 heavy ones (median 12.5 m)"]
-    {
+    for message in [
+        "1 episodes without a known follower",
+        "1 episodes with impossible speeds",
+        "10 heavy ones (median 12.5 m)",
+    ] {
         assert!(about.contains(message), "{about}");
     }
-    let drawn: Vec<_> = (0..400).map(|index| space.draw(1, index).unwrap()).collect();
-    let heavy = drawn.iter().filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
-    assert!((70..140).contains(&heavy.clone().count()), "a quarter are lorries: {}", heavy.count());
-    assert!(drawn.iter().all(|one| [4.6].contains(&one.vehicles()[0].length_m())));
+    let drawn: Vec<_> = (0..400)
+        .map(|index| space.draw(1, index).unwrap())
+        .collect();
+    let heavy = drawn
+        .iter()
+        .filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
+    assert!(
+        (70..140).contains(&heavy.clone().count()),
+        "a quarter are lorries: {}",
+        heavy.count()
+    );
+    assert!(
+        drawn
+            .iter()
+            .all(|one| [4.6].contains(&one.vehicles()[0].length_m()))
+    );
     // At every corner of the space, braking ends ten seconds before the end.
     let tried = drawn.into_iter().chain((0..32).map(|corner| {
         let at = |bit: usize| f64::from(corner >> bit & 1);
-        space.scenario_at(&[at(0), at(1), at(2), at(3), at(4), 0.5]).unwrap()
+        space
+            .scenario_at(&[at(0), at(1), at(2), at(3), at(4), 0.5])
+            .unwrap()
     }));
     for scenario in tried {
         let leader = &scenario.vehicles()[0];
-        let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &leader.driver else { panic!("{leader:?}") };
+        let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &leader.driver else {
+            panic!("{leader:?}")
+        };
         let over_s = brake.onset_s + (leader.speed_mps - brake.final_speed_mps) / brake.rate_mps2;
         assert!(over_s + 10.0 <= scenario.spec().duration_s, "{over_s}");
     }
@@ -375,10 +559,16 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
 
 #[test]
 fn thresholds_are_kept_and_unobservable_values_are_named() {
-    let taken =
-        |mps2| ExtractionConfig { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: LeaderSelection::Any };
+    let taken = |mps2| ExtractionConfig {
+        vehicles: 2,
+        min_brake: MinBrake::new(mps2).unwrap(),
+        leaders: LeaderSelection::Any,
+    };
     assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
-    assert!(matches!(EpisodeSample::from_recordings(&[], taken(12.0)), Err(FitError::MinBrake { .. })));
+    assert!(matches!(
+        EpisodeSample::from_recordings(&[], taken(12.0)),
+        Err(FitError::MinBrake { .. })
+    ));
     let header = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps
 ";
     let rows: String = (0..30)
@@ -389,9 +579,19 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
             )
         })
         .collect();
-    let slow = read(format!("{header}{rows}").as_bytes(), Path::new("slow.csv"), None).unwrap();
-    let message = EpisodeSample::from_recordings(&[slow], taken(1.3)).unwrap_err().to_string();
-    assert!(message.contains("; slow.csv: the speeds of a vehicle are 1.000 s apart"), "{message}");
+    let slow = read(
+        format!("{header}{rows}").as_bytes(),
+        Path::new("slow.csv"),
+        None,
+    )
+    .unwrap();
+    let message = EpisodeSample::from_recordings(&[slow], taken(1.3))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("; slow.csv: the speeds of a vehicle are 1.000 s apart"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -409,11 +609,21 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
     let text = file::to_toml(&again).unwrap();
     let read = file::from_toml(&text, Path::new("again.toml")).unwrap();
     assert_eq!(read.draw(3, 4), again.draw(3, 4));
-    let paired = ObservedData { braking_clusters: (0..2000).map(|index| index / 2).collect(), ..observed };
+    let paired = ObservedData {
+        braking_clusters: (0..2000).map(|index| index / 2).collect(),
+        ..observed
+    };
     let one = resample(&paired, 1, 0);
-    assert_eq!((one.braking_clusters.len(), one.parameters[0].values.len()), (2000, 2000));
+    assert_eq!(
+        (one.braking_clusters.len(), one.parameters[0].values.len()),
+        (2000, 2000)
+    );
     assert!(one.parameters[0].values.chunks(2).all(|pair| {
-        let at = paired.parameters[0].values.iter().position(|value| value == &pair[0]).unwrap();
+        let at = paired.parameters[0]
+            .values
+            .iter()
+            .position(|value| value == &pair[0])
+            .unwrap();
         paired.parameters[0].values[at + 1] == pair[1]
     }));
     assert_ne!(one, resample(&paired, 1, 1));

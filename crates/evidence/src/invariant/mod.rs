@@ -102,16 +102,26 @@ impl InvariantPlan {
         let controller = controller.into();
         let bytes = checker_file(&controller)?;
         spec.controller = match &controller {
-            ControllerKind::BuiltIn(law) if bytes.is_none() => Some(Driver::Controller(law.clone())),
+            ControllerKind::BuiltIn(law) if bytes.is_none() => {
+                Some(Driver::Controller(law.clone()))
+            }
             _ => None,
         };
         if spec.controller.is_none() && bytes.is_none() {
-            return Err(InvalidBox::Controller("must be idm, acc-aeb, a policy or a network".to_owned()));
+            return Err(InvalidBox::Controller(
+                "must be idm, acc-aeb, a policy or a network".to_owned(),
+            ));
         }
         let claim = spec.frame(scenario, bytes.as_deref())?;
         claim.check_model(bytes.as_deref()).map_err(map_rejection)?;
         let texts = [file::to_toml(scenario)?, toml::to_string(&spec)?];
-        let plan = Self { scenario: scenario.clone(), controller, texts, bytes, claim };
+        let plan = Self {
+            scenario: scenario.clone(),
+            controller,
+            texts,
+            bytes,
+            claim,
+        };
         plan.check_can_simulate()?;
         Ok(plan)
     }
@@ -135,7 +145,11 @@ impl InvariantPlan {
         let (mut possible, mut impossible, mut best) = (low.max(0.0), high, None);
         for attempt in 0..=SPEED_HALVINGS {
             // The first attempt has the whole region.
-            let own_mps = if attempt == 0 { high } else { 0.5 * (possible + impossible) };
+            let own_mps = if attempt == 0 {
+                high
+            } else {
+                0.5 * (possible + impossible)
+            };
             match self.attempt(options, own_mps, observer)? {
                 Some(found) if attempt == 0 => return Ok(Some(found)),
                 Some(found) => (possible, best) = (own_mps, Some(found)),
@@ -151,19 +165,35 @@ impl InvariantPlan {
         own_mps: f64,
         observer: &dyn Observer<InvariantProgress>,
     ) -> Result<Option<InvariantSet>, InvalidBox> {
-        let mut claim = InvariantClaim { splits: options.splits, ..self.claim.clone() };
+        let mut claim = InvariantClaim {
+            splits: options.splits,
+            ..self.claim.clone()
+        };
         let [low, high] = claim.region_own_mps;
-        let low = if claim.motion == MotionModel::Absolute { 0.0 } else { low };
-        let cells = (f64::from(options.cells) * (own_mps - low) / (high - low)).ceil().max(4.0) as u32;
+        let low = if claim.motion == MotionModel::Absolute {
+            0.0
+        } else {
+            low
+        };
+        let cells = (f64::from(options.cells) * (own_mps - low) / (high - low))
+            .ceil()
+            .max(4.0) as u32;
         let rows = cells + EXTRA_ROWS;
-        let mut own =
-            TableAxis { low, high: low + (own_mps - low) * (f64::from(rows) / f64::from(cells)), cells: rows };
+        let mut own = TableAxis {
+            low,
+            high: low + (own_mps - low) * (f64::from(rows) / f64::from(cells)),
+            cells: rows,
+        };
         while own.node(cells as usize) > own_mps {
             own.high = own.high.next_down();
         }
         claim.initial_own_mps_at_most = own.node(cells as usize);
         let leader = match claim.motion {
-            MotionModel::Absolute => TableAxis { low: 0.0, high: claim.region_leader_mps[1], cells: options.cells },
+            MotionModel::Absolute => TableAxis {
+                low: 0.0,
+                high: claim.region_leader_mps[1],
+                cells: options.cells,
+            },
             MotionModel::Relative => TableAxis::point(0.0),
         };
         claim.axes = [own, leader];
@@ -173,27 +203,55 @@ impl InvariantPlan {
         // An invalid region is refused before the long part of the search.
         claim.check_axes(&table).map_err(map_rejection)?;
         claim.share(&table).map_err(map_rejection)?;
-        let highest_m = claim.ends_beyond_gap_m.unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
+        let highest_m = claim
+            .ends_beyond_gap_m
+            .unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
         let mut stopped = Ok(());
         let mut observe = |stage: InvariantStage, [done, total]: [usize; 2]| {
-            stopped = observer.notify(&InvariantProgress { own_mps, stage, done, total });
+            stopped = observer.notify(&InvariantProgress {
+                own_mps,
+                stage,
+                done,
+                total,
+            });
             stopped.is_ok()
         };
-        let Some(controller) = self.start(&claim) else { return Ok(None) };
-        let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
+        let Some(controller) = self.start(&claim) else {
+            return Ok(None);
+        };
+        let mut search = BoundarySearch {
+            claim: &claim,
+            controller,
+            policy: self.bytes.as_deref(),
+            highest_m,
+        };
         let is_simulated = search.raise_to_simulation(&mut table, &mut observe);
         let simulated_share = claim.share(&table).map_err(map_rejection)?;
-        let passes = if is_simulated { search.raise_boundary(&mut table, &mut observe) } else { None };
+        let passes = if is_simulated {
+            search.raise_boundary(&mut table, &mut observe)
+        } else {
+            None
+        };
         stopped?;
-        let Some(passes) = passes else { return Ok(None) };
+        let Some(passes) = passes else {
+            return Ok(None);
+        };
         claim.heights = table.to_runs();
         claim.share_at_least = claim.share(&table).map_err(map_rejection)?;
         // Rounded down to micrometres, so that other rounding in another version keeps the proof.
-        claim.min_gap_m_at_least = ((table.extremes()[0] - claim.floor_m()) * 1e6).floor().max(0.0) / 1e6;
+        claim.min_gap_m_at_least = ((table.extremes()[0] - claim.floor_m()) * 1e6)
+            .floor()
+            .max(0.0)
+            / 1e6;
         let ([scenario, spec], name) = (self.texts.clone(), self.scenario.spec().name.clone());
         let statement = Statement::Invariant(Box::new(claim));
         let certificate = build_certificate(name, Some(scenario), Some(spec), statement);
-        Ok(Some(InvariantSet { table, certificate, passes, simulated_share }))
+        Ok(Some(InvariantSet {
+            table,
+            certificate,
+            passes,
+            simulated_share,
+        }))
     }
 }
 
@@ -209,7 +267,9 @@ impl InvariantPlan {
         };
         match &self.controller {
             ControllerKind::Network(network) => Some(network.start(&ego)),
-            ControllerKind::Policy(policy) => Some(Box::new(PolicyDriver::new(Arc::clone(policy), &ego))),
+            ControllerKind::Policy(policy) => {
+                Some(Box::new(PolicyDriver::new(Arc::clone(policy), &ego)))
+            }
             ControllerKind::BuiltIn(spec) => Some(spec.start(&ego, 0)),
             _ => None,
         }
@@ -226,9 +286,23 @@ fn map_rejection(rejection: Rejection) -> InvalidBox {
 
 /// True if a claim has the limits, region and controller of its texts.
 pub(super) fn has_frame(claim: &InvariantClaim, frame: InvariantClaim) -> bool {
-    let InvariantClaim { initial_own_mps_at_most, axes, splits, share_at_least, min_gap_m_at_least, .. } = *claim;
+    let InvariantClaim {
+        initial_own_mps_at_most,
+        axes,
+        splits,
+        share_at_least,
+        min_gap_m_at_least,
+        ..
+    } = *claim;
     let heights = claim.heights.clone();
-    let set =
-        InvariantClaim { initial_own_mps_at_most, axes, splits, heights, share_at_least, min_gap_m_at_least, ..frame };
+    let set = InvariantClaim {
+        initial_own_mps_at_most,
+        axes,
+        splits,
+        heights,
+        share_at_least,
+        min_gap_m_at_least,
+        ..frame
+    };
     set == *claim
 }

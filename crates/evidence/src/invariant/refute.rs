@@ -40,7 +40,8 @@ impl InvariantPlan {
         }
         let [brake, accelerate] = self.claim.leader_mps2;
         if let Some(leader) = self.scenario.vehicles().first() {
-            let (max_brake_mps2, max_accel_mps2) = (leader.max_brake_mps2(), leader.max_accel_mps2());
+            let (max_brake_mps2, max_accel_mps2) =
+                (leader.max_brake_mps2(), leader.max_accel_mps2());
             if -brake > max_brake_mps2 || accelerate > max_accel_mps2 {
                 let name = &self.scenario.spec().name;
                 let problem = format!(
@@ -77,11 +78,19 @@ impl InvariantPlan {
         let [brake, accelerate] = self.claim.leader_mps2;
         // The leader may not exceed the largest speed of the claim.
         let spare = (self.claim.region_leader_mps[1] - state.leader_mps).max(0.0);
-        let gains_s = if accelerate > 0.0 { state.leader_accelerates_s.min(spare / accelerate) } else { 0.0 };
+        let gains_s = if accelerate > 0.0 {
+            state.leader_accelerates_s.min(spare / accelerate)
+        } else {
+            0.0
+        };
         let mut from_s = vec![0.0];
         let mut accel_mps2 = vec![brake];
         if state.leader_accelerates_s > 0.0 {
-            from_s = vec![0.0, gains_s.max(1e-3), state.leader_accelerates_s.max(gains_s + 2e-3)];
+            from_s = vec![
+                0.0,
+                gains_s.max(1e-3),
+                state.leader_accelerates_s.max(gains_s + 2e-3),
+            ];
             accel_mps2 = vec![if gains_s > 1e-3 { accelerate } else { 0.0 }, 0.0, brake];
         }
         let scenario = self.scenario.edited(|spec| {
@@ -90,7 +99,10 @@ impl InvariantPlan {
             if let [leader, ego] = spec.vehicles.as_mut_slice() {
                 (leader.speed_mps, ego.speed_mps) = (state.leader_mps, state.own_mps);
                 leader.position_m = ego.position_m + state.gap_m + leader.length_m();
-                leader.driver = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
+                leader.driver = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration {
+                    from_s,
+                    accel_mps2,
+                }));
             }
         });
         Ok(scenario?)
@@ -114,15 +126,24 @@ impl InvariantPlan {
             return Ok(None);
         }
         let speeds = |[low, high]: [f64; 2]| {
-            (0..=STATES_PER_SPEED).map(move |i| low + (high - low) * i as f64 / STATES_PER_SPEED as f64)
+            (0..=STATES_PER_SPEED)
+                .map(move |i| low + (high - low) * i as f64 / STATES_PER_SPEED as f64)
         };
         for own_mps in speeds([0.0, table.axes()[0].high.min(self.claim.region_own_mps[1])]) {
             for leader_mps in speeds(self.claim.region_leader_mps) {
-                let Some(height_m) = table.height_at([own_mps, leader_mps]) else { continue };
-                for (share, leader_accelerates_s) in
-                    HEIGHT_SHARES.into_iter().flat_map(|share| ACCELERATES_S.map(|time_s| (share, time_s)))
+                let Some(height_m) = table.height_at([own_mps, leader_mps]) else {
+                    continue;
+                };
+                for (share, leader_accelerates_s) in HEIGHT_SHARES
+                    .into_iter()
+                    .flat_map(|share| ACCELERATES_S.map(|time_s| (share, time_s)))
                 {
-                    let state = Defeat { gap_m: share * height_m, own_mps, leader_mps, leader_accelerates_s };
+                    let state = Defeat {
+                        gap_m: share * height_m,
+                        own_mps,
+                        leader_mps,
+                        leader_accelerates_s,
+                    };
                     let is_larger = found.as_ref().is_none_or(|found| found.gap_m < state.gap_m);
                     if state.gap_m > 0.05 && is_larger && self.collides(&state)? {
                         found = Some(state);

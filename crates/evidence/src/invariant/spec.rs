@@ -55,9 +55,16 @@ impl InvariantSpec {
     ///
     /// # Errors
     /// [`InvalidBox`] if the checker does not support the scenario or the controller.
-    pub(crate) fn frame(&self, scenario: &Scenario, policy: Option<&[u8]>) -> Result<InvariantClaim, InvalidBox> {
+    pub(crate) fn frame(
+        &self,
+        scenario: &Scenario,
+        policy: Option<&[u8]>,
+    ) -> Result<InvariantClaim, InvalidBox> {
         let wrong = |why: &str| InvalidBox::field("scenario", why);
-        let ego = scenario.vehicles().get(1).ok_or_else(|| wrong("has too few vehicles"))?;
+        let ego = scenario
+            .vehicles()
+            .get(1)
+            .ok_or_else(|| wrong("has too few vehicles"))?;
         let is_plain = ego.acceleration_noise_mps2 == 0.0
             && ego.reaction_delay_s == 0.0
             && ego.actuator_delay_s == 0.0
@@ -84,7 +91,8 @@ impl InvariantSpec {
                 (InvariantController::Law(law), 1)
             }
             (None, Some(bytes)) => {
-                let network = NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
+                let network =
+                    NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
                 let digest = sha256(bytes);
                 let reference = NetworkReference {
                     policy_file: controller_file_name(&digest, network.source.is_some()),
@@ -94,7 +102,11 @@ impl InvariantSpec {
                 let steps = (network.decision_interval_s / step_s).round();
                 (InvariantController::Network(reference), steps as u32)
             }
-            _ => return Err(InvalidBox::Controller("must be either a law or a policy".to_owned())),
+            _ => {
+                return Err(InvalidBox::Controller(
+                    "must be either a law or a policy".to_owned(),
+                ));
+            }
         };
         Ok(InvariantClaim {
             motion: self.motion,

@@ -67,7 +67,10 @@ impl Div for Rational {
 impl Neg for Rational {
     type Output = Self;
     fn neg(self) -> Self {
-        Self { numerator: -self.numerator, denominator: self.denominator }
+        Self {
+            numerator: -self.numerator,
+            denominator: self.denominator,
+        }
     }
 }
 
@@ -91,7 +94,9 @@ fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) 
     .map(|text| parse_rational(text));
     let zero = rational(0.0);
     match &stated.catching_up_squared {
-        Some(r) if Real::greater_than(w / c, v / b) => parse_rational(r) * (v - w).larger(zero) * (v - w).larger(zero),
+        Some(r) if Real::greater_than(w / c, v / b) => {
+            parse_rational(r) * (v - w).larger(zero) * (v - w).larger(zero)
+        }
         _ => (p * v * v + q * w * w).larger(zero),
     }
 }
@@ -101,15 +106,35 @@ fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) 
 fn certificate_and_shield_compute_the_same() {
     let quarter = |over: i128| Rational::new(over, 4).unwrap();
     let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
-    for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {
-        let limits = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };
+    for (b, c) in [
+        (7.5, 7.5),
+        (7.5, 6.0),
+        (6.0, 7.5),
+        (6.0, 6.0),
+        (8.0, 5.0),
+        (0.25, 30.0),
+        (30.0, 0.5),
+    ] {
+        let limits = ViabilityKernel {
+            own_brake_mps2: b,
+            ahead_brake_mps2: c,
+        };
         let certificate = kernel_certificate(&limits, 0.01, 1e-6).unwrap();
         assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));
-        let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
-        let shield = ViabilityKernel { own_brake_mps2: rational(b), ahead_brake_mps2: rational(c) };
+        let Statement::Kernel(stated) = certificate.statement else {
+            panic!("a kernel")
+        };
+        let shield = ViabilityKernel {
+            own_brake_mps2: rational(b),
+            ahead_brake_mps2: rational(c),
+        };
         for v in speeds() {
             for w in speeds() {
-                assert_eq!(shield.demanded_gap_m(v, w), stated_gap_m(&stated, v, w), "{v} m/s behind {w} m/s, {b} {c}");
+                assert_eq!(
+                    shield.demanded_gap_m(v, w),
+                    stated_gap_m(&stated, v, w),
+                    "{v} m/s behind {w} m/s, {b} {c}"
+                );
             }
         }
     }

@@ -52,13 +52,18 @@ impl RareRecord {
             outputs: &[ESTIMATE_FILE],
         };
         let work = RunFolder::open(folder, asked)?;
-        Ok(RareFolder { progress: RareProgress::load(work, self, self.effort.repetitions as u64)? })
+        Ok(RareFolder {
+            progress: RareProgress::load(work, self, self.effort.repetitions as u64)?,
+        })
     }
 }
 
 impl RareReport {
     pub(super) fn without_exposure(&self) -> Self {
-        Self { exposure: None, ..self.clone() }
+        Self {
+            exposure: None,
+            ..self.clone()
+        }
     }
 
     fn to_json(&self) -> Result<String, serde_json::Error> {
@@ -72,10 +77,14 @@ impl RareFolder {
     /// # Errors
     /// [`RareError::RunFolder`] if it is damaged.
     pub fn read_report(&self) -> Result<Option<RareReport>, RareError> {
-        let damaged = |error: serde_json::Error| RunFolderError::damaged(&self.path(), format!("no estimate: {error}"));
+        let damaged = |error: serde_json::Error| {
+            RunFolderError::damaged(&self.path(), format!("no estimate: {error}"))
+        };
         let bytes = self.progress.run_folder.read(ESTIMATE_FILE)?;
-        let kept: Option<RareReport> =
-            bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?;
+        let kept: Option<RareReport> = bytes
+            .map(|bytes| serde_json::from_slice(&bytes))
+            .transpose()
+            .map_err(damaged)?;
         Ok(kept.map(RareReport::with_gaps))
     }
 
@@ -102,7 +111,8 @@ impl RareFolder {
         plan: &RarePlan,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<SplittingLevels, RareError> {
-        self.progress.run_pilot(plan, &ProgressCounter::new(observer, None))
+        self.progress
+            .run_pilot(plan, &ProgressCounter::new(observer, None))
     }
 
     /// Runs the remaining repetitions, and saves each of them and the estimate. If the space is fitted to episodes,
@@ -117,7 +127,10 @@ impl RareFolder {
         resamples: u32,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
-        let (all, counter) = (0..plan.effort.repetitions as u64, ProgressCounter::new(observer, None));
+        let (all, counter) = (
+            0..plan.effort.repetitions as u64,
+            ProgressCounter::new(observer, None),
+        );
         let repeated = self.progress.run_repetitions(plan, pilot, all, &counter)?;
         let report = plan.record()?.report(pilot.summary(repeated));
         let report = self.add_exposure(plan, report, resamples, &counter)?;
@@ -136,7 +149,12 @@ impl RareFolder {
         resamples: u32,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
-        self.add_exposure(plan, report, resamples, &ProgressCounter::new(observer, None))
+        self.add_exposure(
+            plan,
+            report,
+            resamples,
+            &ProgressCounter::new(observer, None),
+        )
     }
 
     fn add_exposure(
@@ -150,7 +168,10 @@ impl RareFolder {
         let exposed = plan.rate_per_exposure(&report.estimate, resamples, &mut |space, seed| {
             again.next(plan, (space, seed), counter)
         })?;
-        Ok(RareReport { exposure: exposed, ..report })
+        Ok(RareReport {
+            exposure: exposed,
+            ..report
+        })
     }
 
     /// Returns the number of completed repetitions.

@@ -57,13 +57,19 @@ pub struct SplittingConfig {
 
 impl SplittingConfig {
     fn clamped(self) -> Self {
-        Self { samples: self.samples.max(50), repetitions: self.repetitions.max(5) }
+        Self {
+            samples: self.samples.max(50),
+            repetitions: self.repetitions.max(5),
+        }
     }
 }
 
 impl Default for SplittingConfig {
     fn default() -> Self {
-        Self { samples: 500, repetitions: 20 }
+        Self {
+            samples: 500,
+            repetitions: 20,
+        }
     }
 }
 
@@ -103,9 +109,25 @@ impl TryFrom<WrittenLevel> for Level {
     type Error = &'static str;
 
     fn try_from(written: WrittenLevel) -> Result<Self, &'static str> {
-        let WrittenLevel { robustness, smallest_gap_m, probability, share, step, acceptance } = written;
-        let margin = robustness.or(smallest_gap_m).ok_or("a level has no `robustness`")?;
-        Ok(Self { margin, smallest_gap_m, probability, share, step, acceptance })
+        let WrittenLevel {
+            robustness,
+            smallest_gap_m,
+            probability,
+            share,
+            step,
+            acceptance,
+        } = written;
+        let margin = robustness
+            .or(smallest_gap_m)
+            .ok_or("a level has no `robustness`")?;
+        Ok(Self {
+            margin,
+            smallest_gap_m,
+            probability,
+            share,
+            step,
+            acceptance,
+        })
     }
 }
 

@@ -13,7 +13,9 @@ use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{ScenarioSpace, file};
-use crumple_world::sim::{NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{
+    NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch,
+};
 
 /// An estimate of the failure rate of a controller in a space, for failures that are too rare to count. The margin of a
 /// run is its robustness. For collisions that is the smallest gap between any vehicles, in metres, and negative after a
@@ -34,7 +36,10 @@ pub struct RarePlan {
 }
 
 /// Effort in a space that is fitted to a resample: the spread over resamples matters, not the single estimate.
-const RESAMPLE_EFFORT: SplittingConfig = SplittingConfig { samples: 100, repetitions: 5 };
+const RESAMPLE_EFFORT: SplittingConfig = SplittingConfig {
+    samples: 100,
+    repetitions: 5,
+};
 
 /// Reason why an estimate fails.
 #[derive(Debug, thiserror::Error)]
@@ -138,18 +143,29 @@ impl LimitState for RarePlan {
         let scenario = |state: &RandomInputs| {
             let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
             let seed = state.noise.first().map_or(0, |share| share.seed);
-            let scenario = self.space.scenario_at_with_seed(&self.space.quantile(&uniform), seed)?;
+            let scenario = self
+                .space
+                .scenario_at_with_seed(&self.space.quantile(&uniform), seed)?;
             Ok(scenario.with_noise_shares(&state.noise))
         };
-        let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, InvalidField>>()?;
+        let scenarios = states
+            .par_iter()
+            .map(scenario)
+            .collect::<Result<Vec<_>, InvalidField>>()?;
         let specification = &self.specification;
         let options = RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)
             .with_after_contact(specification.after_contact());
-        let runs =
-            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let runs = scenarios
+            .iter()
+            .map(|scenario| Run::new(scenario, options.clone()))
+            .collect::<Result<Vec<_>, _>>()?;
         let margins = simulate_batch(&runs, specification.recording_level(), |index, result| {
-            runs.get(index).map(|run| specification.evaluate(run, &result).map(|verdict| verdict.robustness))
+            runs.get(index).map(|run| {
+                specification
+                    .evaluate(run, &result)
+                    .map(|verdict| verdict.robustness)
+            })
         });
         let margins = margins.into_iter().flatten().collect::<Result<_, _>>()?;
         self.controller.ensure_trusted()?;
@@ -169,7 +185,11 @@ impl RarePlan {
             return Ok(None);
         }
         let resamples = estimate_on_resamples(&self.space, self.seed, resamples, again)?;
-        Ok(RatePerExposure::new(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
+        Ok(RatePerExposure::new(
+            &self.space,
+            FailureProbability::Estimated(estimate),
+            resamples.as_ref(),
+        ))
     }
 
     pub(super) fn estimate_in_space(
@@ -179,7 +199,14 @@ impl RarePlan {
         counter: &ProgressCounter<'_>,
     ) -> Result<RareEstimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
-        let other = Self { controller, space: space.clone(), specification, seed, effort: RESAMPLE_EFFORT, ..*self };
+        let other = Self {
+            controller,
+            space: space.clone(),
+            specification,
+            seed,
+            effort: RESAMPLE_EFFORT,
+            ..*self
+        };
         SplittingLevels::run_pilots(&other, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
@@ -240,7 +267,10 @@ impl RareReport {
     /// Copies the margins to the gaps if collisions are the failure.
     pub(super) fn with_gaps(mut self) -> Self {
         let is_gap = self.is_contact_failure();
-        self.estimate.levels.iter_mut().for_each(|level| level.smallest_gap_m = is_gap.then_some(level.margin));
+        self.estimate
+            .levels
+            .iter_mut()
+            .for_each(|level| level.smallest_gap_m = is_gap.then_some(level.margin));
         self
     }
 }

@@ -41,14 +41,25 @@ struct ResampleEstimates {
 }
 
 impl RareProgress {
-    pub(super) fn load(work: RunFolder, record: &RareRecord, repetitions: u64) -> Result<Self, RunFolderError> {
+    pub(super) fn load(
+        work: RunFolder,
+        record: &RareRecord,
+        repetitions: u64,
+    ) -> Result<Self, RunFolderError> {
         let damaged = |problem: String| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem);
         let Some(bytes) = work.read(PROGRESS_FILE)? else {
-            return Ok(Self { run_folder: work, state: RareProgressFile::default() });
+            return Ok(Self {
+                run_folder: work,
+                state: RareProgressFile::default(),
+            });
         };
-        let found: RareProgressFile = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+        let found: RareProgressFile =
+            serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
         match found.is_consistent_with(record, repetitions) {
-            true => Ok(Self { run_folder: work, state: found }),
+            true => Ok(Self {
+                run_folder: work,
+                state: found,
+            }),
             false => Err(damaged("belongs to another estimate".to_owned())),
         }
     }
@@ -69,7 +80,10 @@ impl RareProgress {
     }
 
     pub(super) fn completed_repetitions(&self) -> u64 {
-        self.state.repetitions.as_ref().map_or(0, |done| done.len() as u64)
+        self.state
+            .repetitions
+            .as_ref()
+            .map_or(0, |done| done.len() as u64)
     }
 
     /// Runs those of the repetitions that are not saved.
@@ -83,7 +97,9 @@ impl RareProgress {
         let mut next = own.start + self.completed_repetitions();
         let mut repetitions = self.state.repetitions.take().unwrap_or_default();
         while pilot.reaches_failure() && next < own.end {
-            let end = own.end.min(next.saturating_add(pilot.repetitions_per_write()));
+            let end = own
+                .end
+                .min(next.saturating_add(pilot.repetitions_per_write()));
             repetitions.extend(pilot.run_repetitions(plan, next..end, counter)?);
             next = end;
             self.state.repetitions = Some(repetitions.clone());
@@ -95,14 +111,29 @@ impl RareProgress {
 
     /// Returns the estimator in spaces that are fitted to resamples; it reuses saved estimates.
     pub(super) fn resample_estimator(&mut self, resamples: u32) -> ResampleEstimator<'_> {
-        if self.state.resample_estimates.as_ref().is_none_or(|resampled| resampled.resamples != resamples) {
-            self.state.resample_estimates = Some(ResampleEstimates { resamples, estimates: Vec::new() });
+        if self
+            .state
+            .resample_estimates
+            .as_ref()
+            .is_none_or(|resampled| resampled.resamples != resamples)
+        {
+            self.state.resample_estimates = Some(ResampleEstimates {
+                resamples,
+                estimates: Vec::new(),
+            });
         }
-        ResampleEstimator { progress: self, next: 0 }
+        ResampleEstimator {
+            progress: self,
+            next: 0,
+        }
     }
 
     pub(super) fn finish(&self, name: &str, contents: String) -> Result<(), RareError> {
-        self.run_folder.transaction().write(name, contents).remove(PROGRESS_FILE).commit()?;
+        self.run_folder
+            .transaction()
+            .write(name, contents)
+            .remove(PROGRESS_FILE)
+            .commit()?;
         Ok(self.run_folder.finish()?)
     }
 }
@@ -121,7 +152,11 @@ impl ResampleEstimator<'_> {
         counter: &ProgressCounter<'_>,
     ) -> Result<RareEstimate, RareError> {
         let found = &mut self.progress.state;
-        let kept = found.resample_estimates.as_ref().and_then(|resampled| resampled.estimates.get(self.next)).cloned();
+        let kept = found
+            .resample_estimates
+            .as_ref()
+            .and_then(|resampled| resampled.estimates.get(self.next))
+            .cloned();
         self.next += 1;
         if let Some(kept) = kept {
             return Ok(kept);
@@ -146,7 +181,11 @@ impl RareProgressFile {
     fn is_consistent_with(&self, record: &RareRecord, repetitions: u64) -> bool {
         let is_own = |pilot: &SplittingLevels| pilot.is_placed_by(record.effort, record.seed);
         let may_be = |some: &Vec<Repetition>| {
-            some.len() as u64 <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.is_consistent_with(some))
+            some.len() as u64 <= repetitions
+                && self
+                    .pilot
+                    .as_ref()
+                    .is_some_and(|pilot| pilot.is_consistent_with(some))
         };
         self.pilot.iter().all(is_own) && self.repetitions.iter().all(may_be)
     }

@@ -10,7 +10,11 @@ use crate::fixtures::rare_plan;
 use crumple_core::observer::{Listener, RunProgress};
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap()
+        .install(work)
 }
 
 fn run_until(plan: &RarePlan, folder: &Path, plug: u64) -> Option<u64> {
@@ -37,7 +41,10 @@ fn run_until(plan: &RarePlan, folder: &Path, plug: u64) -> Option<u64> {
 
 fn assert_same(one: &Path, other: &Path) {
     for name in ["rare-estimate.json", "work.json"] {
-        assert!(fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(), "{name}");
+        assert!(
+            fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(),
+            "{name}"
+        );
     }
     assert!(!one.join(PROGRESS_FILE).exists() && !one.join("previous").exists());
 }
@@ -71,7 +78,12 @@ fn repetitions_are_kept_as_they_end() {
     let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
     let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
     assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
-    assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4);
+    assert!(
+        plan.open_folder(&broken, true)
+            .unwrap()
+            .completed_repetitions()
+            >= 4
+    );
     let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
     assert!(left > 0 && left < all / 3, "{left} of {all}");
     assert_same(&through, &broken);
@@ -80,15 +92,26 @@ fn repetitions_are_kept_as_they_end() {
 #[test]
 fn only_the_same_estimate_resumes_an_unfinished_folder() {
     let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
-    assert_eq!(with_threads(1, || run_until(&plan, root.path(), 3000)), None);
+    assert_eq!(
+        with_threads(1, || run_until(&plan, root.path(), 3000)),
+        None
+    );
     assert!(root.path().join(PROGRESS_FILE).exists());
-    let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
+    let error = |plan: &RarePlan, resume| {
+        plan.open_folder(root.path(), resume)
+            .err()
+            .map(|error| error.to_string())
+    };
     assert!(
-        error(&plan, false).unwrap().ends_with("already holds a rare-failure estimate: use --resume or another --out")
+        error(&plan, false)
+            .unwrap()
+            .ends_with("already holds a rare-failure estimate: use --resume or another --out")
     );
     for other in [rare_plan(2, 14), rare_plan(1, 15)] {
         assert!(
-            error(&other, true).unwrap().ends_with("the rare-failure estimate there has a different configuration")
+            error(&other, true)
+                .unwrap()
+                .ends_with("the rare-failure estimate there has a different configuration")
         );
     }
     let kept = plan.open_folder(root.path(), true).unwrap();
@@ -96,7 +119,11 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
     drop(kept);
     let path = root.path().join(PROGRESS_FILE);
     fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
-    assert!(error(&plan, true).unwrap().contains("progress.json: has changed since it was written"));
+    assert!(
+        error(&plan, true)
+            .unwrap()
+            .contains("progress.json: has changed since it was written")
+    );
     fs::write(&path, text).unwrap();
     assert_eq!(error(&plan, true), None);
 }

@@ -83,10 +83,18 @@ struct SplittingStage {
 }
 
 impl SplittingStage {
-    const LAST: Self = Self { threshold: 0.0, is_last: true, step: 1.0 };
+    const LAST: Self = Self {
+        threshold: 0.0,
+        is_last: true,
+        step: 1.0,
+    };
 
     fn passes(&self, margin: f64) -> bool {
-        if self.is_last { margin < 0.0 } else { margin <= self.threshold }
+        if self.is_last {
+            margin < 0.0
+        } else {
+            margin <= self.threshold
+        }
     }
 }
 
@@ -141,7 +149,10 @@ impl SplittingLevels {
             // repetitions follow, only the first pilot's samples count.
             let (draws, failures) = match next.reaches_failure {
                 true => first,
-                false => (pilot.pilot_draws + next.pilot_draws, pilot.pilot_failures + next.pilot_failures),
+                false => (
+                    pilot.pilot_draws + next.pilot_draws,
+                    pilot.pilot_failures + next.pilot_failures,
+                ),
             };
             pilot = Self {
                 pilot_runs: pilot.pilot_runs + next.pilot_runs,
@@ -162,8 +173,17 @@ impl SplittingLevels {
     ) -> Result<Self, P::Error> {
         let effort = effort.clamped();
         let samples = effort.samples * PILOT_FACTORS.get(attempt).copied().unwrap_or(1);
-        let own = if attempt == 0 { 0 } else { LATER_PILOT_STREAM_OFFSET + attempt as u64 };
-        let mut climber = ParticlePopulation::new(problem, samples, stream(seed, Purpose::RareEvents, own), counter);
+        let own = if attempt == 0 {
+            0
+        } else {
+            LATER_PILOT_STREAM_OFFSET + attempt as u64
+        };
+        let mut climber = ParticlePopulation::new(
+            problem,
+            samples,
+            stream(seed, Purpose::RareEvents, own),
+            counter,
+        );
         let mut population = climber.sample_initial()?;
         let (pilot_draws, pilot_failures) = (samples as u64, count_failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
@@ -191,8 +211,18 @@ impl SplittingLevels {
             // If most of the population has the same margin, the level is the next smaller margin, even if few runs
             // pass.
             let plateau = before.min(margins.last().copied().unwrap_or(before));
-            let below = margins.iter().rev().copied().find(|margin| *margin < plateau);
-            let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
+            let below = margins
+                .iter()
+                .rev()
+                .copied()
+                .find(|margin| *margin < plateau);
+            let Some(threshold) = (if quantile < plateau {
+                Some(quantile)
+            } else {
+                below
+            }) else {
+                break;
+            };
             if threshold < 0.0 {
                 pilot.stages.push(SplittingStage::LAST);
                 pilot.reaches_failure = true;
@@ -201,8 +231,15 @@ impl SplittingLevels {
             if pilot.stages.len() == MAX_LEVELS {
                 break;
             }
-            let mut stage = SplittingStage { threshold, is_last: false, step };
-            let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let mut stage = SplittingStage {
+                threshold,
+                is_last: false,
+                step,
+            };
+            let survivors: Vec<Particle> = population
+                .into_iter()
+                .filter(|(_, margin)| stage.passes(*margin))
+                .collect();
             let share = survivors.len() as f64 / samples as f64;
             probability *= share;
             population = climber.resample(survivors);
@@ -210,8 +247,9 @@ impl SplittingLevels {
             for _ in 0..MOVES_PER_LEVEL {
                 let (taken, tried) = climber.mcmc_move(&mut population, &stage)?;
                 let acceptance = taken as f64 / tried.max(1) as f64;
-                stage.step =
-                    (stage.step * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp()).clamp(MIN_STEP, 1.0);
+                stage.step = (stage.step
+                    * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp())
+                .clamp(MIN_STEP, 1.0);
                 (accepted, proposed) = (accepted + taken, proposed + tried);
             }
             (step, before) = (stage.step, threshold);
@@ -241,7 +279,11 @@ impl SplittingLevels {
     #[must_use]
     pub fn planned_runs(&self) -> u64 {
         let moves = MOVES_PER_LEVEL * self.stages.len().saturating_sub(1);
-        if self.reaches_failure { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
+        if self.reaches_failure {
+            (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64
+        } else {
+            0
+        }
     }
 
     fn pilot_estimate(&self) -> RareEstimate {
@@ -264,13 +306,22 @@ impl SplittingLevels {
         repetitions: Range<u64>,
         counter: &ProgressCounter<'_>,
     ) -> Result<Vec<Repetition>, P::Error> {
-        let planned = if self.reaches_failure { self.effort.repetitions as u64 } else { 0 };
+        let planned = if self.reaches_failure {
+            self.effort.repetitions as u64
+        } else {
+            0
+        };
         let repetitions = repetitions.start..repetitions.end.min(planned);
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
-            let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
+            let mut climber =
+                ParticlePopulation::new(problem, self.effort.samples, random, counter);
             let (initial_failures, levels) = climber.climb(&self.stages)?;
-            Ok(Repetition { initial_failures, levels, evaluations: climber.evaluations })
+            Ok(Repetition {
+                initial_failures,
+                levels,
+                evaluations: climber.evaluations,
+            })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
@@ -290,7 +341,9 @@ impl SplittingLevels {
     /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
     pub(super) fn repetitions_per_write(&self) -> u64 {
         let each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
-        MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
+        MIN_RUNS_PER_WRITE
+            .div_ceil(each)
+            .max(rayon::current_num_threads() as u64)
     }
 
     pub(super) fn is_placed_by(&self, effort: SplittingConfig, seed: u64) -> bool {
@@ -301,10 +354,14 @@ impl SplittingLevels {
         let samples = self.effort.samples as u64;
         let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
         let is_share = |seen: &LevelStats| {
-            (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves
+            (0.0..=1.0).contains(&seen.share)
+                && seen.accepted <= seen.proposed
+                && seen.proposed <= moves
         };
         let may_be = |one: &Repetition| {
-            let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
+            let most = moves
+                .saturating_mul(self.stages.len() as u64)
+                .saturating_add(samples);
             let is_short = one.levels.len() <= self.stages.len() && one.initial_failures <= samples;
             is_short && one.levels.iter().all(is_share) && one.evaluations <= most
         };
@@ -315,23 +372,38 @@ impl SplittingLevels {
     #[must_use]
     pub fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
         let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
-        let independent_failures =
-            repeated.iter().map(|one| one.initial_failures).fold(self.pilot_failures, u64::saturating_add);
+        let independent_failures = repeated
+            .iter()
+            .map(|one| one.initial_failures)
+            .fold(self.pilot_failures, u64::saturating_add);
         if !self.reaches_failure {
             return self.pilot_estimate();
         }
-        let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot_runs, u64::saturating_add);
+        let evaluations = repeated
+            .iter()
+            .map(|one| one.evaluations)
+            .fold(self.pilot_runs, u64::saturating_add);
         let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.levels).collect();
         let product = |seen: &Vec<LevelStats>, levels: usize| -> f64 {
-            if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
+            if seen.len() < levels {
+                0.0
+            } else {
+                seen.iter().take(levels).map(|seen| seen.share).product()
+            }
         };
         let levels = self.stages.iter().enumerate().map(|(index, stage)| {
             let here: Vec<&LevelStats> = seen.iter().filter_map(|seen| seen.get(index)).collect();
-            let sum = |of: fn(&&LevelStats) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
+            let sum =
+                |of: fn(&&LevelStats) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
             let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
-                probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
+                probability: mean(
+                    &seen
+                        .iter()
+                        .map(|seen| product(seen, index + 1))
+                        .collect::<Vec<_>>(),
+                ),
                 share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
                 step: (!stage.is_last).then_some(stage.step),
                 acceptance: (proposed > 0).then(|| accepted as f64 / proposed as f64),
@@ -339,9 +411,17 @@ impl SplittingLevels {
             }
         });
         let levels: Vec<Level> = levels.collect();
-        let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
-        let begun =
-            RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::default() };
+        let repetitions: Vec<f64> = seen
+            .iter()
+            .map(|seen| product(seen, self.stages.len()))
+            .collect();
+        let begun = RareEstimate {
+            evaluations,
+            independent_runs,
+            independent_failures,
+            levels,
+            ..RareEstimate::default()
+        };
         begun.with_repetitions(repetitions)
     }
 }
@@ -351,8 +431,16 @@ impl RareEstimate {
     fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
         let mean = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, mean);
-        let estimate = Self { probability: Some(mean), coefficient_of_variation, repetitions, ..self };
-        Self { interval_95: estimate.interval(0.95), ..estimate }
+        let estimate = Self {
+            probability: Some(mean),
+            coefficient_of_variation,
+            repetitions,
+            ..self
+        };
+        Self {
+            interval_95: estimate.interval(0.95),
+            ..estimate
+        }
     }
 
     /// Returns a confidence interval of the probability, computed as [`Self::interval_95`].
@@ -361,7 +449,8 @@ impl RareEstimate {
         let (probability, variation) = (self.probability?, self.coefficient_of_variation?);
         match self.counted_failures() {
             Some((failures, runs)) => {
-                let RateInterval { lower, upper } = RateInterval::clopper_pearson(failures, runs, confidence);
+                let RateInterval { lower, upper } =
+                    RateInterval::clopper_pearson(failures, runs, confidence);
                 Some([lower, upper])
             }
             None => lognormal_interval(probability, variation, self.repetitions.len(), confidence),
@@ -375,7 +464,11 @@ impl RareEstimate {
         let each = self.independent_runs / (1 + repetitions);
         let is_counted = self.levels.len() == 1 && each > 0 && repetitions > 0;
         is_counted.then(|| {
-            let failures = self.repetitions.iter().map(|share| (share * each as f64).round() as u64).sum();
+            let failures = self
+                .repetitions
+                .iter()
+                .map(|share| (share * each as f64).round() as u64)
+                .sum();
             (failures, each * repetitions)
         })
     }
@@ -391,12 +484,26 @@ impl RareEstimate {
 }
 
 fn count_failures(population: &[Particle]) -> u64 {
-    population.iter().filter(|(_, margin)| *margin < 0.0).count() as u64
+    population
+        .iter()
+        .filter(|(_, margin)| *margin < 0.0)
+        .count() as u64
 }
 
 impl<'a, P: LimitState> ParticlePopulation<'a, P> {
-    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, counter: &'a ProgressCounter<'a>) -> Self {
-        Self { problem, samples, random, evaluations: 0, counter }
+    pub(super) fn new(
+        problem: &'a P,
+        samples: usize,
+        random: Stream,
+        counter: &'a ProgressCounter<'a>,
+    ) -> Self {
+        Self {
+            problem,
+            samples,
+            random,
+            evaluations: 0,
+            counter,
+        }
     }
 
     /// Moves a population down the levels, and returns the number of failed initial runs and the statistics of each
@@ -406,15 +513,25 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         let failures = count_failures(&population);
         let mut levels = Vec::with_capacity(stages.len());
         for stage in stages {
-            let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let survivors: Vec<Particle> = population
+                .into_iter()
+                .filter(|(_, margin)| stage.passes(*margin))
+                .collect();
             let share = survivors.len() as f64 / self.samples as f64;
-            let mut here = LevelStats { share, accepted: 0, proposed: 0 };
+            let mut here = LevelStats {
+                share,
+                accepted: 0,
+                proposed: 0,
+            };
             population = self.resample(survivors);
             if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES_PER_LEVEL {
                     let (accepted, proposed) = self.mcmc_move(&mut population, stage)?;
-                    here =
-                        LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
+                    here = LevelStats {
+                        accepted: here.accepted + accepted,
+                        proposed: here.proposed + proposed,
+                        ..here
+                    };
                 }
             }
             levels.push(here);
@@ -428,8 +545,13 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
         let dimension = self.problem.dimension();
         let draw = |random: &mut Stream| RandomInputs {
-            normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
-            noise: vec![NoiseShare { seed: new_noise_seed(random), weight: 1.0 }],
+            normal: (0..dimension)
+                .map(|_| StandardNormal.sample(random))
+                .collect(),
+            noise: vec![NoiseShare {
+                seed: new_noise_seed(random),
+                weight: 1.0,
+            }],
         };
         let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
         let margins = self.evaluate_margins(&states)?;
@@ -446,30 +568,56 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
             let other = self.random.random_range(place..alive);
             survivors.swap(place, other);
         }
-        survivors.iter().cycle().take(self.samples).cloned().collect()
+        survivors
+            .iter()
+            .cycle()
+            .take(self.samples)
+            .cloned()
+            .collect()
     }
 
     /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and
     /// proposed moves, without those that resampled all noise.
-    fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
+    fn mcmc_move(
+        &mut self,
+        population: &mut [Particle],
+        stage: &SplittingStage,
+    ) -> Result<(u64, u64), P::Error> {
         // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
             let is_all_new = random.random::<f64>() < NEW_NOISE_SHARE;
-            let new = NoiseShare { seed: new_noise_seed(random), weight: if is_all_new { 1.0 } else { stage.step } };
-            let noise = if is_all_new { vec![new] } else { move_noise(&state.noise, kept, new) };
+            let new = NoiseShare {
+                seed: new_noise_seed(random),
+                weight: if is_all_new { 1.0 } else { stage.step },
+            };
+            let noise = if is_all_new {
+                vec![new]
+            } else {
+                move_noise(&state.noise, kept, new)
+            };
             let normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn
             };
-            (RandomInputs { normal: state.normal.iter().map(normal).collect(), noise }, is_all_new)
+            (
+                RandomInputs {
+                    normal: state.normal.iter().map(normal).collect(),
+                    noise,
+                },
+                is_all_new,
+            )
         };
-        let (proposals, all_new): (Vec<RandomInputs>, Vec<bool>) =
-            population.iter().map(|sample| propose(sample, &mut self.random)).unzip();
+        let (proposals, all_new): (Vec<RandomInputs>, Vec<bool>) = population
+            .iter()
+            .map(|sample| propose(sample, &mut self.random))
+            .unzip();
         let margins = self.evaluate_margins(&proposals)?;
         let (mut accepted, mut proposed) = (0, 0);
-        for ((sample, is_all_new), (proposal, margin)) in
-            population.iter_mut().zip(all_new).zip(proposals.into_iter().zip(margins))
+        for ((sample, is_all_new), (proposal, margin)) in population
+            .iter_mut()
+            .zip(all_new)
+            .zip(proposals.into_iter().zip(margins))
         {
             let passes = stage.passes(margin);
             if !is_all_new {
@@ -485,7 +633,10 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
 
     fn evaluate_margins(&mut self, states: &[RandomInputs]) -> Result<Vec<f64>, P::Error> {
         let mut margins = self.problem.margins(states)?;
-        margins.iter_mut().filter(|margin| margin.is_nan()).for_each(|margin| *margin = f64::INFINITY);
+        margins
+            .iter_mut()
+            .filter(|margin| margin.is_nan())
+            .for_each(|margin| *margin = f64::INFINITY);
         self.evaluations += states.len() as u64;
         self.counter.add(states.len() as u64)?;
         Ok(margins)
@@ -494,9 +645,14 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
 
 /// Returns the noise after an autoregressive step.
 fn move_noise(noise: &[NoiseShare], kept: f64, new: NoiseShare) -> Vec<NoiseShare> {
-    let shrunk = noise.iter().map(|share| NoiseShare { weight: kept * share.weight, ..*share });
+    let shrunk = noise.iter().map(|share| NoiseShare {
+        weight: kept * share.weight,
+        ..*share
+    });
     // The first seed stays, because other random numbers depend on it.
-    let relevant = shrunk.enumerate().filter(|(index, share)| *index == 0 || share.weight > MIN_NOISE_WEIGHT);
+    let relevant = shrunk
+        .enumerate()
+        .filter(|(index, share)| *index == 0 || share.weight > MIN_NOISE_WEIGHT);
     relevant.map(|(_, share)| share).chain([new]).collect()
 }
 
@@ -512,13 +668,24 @@ fn mean(values: &[f64]) -> f64 {
 /// Returns the standard deviation of the mean, relative to the mean.
 fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
     let n = values.len() as f64;
-    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0);
+    let variance = values
+        .iter()
+        .map(|value| (value - mean) * (value - mean))
+        .sum::<f64>()
+        / (n - 1.0);
     (mean > 0.0).then(|| (variance / n).sqrt() / mean)
 }
 
 /// Returns the interval of a log-normal mean: products of many shares are nearly log-normal.
-fn lognormal_interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
+fn lognormal_interval(
+    mean: f64,
+    variation: f64,
+    repetitions: usize,
+    confidence: f64,
+) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
-    let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
+    let factor = (student.inverse_cdf(0.5 + 0.5 * confidence)
+        * (variation * variation).ln_1p().sqrt())
+    .exp();
     Some([mean / factor, (mean * factor).min(1.0)])
 }

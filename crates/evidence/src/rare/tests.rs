@@ -42,7 +42,8 @@ fn counter() -> ProgressCounter<'static> {
 }
 
 fn estimate(problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
-    let pilot = SplittingLevels::run_pilots(problem, SplittingConfig::default(), seed, &counter()).unwrap();
+    let pilot =
+        SplittingLevels::run_pilots(problem, SplittingConfig::default(), seed, &counter()).unwrap();
     pilot.estimate(problem, &counter()).unwrap()
 }
 
@@ -81,8 +82,12 @@ const FILTER_STEPS: usize = 320;
 fn filter_errors(initial: [f64; 3], noise_m: impl FnMut() -> f64) -> [f64; 2] {
     let tuning = Tuning::new(0.02, 1.0, 5.0);
     let mut filter = Filter::new_steady(&tuning, 0.0, 0.0, initial);
-    let errors = std::iter::repeat_with(noise_m).take(FILTER_STEPS).map(|noise| filter.update(&tuning, Some(noise)));
-    errors.last().map_or([0.0; 2], |last| [last.distance_m, last.rate_mps])
+    let errors = std::iter::repeat_with(noise_m)
+        .take(FILTER_STEPS)
+        .map(|noise| filter.update(&tuning, Some(noise)));
+    errors
+        .last()
+        .map_or([0.0; 2], |last| [last.distance_m, last.rate_mps])
 }
 
 /// Returns the standard deviations of the errors: the filter is linear, so they are sums of responses to impulses.
@@ -95,7 +100,10 @@ fn filter_deviations() -> [f64; 2] {
             f64::from(place == impulse)
         };
         let initial = std::array::from_fn(|i| f64::from(i == impulse));
-        variances.iter_mut().zip(filter_errors(initial, noise_m)).for_each(|(sum, error)| *sum += error * error);
+        variances
+            .iter_mut()
+            .zip(filter_errors(initial, noise_m))
+            .for_each(|(sum, error)| *sum += error * error);
     }
     variances.map(f64::sqrt)
 }
@@ -105,7 +113,10 @@ fn noisy_filter_errors(state: &RandomInputs) -> [f64; 2] {
     static DEVIATIONS: LazyLock<[f64; 2]> = LazyLock::new(filter_deviations);
     let (seed, sensors) = (state.noise[0].seed, Sensors::default());
     let sensor = |purpose| Sensor::with_noise_shares(seed, &state.noise, purpose, 0, 1.0, &sensors);
-    let (mut first, mut sensor) = (sensor(Purpose::InitialEstimate), sensor(Purpose::PositionSensor));
+    let (mut first, mut sensor) = (
+        sensor(Purpose::InitialEstimate),
+        sensor(Purpose::PositionSensor),
+    );
     let initial = std::array::from_fn(|_| first.measure(0.0).unwrap());
     let [distance, rate] = filter_errors(initial, || sensor.measure(0.0).unwrap());
     [distance / DEVIATIONS[0], rate / DEVIATIONS[1]]
@@ -127,7 +138,10 @@ fn assert_close(
     (seeds, max_runs): (u64, u64),
 ) {
     let found: Vec<RareEstimate> = (0..seeds).map(|seed| estimate(problem, seed)).collect();
-    let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
+    let ratios: Vec<f64> = found
+        .iter()
+        .map(|one| one.probability.unwrap() / truth)
+        .collect();
     let held = found.iter().filter(|one| {
         let [low, high] = one.interval_95.unwrap();
         (low..=high).contains(truth)
@@ -135,14 +149,23 @@ fn assert_close(
     let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / seeds as f64);
     let most = found.iter().map(|one| one.evaluations).max().unwrap();
     // Counting with the same relative error needs (1 - p) / p / error^2 runs.
-    let error = ratios.iter().map(|ratio| (ratio - 1.0).powi(2)).sum::<f64>() / seeds as f64;
+    let error = ratios
+        .iter()
+        .map(|ratio| (ratio - 1.0).powi(2))
+        .sum::<f64>()
+        / seeds as f64;
     let saved = (1.0 - truth) / truth / error / most as f64;
     println!(
         "{name}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, error {:.3}, {saved:.0} times \
          fewer runs than counting",
         error.sqrt()
     );
-    assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
+    assert!(
+        ratios
+            .iter()
+            .all(|ratio| (1.0 / within..within).contains(ratio)),
+        "{name}: {ratios:?}"
+    );
     assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
     assert!(held >= min_held, "{name}: {held} of {seeds}");
     assert!(most < max_runs, "{name}: {most}");
@@ -150,16 +173,54 @@ fn assert_close(
 
 fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 6] {
     [
-        ("linear", ClosedFormLimitState { dimension: 10, margin: linear }, upper_tail(5.0)),
+        (
+            "linear",
+            ClosedFormLimitState {
+                dimension: 10,
+                margin: linear,
+            },
+            upper_tail(5.0),
+        ),
         (
             "sphere",
-            ClosedFormLimitState { dimension: 6, margin: sphere },
+            ClosedFormLimitState {
+                dimension: 6,
+                margin: sphere,
+            },
             1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0),
         ),
-        ("either side", ClosedFormLimitState { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
-        ("noisy", ClosedFormLimitState { dimension: 2, margin: noisy }, upper_tail(4.9)),
-        ("filter, distance", ClosedFormLimitState { dimension: 1, margin: filter_distance }, upper_tail(4.8)),
-        ("filter, rate", ClosedFormLimitState { dimension: 1, margin: filter_rate }, 2.0 * upper_tail(5.0)),
+        (
+            "either side",
+            ClosedFormLimitState {
+                dimension: 3,
+                margin: either_side,
+            },
+            2.0 * upper_tail(5.0),
+        ),
+        (
+            "noisy",
+            ClosedFormLimitState {
+                dimension: 2,
+                margin: noisy,
+            },
+            upper_tail(4.9),
+        ),
+        (
+            "filter, distance",
+            ClosedFormLimitState {
+                dimension: 1,
+                margin: filter_distance,
+            },
+            upper_tail(4.8),
+        ),
+        (
+            "filter, rate",
+            ClosedFormLimitState {
+                dimension: 1,
+                margin: filter_rate,
+            },
+            2.0 * upper_tail(5.0),
+        ),
     ]
 }
 
@@ -167,7 +228,10 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 6] {
 /// small error. Problems of tier 2 have a filter, which takes longer, or more seeds.
 #[test]
 fn small_probabilities_are_found() {
-    known_problems().iter().take(2).for_each(|problem| assert_close(problem, (2.0, 0.3, 6), (8, 600_000)));
+    known_problems()
+        .iter()
+        .take(2)
+        .for_each(|problem| assert_close(problem, (2.0, 0.3, 6), (8, 600_000)));
 }
 
 mod tier_2 {
@@ -178,8 +242,11 @@ mod tier_2 {
     fn known_probabilities_below_a_millionth_are_found() {
         for (index, problem) in known_problems().into_iter().enumerate() {
             assert!(problem.2 < 1e-6);
-            let (limits, effort) =
-                if index < 4 { ((2.0, 0.1, 20), (24, 600_000)) } else { ((2.0, 0.3, 3), (4, 600_000)) };
+            let (limits, effort) = if index < 4 {
+                ((2.0, 0.1, 20), (24, 600_000))
+            } else {
+                ((2.0, 0.3, 3), (4, 600_000))
+            };
             assert_close(&problem, limits, effort);
         }
     }
@@ -189,32 +256,51 @@ mod tier_2 {
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_contain_known_probabilities() {
-    known_problems().iter().for_each(|problem| assert_close(problem, (2.0, 0.1, 90), (100, 600_000)));
+    known_problems()
+        .iter()
+        .for_each(|problem| assert_close(problem, (2.0, 0.1, 90), (100, 600_000)));
 }
 
 /// One share of weight 1 is the noise of its seed.
 #[test]
 fn both_engines_agree_on_shares_of_noise() {
     let space = built_in_space("paper").unwrap();
-    let scenario = space.scenario_at_with_seed(&space.quantile(&vec![0.5; space.dimension()]), 1).unwrap();
+    let scenario = space
+        .scenario_at_with_seed(&space.quantile(&vec![0.5; space.dimension()]), 1)
+        .unwrap();
     let with = |weights: &[f64]| {
-        let shares = (1..).zip(weights).map(|(seed, &weight)| NoiseShare { seed, weight });
-        scenario.clone().with_noise_shares(&shares.collect::<Vec<_>>())
+        let shares = (1..)
+            .zip(weights)
+            .map(|(seed, &weight)| NoiseShare { seed, weight });
+        scenario
+            .clone()
+            .with_noise_shares(&shares.collect::<Vec<_>>())
     };
     let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
     let run = |scenario| Run::new(&scenario, options.clone()).unwrap();
     let runs = [scenario.clone(), with(&[1.0]), with(&[0.8, 0.6])].map(run);
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
-    assert_eq!(results, runs.each_ref().map(|run| simulate(run, RecordingLevel::Trace)));
+    assert_eq!(
+        results,
+        runs.each_ref()
+            .map(|run| simulate(run, RecordingLevel::Trace))
+    );
     assert_eq!(results[0], results[1]);
     assert_ne!(results[0], results[2]);
 }
 
 #[test]
 fn the_number_of_threads_changes_nothing_and_the_seed_does() {
-    let problem = ClosedFormLimitState { dimension: 4, margin: linear };
+    let problem = ClosedFormLimitState {
+        dimension: 4,
+        margin: linear,
+    };
     let with = |threads: usize| {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| estimate(&problem, 3))
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+            .install(|| estimate(&problem, 3))
     };
     assert_eq!(with(1), with(3));
     assert_ne!(with(1).probability, estimate(&problem, 4).probability);
@@ -222,13 +308,25 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
 
 #[test]
 fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
-    let found = estimate(&ClosedFormLimitState { dimension: 4, margin: linear }, 1);
+    let found = estimate(
+        &ClosedFormLimitState {
+            dimension: 4,
+            margin: linear,
+        },
+        1,
+    );
     let last = found.levels.last().unwrap();
-    assert_eq!((last.margin, Some(last.probability)), (0.0, found.probability));
+    assert_eq!(
+        (last.margin, Some(last.probability)),
+        (0.0, found.probability)
+    );
     for pair in found.levels.windows(2) {
         assert!(pair[0].margin > pair[1].margin && pair[0].probability > pair[1].probability);
     }
-    assert_eq!(found.repetitions.len(), SplittingConfig::default().repetitions);
+    assert_eq!(
+        found.repetitions.len(),
+        SplittingConfig::default().repetitions
+    );
 }
 
 /// Margins lead a small population away from the failures; a larger pilot finds them, without bias. The runs of all
@@ -241,8 +339,17 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
         let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
         valley.min(if way < 0.0 { way } else { way + 1.0 })
     };
-    let (problem, truth) = (ClosedFormLimitState { dimension: 2, margin: astray }, upper_tail(3.1));
-    let effort = SplittingConfig { samples: 100, repetitions: 10 };
+    let (problem, truth) = (
+        ClosedFormLimitState {
+            dimension: 2,
+            margin: astray,
+        },
+        upper_tail(3.1),
+    );
+    let effort = SplittingConfig {
+        samples: 100,
+        repetitions: 10,
+    };
     let (mut found, mut again) = (Vec::new(), 0);
     for seed in 0..200 {
         let first = SplittingLevels::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
@@ -250,17 +357,41 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
         let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
         // If no pilot reaches a failure, the runs of the three pilots are all.
-        assert_eq!(estimate.independent_runs, if estimate.probability.is_some() { 1100 } else { 700 });
+        assert_eq!(
+            estimate.independent_runs,
+            if estimate.probability.is_some() {
+                1100
+            } else {
+                700
+            }
+        );
         found.push(estimate.probability.unwrap_or(0.0) / truth);
     }
     let mean = found.iter().sum::<f64>() / found.len() as f64;
     println!("{again} went on, mean {mean:.3}");
-    assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
-    let never =
-        SplittingLevels::run_pilots(&ClosedFormLimitState { dimension: 2, margin: |_| 1.0 }, effort, 0, &counter())
-            .unwrap();
+    assert!(
+        again >= 10 && (mean - 1.0).abs() < 0.15,
+        "{again} went on, mean {mean:.3}"
+    );
+    let never = SplittingLevels::run_pilots(
+        &ClosedFormLimitState {
+            dimension: 2,
+            margin: |_| 1.0,
+        },
+        effort,
+        0,
+        &counter(),
+    )
+    .unwrap();
     let nothing = never.estimate(&problem, &counter()).unwrap();
-    assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
+    assert_eq!(
+        (
+            nothing.probability,
+            nothing.independent_runs,
+            nothing.evaluations
+        ),
+        (None, 700, 700)
+    );
 }
 
 #[test]
@@ -271,41 +402,84 @@ fn without_a_failure_there_is_no_probability() {
         |_: &RandomInputs| f64::NAN,
     ];
     for margin in never {
-        let found = estimate(&ClosedFormLimitState { dimension: 2, margin }, 0);
+        let found = estimate(
+            &ClosedFormLimitState {
+                dimension: 2,
+                margin,
+            },
+            0,
+        );
         assert_eq!((found.probability, found.interval_95), (None, None));
         assert!(found.levels.iter().all(|level| level.margin > 0.0));
     }
-    let always = estimate(&ClosedFormLimitState { dimension: 2, margin: |_| -1.0 }, 0);
-    assert_eq!((always.probability, always.coefficient_of_variation), (Some(1.0), Some(0.0)));
+    let always = estimate(
+        &ClosedFormLimitState {
+            dimension: 2,
+            margin: |_| -1.0,
+        },
+        0,
+    );
+    assert_eq!(
+        (always.probability, always.coefficient_of_variation),
+        (Some(1.0), Some(0.0))
+    );
 }
 
 #[test]
 fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
     let estimator = EstimatorKind::Kalman;
-    let effort = SplittingConfig { samples: 200, repetitions: 10 };
-    let plan = RarePlan { estimator, effort, ..rare_plan(5, 10) };
-    let count = RateConfig { seed: 1, ..RateConfig::new(plan.controller.clone(), plan.space.clone(), COUNTED) };
+    let effort = SplittingConfig {
+        samples: 200,
+        repetitions: 10,
+    };
+    let plan = RarePlan {
+        estimator,
+        effort,
+        ..rare_plan(5, 10)
+    };
+    let count = RateConfig {
+        seed: 1,
+        ..RateConfig::new(plan.controller.clone(), plan.space.clone(), COUNTED)
+    };
     let counted = count_all(&RatePlan::new(count).unwrap()).failures as f64 / COUNTED as f64;
     let root = tempfile::tempdir().unwrap();
     let mut folder = plan.open_folder(root.path(), false).unwrap();
     let pilot = folder.run_pilot(&plan, &Quiet).unwrap();
     let report = folder.estimate(&plan, &pilot, 0, &Quiet).unwrap();
-    let (climbed, variation) =
-        (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());
+    let (climbed, variation) = (
+        report.estimate.probability.unwrap(),
+        report.estimate.coefficient_of_variation.unwrap(),
+    );
     assert!((0.004..0.02).contains(&counted), "{counted}");
-    assert!(report.estimate.levels.len() > 1 && variation < 0.2, "{report:?}");
+    assert!(
+        report.estimate.levels.len() > 1 && variation < 0.2,
+        "{report:?}"
+    );
     let deviation = (counted / COUNTED as f64 + (climbed * variation).powi(2)).sqrt();
-    assert!((climbed - counted).abs() < 4.0 * deviation, "{climbed} and {counted}, deviation {deviation}");
+    assert!(
+        (climbed - counted).abs() < 4.0 * deviation,
+        "{climbed} and {counted}, deviation {deviation}"
+    );
 }
 
 #[test]
 fn levels_are_read_as_they_are_and_were_written() {
-    let level = |named: &str| format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}");
+    let level = |named: &str| {
+        format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}")
+    };
     let read = |named: &str| serde_json::from_str::<Level>(&level(named));
     assert_eq!(read("\"smallest_gap_m\":1.5,").unwrap().margin, 1.5);
     let rule = read("\"robustness\":1.5,").unwrap();
     assert_eq!((rule.margin, rule.smallest_gap_m), (1.5, None));
-    assert_eq!(serde_json::to_string(&rule).unwrap(), level("\"robustness\":1.5,"));
-    assert!(read("").unwrap_err().to_string().contains("no `robustness`"));
+    assert_eq!(
+        serde_json::to_string(&rule).unwrap(),
+        level("\"robustness\":1.5,")
+    );
+    assert!(
+        read("")
+            .unwrap_err()
+            .to_string()
+            .contains("no `robustness`")
+    );
 }

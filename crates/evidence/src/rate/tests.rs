@@ -16,5 +16,10 @@ fn a_registration_contains_everything_that_determines_the_count() {
     .map(|plan| plan.registration().digest())
     .into();
     assert_eq!(digests.len(), 4);
-    assert!(plan("policy", None, 10).registration().configuration.contains_key("controller_policy_sha256"));
+    assert!(
+        plan("policy", None, 10)
+            .registration()
+            .configuration
+            .contains_key("controller_policy_sha256")
+    );
 }

@@ -59,7 +59,10 @@ impl ParameterDistributionFile {
 
     fn read(root: Rc<SourceElement>, scenario: &Path) -> Result<Self> {
         let none = Parameters::default();
-        let node = Node { element: &root, parameters: &none };
+        let node = Node {
+            element: &root,
+            parameters: &none,
+        };
         if node.optional("Storyboard").is_some() {
             return Err(node.refuse("is a scenario, not a file of distributions"));
         }
@@ -69,14 +72,22 @@ impl ParameterDistributionFile {
         let file = holder.child("ScenarioFile")?;
         let stated = file.text("filepath")?;
         if Path::new(&stated).file_name() != scenario.file_name() {
-            return Err(file.refuse(format!("the distributions are for `{stated}`, not for `{}`", scenario.display())));
+            return Err(file.refuse(format!(
+                "the distributions are for `{stated}`, not for `{}`",
+                scenario.display()
+            )));
         }
-        let distributions = ["Deterministic", "Stochastic"].iter().filter_map(|kind| holder.optional(kind));
+        let distributions = ["Deterministic", "Stochastic"]
+            .iter()
+            .filter_map(|kind| holder.optional(kind));
         let count = distributions.map(|list| list.children().count()).sum();
         ensure_at_most(holder, count, MAX_DISTRIBUTIONS, "distributions")?;
         let (mut axes, mut random) = (Vec::new(), Vec::new());
         let mut known = BTreeSet::new();
-        let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names.intersection(&known).next() {
+        let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names
+            .intersection(&known)
+            .next()
+        {
             Some(name) => Err(node.refuse(format!("the parameter `{name}` has two distributions"))),
             None => {
                 known.extend(names);
@@ -86,14 +97,26 @@ impl ParameterDistributionFile {
         if let Some(list) = holder.optional("Deterministic") {
             for one in list.children() {
                 let axis = read_deterministic(one)?;
-                add_names(one, axis.iter().flatten().map(|(name, _)| name.clone()).collect())?;
+                add_names(
+                    one,
+                    axis.iter()
+                        .flatten()
+                        .map(|(name, _)| name.clone())
+                        .collect(),
+                )?;
                 axes.push(axis);
             }
         }
         if let Some(list) = holder.optional("Stochastic") {
-            list.only(&["StochasticDistribution"], &["numberOfTestRuns", "randomSeed"])?;
+            list.only(
+                &["StochasticDistribution"],
+                &["numberOfTestRuns", "randomSeed"],
+            )?;
             for one in list.children() {
-                one.only(&["NormalDistribution", "UniformDistribution", "Histogram"], &["parameterName"])?;
+                one.only(
+                    &["NormalDistribution", "UniformDistribution", "Histogram"],
+                    &["parameterName"],
+                )?;
                 let name = one.text("parameterName")?;
                 add_names(one, BTreeSet::from([name.clone()]))?;
                 random.push((name, read_random(one.single()?)?));
@@ -122,15 +145,23 @@ impl ParameterDistributionFile {
     /// # Errors
     /// [`ScenarioImportError::Refused`] for more than [`MAX_VARIATIONS`], or for too many or too long values.
     pub fn variations(&self) -> Result<Vec<Variation>> {
-        let count = self.axes.iter().map(|axis| axis.len() as f64).product::<f64>();
+        let count = self
+            .axes
+            .iter()
+            .map(|axis| axis.len() as f64)
+            .product::<f64>();
         if count > MAX_VARIATIONS as f64 {
-            let problem = format!("has {count} combinations of values, and {MAX_VARIATIONS} are allowed");
+            let problem =
+                format!("has {count} combinations of values, and {MAX_VARIATIONS} are allowed");
             return Err(self.root.refuse(problem));
         }
         self.check_texts(count)?;
         let mut found: Vec<Variation> = vec![Vec::new()];
         for axis in &self.axes {
-            found = found.iter().flat_map(|before| axis.iter().map(|more| [&before[..], more].concat())).collect();
+            found = found
+                .iter()
+                .flat_map(|before| axis.iter().map(|more| [&before[..], more].concat()))
+                .collect();
         }
         Ok(found)
     }
@@ -140,13 +171,21 @@ impl ParameterDistributionFile {
         let (mut values, mut bytes) = (0.0, 0.0);
         for axis in &self.axes {
             let each = variations / axis.len() as f64;
-            let text = axis.iter().flatten().map(|(name, value)| name.len() + value.len()).sum::<usize>();
+            let text = axis
+                .iter()
+                .flatten()
+                .map(|(name, value)| name.len() + value.len())
+                .sum::<usize>();
             values += each * axis.iter().map(Vec::len).sum::<usize>() as f64;
             bytes += each * text as f64;
         }
         if values > MAX_VARIED_VALUES || bytes > MAX_VARIED_BYTES {
-            let problem = format!("{MAX_VARIED_VALUES} values of parameters, or {MAX_VARIED_BYTES} bytes of them");
-            return Err(self.root.refuse(format!("the combinations have more than {problem}")));
+            let problem = format!(
+                "{MAX_VARIED_VALUES} values of parameters, or {MAX_VARIED_BYTES} bytes of them"
+            );
+            return Err(self
+                .root
+                .refuse(format!("the combinations have more than {problem}")));
         }
         Ok(())
     }
@@ -157,27 +196,48 @@ fn read_deterministic(node: Node<'_>) -> Result<Vec<Variation>> {
     let values = match (node.name(), inner.name()) {
         ("DeterministicMultiParameterDistribution", "ValueSetDistribution") => {
             inner.only(&["ParameterValueSet"], &[])?;
-            ensure_at_most(inner, inner.children().count(), MAX_VARIATIONS, "sets of values")?;
+            ensure_at_most(
+                inner,
+                inner.children().count(),
+                MAX_VARIATIONS,
+                "sets of values",
+            )?;
             inner
                 .children()
                 .map(|set| set.children().map(read_assignment).collect())
                 .collect::<Result<Vec<Variation>>>()?
         }
         ("DeterministicSingleParameterDistribution", kind) => {
-            node.only(&["DistributionSet", "DistributionRange"], &["parameterName"])?;
+            node.only(
+                &["DistributionSet", "DistributionRange"],
+                &["parameterName"],
+            )?;
             let name = node.text("parameterName")?;
-            let values = if kind == "DistributionSet" { read_set(inner)? } else { read_steps(inner)? };
-            values.into_iter().map(|value| vec![(name.clone(), value)]).collect()
+            let values = if kind == "DistributionSet" {
+                read_set(inner)?
+            } else {
+                read_steps(inner)?
+            };
+            values
+                .into_iter()
+                .map(|value| vec![(name.clone(), value)])
+                .collect()
         }
         _ => return Err(inner.refuse(format!("is not supported in `{}`", node.name()))),
     };
-    if values.is_empty() { Err(inner.refuse("has no values")) } else { Ok(values) }
+    if values.is_empty() {
+        Err(inner.refuse("has no values"))
+    } else {
+        Ok(values)
+    }
 }
 
 fn read_set(node: Node<'_>) -> Result<Vec<String>> {
     node.only(&["Element"], &[])?;
     ensure_at_most(node, node.children().count(), MAX_VARIATIONS, "values")?;
-    node.children().map(|element| element.text("value")).collect()
+    node.children()
+        .map(|element| element.text("value"))
+        .collect()
 }
 
 fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
@@ -185,18 +245,29 @@ fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
     let ([low, high], width) = (read_range(node.child("Range")?)?, node.number("stepWidth")?);
     let steps = ((high - low) / width + 1e-9).floor();
     if !(0.0..=MAX_VARIATIONS as f64).contains(&steps) {
-        return Err(node.refuse(format!("stepWidth = {width} does not divide the range from {low} to {high}")));
+        return Err(node.refuse(format!(
+            "stepWidth = {width} does not divide the range from {low} to {high}"
+        )));
     }
     // Fifteen digits hide the rounding of the product.
-    let value =
-        |step: usize| format!("{:.14e}", low + step as f64 * width).parse::<f64>().map(|value| value.to_string());
-    Ok((0..=steps as usize).filter_map(|step| value(step).ok()).collect())
+    let value = |step: usize| {
+        format!("{:.14e}", low + step as f64 * width)
+            .parse::<f64>()
+            .map(|value| value.to_string())
+    };
+    Ok((0..=steps as usize)
+        .filter_map(|step| value(step).ok())
+        .collect())
 }
 
 fn read_range(node: Node<'_>) -> Result<[f64; 2]> {
     node.only(&[], &["lowerLimit", "upperLimit"])?;
     let [low, high] = [node.number("lowerLimit")?, node.number("upperLimit")?];
-    if low <= high { Ok([low, high]) } else { Err(node.refuse(format!("{low} is above {high}"))) }
+    if low <= high {
+        Ok([low, high])
+    } else {
+        Err(node.refuse(format!("{low} is above {high}")))
+    }
 }
 
 fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
@@ -208,10 +279,20 @@ fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
         }
         "NormalDistribution" => {
             node.only(&["Range"], &["expectedValue", "variance"])?;
-            let (mean, deviation) = (node.number("expectedValue")?, node.non_negative("variance")?.sqrt());
+            let (mean, deviation) = (
+                node.number("expectedValue")?,
+                node.non_negative("variance")?.sqrt(),
+            );
             let range = NORMAL_RANGE_DEVIATIONS * deviation;
-            let [low, high] = node.optional("Range").map_or(Ok([mean - range, mean + range]), read_range)?;
-            Ok(DistributionSpec::Normal(NormalSpec { mean, deviation, low, high }))
+            let [low, high] = node
+                .optional("Range")
+                .map_or(Ok([mean - range, mean + range]), read_range)?;
+            Ok(DistributionSpec::Normal(NormalSpec {
+                mean,
+                deviation,
+                low,
+                high,
+            }))
         }
         _ => {
             node.only(&["HistogramBin"], &[])?;
@@ -232,7 +313,10 @@ fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
                 edges.push(high);
                 weights.push(bin.non_negative("weight")?);
             }
-            Ok(DistributionSpec::Histogram(HistogramSpec { edges, weights }))
+            Ok(DistributionSpec::Histogram(HistogramSpec {
+                edges,
+                weights,
+            }))
         }
     }
 }

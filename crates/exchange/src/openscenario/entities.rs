@@ -46,7 +46,10 @@ pub(super) struct AssignedController {
 /// Names of the properties in which crumple's export states delays, in the order of `Entity::delays_s`.
 pub const DELAY_PROPERTIES: [&str; 3] = ["reaction_delay_s", "actuator_lag_s", "actuator_delay_s"];
 
-pub(super) fn read_entities<'a>(node: Node<'a>, files: &SourceFiles<'_>) -> Result<Vec<Entity<'a>>> {
+pub(super) fn read_entities<'a>(
+    node: Node<'a>,
+    files: &SourceFiles<'_>,
+) -> Result<Vec<Entity<'a>>> {
     node.only(&["ScenarioObject"], &[])?;
     ensure_at_most(node, node.children().count(), MAX_ENTITIES, "entities")?;
     let mut found: Vec<Entity<'a>> = Vec::new();
@@ -62,13 +65,26 @@ pub(super) fn read_entities<'a>(node: Node<'a>, files: &SourceFiles<'_>) -> Resu
 
 fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'a>> {
     object.only(
-        &["CatalogReference", "Vehicle", "Pedestrian", "MiscObject", "ExternalObjectReference", "ObjectController"],
+        &[
+            "CatalogReference",
+            "Vehicle",
+            "Pedestrian",
+            "MiscObject",
+            "ExternalObjectReference",
+            "ObjectController",
+        ],
         &["name"],
     )?;
-    let mut bodies = object.children().filter(|child| child.name() != "ObjectController");
-    let body = bodies.next().ok_or_else(|| object.refuse("has no vehicle"))?;
+    let mut bodies = object
+        .children()
+        .filter(|child| child.name() != "ObjectController");
+    let body = bodies
+        .next()
+        .ok_or_else(|| object.refuse("has no vehicle"))?;
     let mut entity = if body.name() == "CatalogReference" {
-        files.with_catalog_entry(body, &["Vehicle", "Pedestrian", "MiscObject"], |body| read_body(object, body))?
+        files.with_catalog_entry(body, &["Vehicle", "Pedestrian", "MiscObject"], |body| {
+            read_body(object, body)
+        })?
     } else {
         read_body(object, body)?
     };
@@ -78,19 +94,28 @@ fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'
         let mut controllers = holder.children();
         if let Some(one) = controllers.next() {
             let mut controller = match one.name() {
-                "CatalogReference" => files.with_catalog_entry(one, &["Controller"], read_controller)?,
+                "CatalogReference" => {
+                    files.with_catalog_entry(one, &["Controller"], read_controller)?
+                }
                 _ => read_controller(one)?,
             };
             entity.notes.append(&mut controller.notes);
-            if let Some(driver) = entity.stated_driver.as_ref().filter(|driver| **driver != controller.name) {
+            if let Some(driver) = entity
+                .stated_driver
+                .as_ref()
+                .filter(|driver| **driver != controller.name)
+            {
                 let name = &controller.name;
-                let note =
-                    format!("the property driver = `{driver}` contradicts the controller `{name}`, which drives");
+                let note = format!(
+                    "the property driver = `{driver}` contradicts the controller `{name}`, which drives"
+                );
                 entity.notes.push(one.note(note));
             }
             entity.controller = Some(controller);
         }
-        let second = controllers.next().or_else(|| object.named("ObjectController").nth(1));
+        let second = controllers
+            .next()
+            .or_else(|| object.named("ObjectController").nth(1));
         if let Some(second) = second {
             return Err(second.refuse("an entity can have only one controller"));
         }
@@ -99,22 +124,42 @@ fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'
 }
 
 fn read_controller(node: Node<'_>) -> Result<AssignedController> {
-    node.only(&["Properties", "ParameterDeclarations"], &["name", "controllerType"])?;
+    node.only(
+        &["Properties", "ParameterDeclarations"],
+        &["name", "controllerType"],
+    )?;
     let (name, properties) = (node.text("name")?, read_properties(node)?);
-    let settings = properties.iter().map(|(property, value)| format!(",{property}={value}"));
-    let built_in = ControllerSpec::parse(&(name.clone() + &settings.collect::<String>())).transpose();
+    let settings = properties
+        .iter()
+        .map(|(property, value)| format!(",{property}={value}"));
+    let built_in =
+        ControllerSpec::parse(&(name.clone() + &settings.collect::<String>())).transpose();
     let built_in = built_in.map_err(|invalid| node.refuse(invalid.to_string()))?;
     let mut notes = Vec::new();
     if built_in.is_none() {
-        note_unused(node, properties.into_iter().map(|(property, _)| property).collect(), &mut notes);
+        note_unused(
+            node,
+            properties
+                .into_iter()
+                .map(|(property, _)| property)
+                .collect(),
+            &mut notes,
+        );
     }
-    Ok(AssignedController { name, built_in, notes })
+    Ok(AssignedController {
+        name,
+        built_in,
+        notes,
+    })
 }
 
 /// Notes properties that crumple does not know.
 fn note_unused(node: Node<'_>, names: Vec<String>, notes: &mut Vec<String>) {
     if !names.is_empty() {
-        notes.push(node.note(format!("properties without influence on the motion: {}", names.join(", "))));
+        notes.push(node.note(format!(
+            "properties without influence on the motion: {}",
+            names.join(", ")
+        )));
     }
 }
 
@@ -135,16 +180,38 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         _ => return Err(body.refuse("is not supported as an entity")),
     };
     body.only(
-        &["ParameterDeclarations", "BoundingBox", "Performance", "Axles", "Properties", "Role"],
-        &["name", "vehicleCategory", "pedestrianCategory", "miscObjectCategory", "mass", "model", "model3d", "role"],
+        &[
+            "ParameterDeclarations",
+            "BoundingBox",
+            "Performance",
+            "Axles",
+            "Properties",
+            "Role",
+        ],
+        &[
+            "name",
+            "vehicleCategory",
+            "pedestrianCategory",
+            "miscObjectCategory",
+            "mass",
+            "model",
+            "model3d",
+            "role",
+        ],
     )?;
     let bounding_box = body.child("BoundingBox")?;
-    let (center, dimensions) = (bounding_box.child("Center")?, bounding_box.child("Dimensions")?);
+    let (center, dimensions) = (
+        bounding_box.child("Center")?,
+        bounding_box.child("Dimensions")?,
+    );
     if center.number("y")?.abs() > 0.01 {
         return Err(center.refuse("the bounding box must be centred on the lane"));
     }
     let length_m = dimensions.non_negative("length")?;
-    let class = VehicleClass::ALL.iter().copied().find(|class| body.raw("name") == Some(class.name()));
+    let class = VehicleClass::ALL
+        .iter()
+        .copied()
+        .find(|class| body.raw("name") == Some(class.name()));
     let mut entity = Entity {
         node: object,
         name: object.text("name")?,
@@ -166,7 +233,13 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         let limits = body.child("Performance")?;
         limits.only(
             &[],
-            &["maxSpeed", "maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate"],
+            &[
+                "maxSpeed",
+                "maxAcceleration",
+                "maxDeceleration",
+                "maxAccelerationRate",
+                "maxDecelerationRate",
+            ],
         )?;
         entity.max_speed_mps = limits.non_negative("maxSpeed")?;
         entity.max_brake_mps2 = Some(limits.non_negative("maxDeceleration")?);
@@ -181,7 +254,9 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         let delay = DELAY_PROPERTIES.iter().position(|delay| *delay == name);
         if let Some(place) = delay.and_then(|place| entity.delays_s.get_mut(place)) {
             let number = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *place = number.ok_or_else(|| body.refuse(format!("property `{name}`: `{value}` is not a number")))?;
+            *place = number.ok_or_else(|| {
+                body.refuse(format!("property `{name}`: `{value}` is not a number"))
+            })?;
         } else if name == "driver" {
             entity.stated_driver = Some(value);
         } else {
@@ -194,9 +269,20 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
 
 /// Returns the values of the parameters of a catalogue entry.
 pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<Parameters> {
-    let assignments = || reference.named("ParameterAssignments").flat_map(Node::children);
-    ensure_at_most(reference, assignments().count(), MAX_PARAMETERS, "assigned parameters")?;
-    let assigned = assignments().map(read_assignment).collect::<Result<Vec<_>>>()?;
+    let assignments = || {
+        reference
+            .named("ParameterAssignments")
+            .flat_map(Node::children)
+    };
+    ensure_at_most(
+        reference,
+        assignments().count(),
+        MAX_PARAMETERS,
+        "assigned parameters",
+    )?;
+    let assigned = assignments()
+        .map(read_assignment)
+        .collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
 }
 
@@ -211,23 +297,34 @@ pub(super) fn assign_drivers(
 ) -> Result<Vec<Option<Driver>>> {
     if let Some(name) = ego.filter(|name| entities.iter().all(|entity| entity.name != **name)) {
         let names: Vec<_> = entities.iter().map(|entity| entity.name.as_str()).collect();
-        return Err(node.refuse(format!("there is no entity `{name}`, only {}", names.join(", "))));
+        return Err(node.refuse(format!(
+            "there is no entity `{name}`, only {}",
+            names.join(", ")
+        )));
     }
-    let controlled = entities.iter().filter(|entity| entity.controller.is_some()).count();
+    let controlled = entities
+        .iter()
+        .filter(|entity| entity.controller.is_some())
+        .count();
     let driver = |entity: &Entity<'_>| {
         let under_test = Ok(Some(Driver::UnderTest));
         match &entity.controller {
             _ if ego == Some(&entity.name) => under_test,
             None => Ok(None),
-            Some(AssignedController { built_in: Some(spec), .. }) => Ok(Some(Driver::Controller(spec.clone()))),
+            Some(AssignedController {
+                built_in: Some(spec),
+                ..
+            }) => Ok(Some(Driver::Controller(spec.clone()))),
             Some(controller) if controller.name == UNDER_TEST_CONTROLLER => under_test,
             Some(_) if ego.is_none() && controlled == 1 => under_test,
-            Some(_) if ego.is_none() => {
-                Err(node
-                    .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego")))
-            }
+            Some(_) if ego.is_none() => Err(node.refuse(format!(
+                "{controlled} entities have a controller: name the vehicle under test with --ego"
+            ))),
             Some(AssignedController { name, .. }) => {
-                let problem = format!("`{}` has the controller `{name}`, which is none of crumple's", entity.name);
+                let problem = format!(
+                    "`{}` has the controller `{name}`, which is none of crumple's",
+                    entity.name
+                );
                 Err(entity.node.refuse(problem))
             }
         }

@@ -67,6 +67,9 @@ pub enum ScenarioImportError {
 
 impl ScenarioImportError {
     pub(super) fn read(path: &Path, source: io::Error) -> Self {
-        Self::Read { path: path.to_owned(), source }
+        Self::Read {
+            path: path.to_owned(),
+            source,
+        }
     }
 }

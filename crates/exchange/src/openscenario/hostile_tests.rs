@@ -8,12 +8,27 @@ use super::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_core::observer::Quiet;
 
 /// Values that a number may have by mistake or by intent.
-const EXTREME_VALUES: [&str; 12] =
-    ["-1", "0", "-0", "1e308", "-1e308", "1e-320", "1e9", "-1e9", "NaN", "inf", "", "99999999999999999999"];
+const EXTREME_VALUES: [&str; 12] = [
+    "-1",
+    "0",
+    "-0",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "1e9",
+    "-1e9",
+    "NaN",
+    "inf",
+    "",
+    "99999999999999999999",
+];
 
 fn import(scenario: &str, road: &str) -> Result<(), String> {
     let source = OpenScenarioSource::from_bytes(scenario.as_bytes(), road.as_bytes());
-    source.and_then(|source| source.scenario(None, &[])).map(drop).map_err(|error| error.to_string())
+    source
+        .and_then(|source| source.scenario(None, &[]))
+        .map(drop)
+        .map_err(|error| error.to_string())
 }
 
 fn trajectory() -> String {
@@ -43,7 +58,12 @@ fn profile(entries: usize) -> String {
 /// Returns the texts with each attribute in turn, from the first one after `start` on, replaced by each extreme value.
 fn with_extreme_values(text: &str, start: &str) -> Vec<String> {
     let parts: Vec<&str> = text.split('"').collect();
-    let before = text.split(start).next().unwrap_or_default().matches('"').count();
+    let before = text
+        .split(start)
+        .next()
+        .unwrap_or_default()
+        .matches('"')
+        .count();
     let mut changed = Vec::new();
     for index in (before + 1..parts.len()).step_by(2) {
         for value in EXTREME_VALUES {
@@ -75,25 +95,52 @@ coordinateSystem="lane" relativeDistanceType="longitudinal" rule="greaterThan"/>
         ),
         (profile(3), TIME),
     ] {
-        let good = file(same_lane(), &action, condition).replacen("<Private entityRef=\"ego\">", friction, 1);
+        let good = file(same_lane(), &action, condition).replacen(
+            "<Private entityRef=\"ego\">",
+            friction,
+            1,
+        );
         // The entities and the initial state are those of the first file.
-        let start = if refused == 0 { "<OpenSCENARIO>" } else { "<Action " };
+        let start = if refused == 0 {
+            "<OpenSCENARIO>"
+        } else {
+            "<Action "
+        };
         for text in with_extreme_values(&good, start) {
             refused += usize::from(import(&text, ROAD).is_err());
         }
     }
-    let good = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
-    refused += with_extreme_values(ROAD, "<OpenDRIVE>").iter().filter(|road| import(&good, road).is_err()).count();
+    let good = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
+    refused += with_extreme_values(ROAD, "<OpenDRIVE>")
+        .iter()
+        .filter(|road| import(&good, road).is_err())
+        .count();
     assert!(refused > 800, "{refused}");
-    let negative = good.replacen("<Private entityRef=\"ego\">", &friction.replace("\"1\"", "\"-1\""), 1);
+    let negative = good.replacen(
+        "<Private entityRef=\"ego\">",
+        &friction.replace("\"1\"", "\"-1\""),
+        1,
+    );
     let error = import(&negative, ROAD).unwrap_err();
-    let expected = "RoadCondition: attribute `frictionScaleFactor`: must be from 0.01 to 1, found -1";
-    assert!(error.starts_with("f.xosc:") && error.ends_with(expected), "{error}");
+    let expected =
+        "RoadCondition: attribute `frictionScaleFactor`: must be from 0.01 to 1, found -1";
+    assert!(
+        error.starts_with("f.xosc:") && error.ends_with(expected),
+        "{error}"
+    );
 }
 
 #[test]
 fn no_value_of_a_distribution_panics() {
-    let scenario = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let scenario = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
     let source = OpenScenarioSource::from_bytes(scenario.as_bytes(), ROAD.as_bytes()).unwrap();
     for content in [
         r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="rate"><NormalDistribution
@@ -131,7 +178,11 @@ fn repeated(count: usize, one: impl Fn(usize) -> String) -> String {
 
 #[test]
 fn more_than_the_limits_is_refused_before_the_work_begins() {
-    let good = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let good = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
     let changed = |old: &str, new: &str| {
         let text = good.replacen(old, new, 1);
         assert_ne!(text, good, "{old}");
@@ -140,16 +191,23 @@ fn more_than_the_limits_is_refused_before_the_work_begins() {
     let begin = |text: &str| text.split('>').next().unwrap_or_default().to_owned() + ">";
     let object = &good[good.find("<ScenarioObject").unwrap()..good.find("</Entities>").unwrap()];
     let event = &good[good.find("<Event").unwrap()..good.find("</Maneuver>").unwrap()];
-    let condition = &event[event.find("<Condition ").unwrap()..event.find("</ConditionGroup>").unwrap()];
+    let condition =
+        &event[event.find("<Condition ").unwrap()..event.find("</ConditionGroup>").unwrap()];
     let group = format!("<ConditionGroup>{condition}</ConditionGroup>");
     let reference = "<EntityRef entityRef=\"other\"/>";
     let late = condition.replace("delay=\"0.5\"", "delay=\"3000\"");
     let attributes = repeated(200, |index| format!(" a{index}=''"));
     let mut parameters = String::new();
     for index in 0..2000 {
-        let _ = write!(parameters, "<ParameterDeclaration name=\"p{index}\" parameterType=\"string\" value=\"1\"/>");
+        let _ = write!(
+            parameters,
+            "<ParameterDeclaration name=\"p{index}\" parameterType=\"string\" value=\"1\"/>"
+        );
     }
-    let long = format!("<ParameterDeclaration name=\"p\" parameterType=\"string\" value=\"{}\"/>", "1".repeat(2000));
+    let long = format!(
+        "<ParameterDeclaration name=\"p\" parameterType=\"string\" value=\"{}\"/>",
+        "1".repeat(2000)
+    );
     let entity_condition = format!(
         "<ByEntityCondition><TriggeringEntities triggeringEntitiesRule=\"any\">{}</TriggeringEntities>\
          </ByEntityCondition>",
@@ -158,28 +216,64 @@ fn more_than_the_limits_is_refused_before_the_work_begins() {
     let curved = speed_action("cubic", "time", "3000", 10.0);
     let action = format!("<Action name=\"b\"><PrivateAction>{curved}</PrivateAction></Action>");
     for (text, expected) in [
-        (changed(object, &object.repeat(600)), "Entities: has more than 1000 entities"),
-        (changed("<Init><Actions>", &format!("<Init><Actions>{}", "<Private/>".repeat(10_001))), "more than 10000 act"),
         (
-            changed("<Init><Actions>", &format!("<Init><Actions>{}", "<GlobalAction/>".repeat(101))),
+            changed(object, &object.repeat(600)),
+            "Entities: has more than 1000 entities",
+        ),
+        (
+            changed(
+                "<Init><Actions>",
+                &format!("<Init><Actions>{}", "<Private/>".repeat(10_001)),
+            ),
+            "more than 10000 act",
+        ),
+        (
+            changed(
+                "<Init><Actions>",
+                &format!("<Init><Actions>{}", "<GlobalAction/>".repeat(101)),
+            ),
             "Actions: has more than 100 environments",
         ),
-        (changed(event, &event.repeat(2001)), "ManeuverGroup: has more than 2000 events"),
-        (changed(reference, &reference.repeat(1001)), "Actors: has more than 1000 entities"),
         (
-            changed("<Act name=\"a\">", &format!("{}<Act name=\"a\">", "<Act name=\"b\"></Act>".repeat(2001))),
+            changed(event, &event.repeat(2001)),
+            "ManeuverGroup: has more than 2000 events",
+        ),
+        (
+            changed(reference, &reference.repeat(1001)),
+            "Actors: has more than 1000 entities",
+        ),
+        (
+            changed(
+                "<Act name=\"a\">",
+                &format!("{}<Act name=\"a\">", "<Act name=\"b\"></Act>".repeat(2001)),
+            ),
             "2000 acts",
         ),
         (
             changed(reference, &reference.repeat(900)).replace(event, &event.repeat(30)),
             "Event: has more than 20000 actions of events, each counted for each of its entities",
         ),
-        (changed(&group, &group.repeat(6000)), "ConditionGroup: there are more than 10000 conditions"),
-        (changed(condition, &condition.repeat(11_000)), "ConditionGroup: there are more than 10000 conditions"),
-        (changed(condition, &late.repeat(40)), "Condition: the delays of all conditions exceed 100000 s"),
-        (changed(TIME, &entity_condition), "TriggeringEntities: there are more than 100000 entities in conditions"),
         (
-            changed("<Action name=\"act\">", &format!("{}<Action name=\"act\">", action.repeat(2))),
+            changed(&group, &group.repeat(6000)),
+            "ConditionGroup: there are more than 10000 conditions",
+        ),
+        (
+            changed(condition, &condition.repeat(11_000)),
+            "ConditionGroup: there are more than 10000 conditions",
+        ),
+        (
+            changed(condition, &late.repeat(40)),
+            "Condition: the delays of all conditions exceed 100000 s",
+        ),
+        (
+            changed(TIME, &entity_condition),
+            "TriggeringEntities: there are more than 100000 entities in conditions",
+        ),
+        (
+            changed(
+                "<Action name=\"act\">",
+                &format!("{}<Action name=\"act\">", action.repeat(2)),
+            ),
             "SpeedAction: the scenario has more than 400000 samples of curved transitions",
         ),
         (
@@ -187,29 +281,66 @@ fn more_than_the_limits_is_refused_before_the_work_begins() {
             "Event: the scenario has more than 400000 samples",
         ),
         (
-            changed("<ParameterDeclarations>", &format!("<ParameterDeclarations>{parameters}")),
+            changed(
+                "<ParameterDeclarations>",
+                &format!("<ParameterDeclarations>{parameters}"),
+            ),
             "has more than 1000 param",
         ),
         (
-            changed("<ParameterDeclarations>", &format!("<ParameterDeclarations>{long}")),
+            changed(
+                "<ParameterDeclarations>",
+                &format!("<ParameterDeclarations>{long}"),
+            ),
             "of `p` has more than 1000 bytes",
         ),
-        (changed("${round($speed)", &format!("${{{}round($speed)", "1+".repeat(600))), "has more than 1000 bytes"),
-        (changed("<CatalogLocations/>", &format!("<CatalogLocations{attributes}/>")), "has more than 100 attributes"),
         (
-            changed("<CatalogLocations/>", &format!("<CatalogLocations>{}</CatalogLocations>", "<A/>".repeat(51))),
+            changed(
+                "${round($speed)",
+                &format!("${{{}round($speed)", "1+".repeat(600)),
+            ),
+            "has more than 1000 bytes",
+        ),
+        (
+            changed(
+                "<CatalogLocations/>",
+                &format!("<CatalogLocations{attributes}/>"),
+            ),
+            "has more than 100 attributes",
+        ),
+        (
+            changed(
+                "<CatalogLocations/>",
+                &format!("<CatalogLocations>{}</CatalogLocations>", "<A/>".repeat(51)),
+            ),
             "CatalogLocations: has more than 50 folders",
         ),
         (
-            changed("<Properties/>", &format!("<Properties>{}</Properties>", "<Property/>".repeat(101))),
+            changed(
+                "<Properties/>",
+                &format!("<Properties>{}</Properties>", "<Property/>".repeat(101)),
+            ),
             "Controller: has more than 100 properties",
         ),
-        (changed(&begin(object), &begin(object).replace("ego", &"e".repeat(70_000))), "has more than 65536 bytes"),
+        (
+            changed(
+                &begin(object),
+                &begin(object).replace("ego", &"e".repeat(70_000)),
+            ),
+            "has more than 65536 bytes",
+        ),
     ] {
         let began = Instant::now();
         let error = import(&text, ROAD).expect_err(expected);
-        assert!(error.starts_with("f.xosc:") && error.contains(expected), "{expected}: {error}");
-        assert!(began.elapsed() < Duration::from_secs(10), "{expected}: {:?}", began.elapsed());
+        assert!(
+            error.starts_with("f.xosc:") && error.contains(expected),
+            "{expected}: {error}"
+        );
+        assert!(
+            began.elapsed() < Duration::from_secs(10),
+            "{expected}: {:?}",
+            began.elapsed()
+        );
         assert!(error.len() < 1000, "{}", error.len());
     }
     let lanes = "<lane id=\"-3\" type=\"driving\"><width a=\"1\"/></lane>".repeat(201);
@@ -223,43 +354,76 @@ fn all_variations_share_the_work_that_an_import_may_do() {
 state="completeState"/>"#
         .replace('\n', " ");
     let condition = r#"<SimulationTimeCondition value="3500" rule="greaterThan"/>"#;
-    let text = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let text = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
     let found = text.contains(&stop);
     assert!(found, "{text}");
     let text = text.replace(&stop, condition);
     let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).unwrap();
     let began = Instant::now();
-    let refused = (0..10_000).find_map(|_| source.scenario(None, &[]).err()).expect("too much work");
+    let refused = (0..10_000)
+        .find_map(|_| source.scenario(None, &[]).err())
+        .expect("too much work");
     assert!(
-        refused.to_string().contains("Storyboard: the import needs more than 4000000000 units of work"),
+        refused
+            .to_string()
+            .contains("Storyboard: the import needs more than 4000000000 units of work"),
         "{refused}"
     );
-    assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());
+    assert!(
+        began.elapsed() < Duration::from_secs(60),
+        "{:?}",
+        began.elapsed()
+    );
 }
 
 #[test]
 fn positions_that_depend_on_each_other_are_resolved_in_any_order() {
-    let text = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
-    let object = &text[text.find("<ScenarioObject name=\"other\"").unwrap()..text.find("</Entities>").unwrap()];
+    let text = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
+    let object = &text
+        [text.find("<ScenarioObject name=\"other\"").unwrap()..text.find("</Entities>").unwrap()];
     let start = text.find("<Private entityRef=\"other\"").unwrap();
     let private = &text[start..text.find("</Actions>").unwrap()];
     // Each is 30 m behind the next one, in the order of the file.
     let chain = |last: &str| {
         let place = |index: usize| {
-            let next = if index == 899 { last.to_owned() } else { format!("v{}", index + 1) };
-            let position = format!("<RelativeLanePosition entityRef=\"{next}\" dLane=\"0\" ds=\"-5.01\"/>");
-            private.replace("\"other\"", &format!("\"v{index}\"")).replace(same_lane(), &position)
+            let next = if index == 899 {
+                last.to_owned()
+            } else {
+                format!("v{}", index + 1)
+            };
+            let position =
+                format!("<RelativeLanePosition entityRef=\"{next}\" dLane=\"0\" ds=\"-5.01\"/>");
+            private
+                .replace("\"other\"", &format!("\"v{index}\""))
+                .replace(same_lane(), &position)
         };
-        let objects = repeated(900, |index| object.replace("\"other\"", &format!("\"v{index}\"")));
+        let objects = repeated(900, |index| {
+            object.replace("\"other\"", &format!("\"v{index}\""))
+        });
         let privates = repeated(900, place);
         let text = text.replace("</Entities>", &format!("{objects}</Entities>"));
-        text.replace("</Actions>", &format!("{privates}</Actions>")).replace("s=\"140\"", "s=\"4800\"")
+        text.replace("</Actions>", &format!("{privates}</Actions>"))
+            .replace("s=\"140\"", "s=\"4800\"")
     };
-    let source = OpenScenarioSource::from_bytes(chain("other").as_bytes(), ROAD.as_bytes()).unwrap();
+    let source =
+        OpenScenarioSource::from_bytes(chain("other").as_bytes(), ROAD.as_bytes()).unwrap();
     let scenario = source.scenario(None, &[]).unwrap().scenario;
     assert_eq!(scenario.vehicles().len(), 902);
-    let [first, second] = &scenario.vehicles()[..2] else { panic!("902 vehicles") };
+    let [first, second] = &scenario.vehicles()[..2] else {
+        panic!("902 vehicles")
+    };
     assert!((first.position_m - second.position_m - 5.01).abs() < 1e-9);
     let circle = import(&chain("v0"), ROAD).unwrap_err();
-    assert!(circle.contains("Init: positions of entities are relative to each other in a circle"), "{circle}");
+    assert!(
+        circle.contains("Init: positions of entities are relative to each other in a circle"),
+        "{circle}"
+    );
 }

@@ -2,7 +2,9 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::limits::{MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most};
+use super::limits::{
+    MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most,
+};
 use super::path_actions::lane_number;
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
@@ -36,9 +38,22 @@ pub(super) fn read_initial<'a>(
 ) -> Result<InitialState<'a>> {
     init.only(&["Actions"], &[])?;
     let (groups, count) = (init.child("Actions")?, entities.len());
-    let actions = groups.children().map(|group| 1 + group.children().count()).sum();
-    ensure_at_most(groups, actions, MAX_INITIAL_ACTIONS, "actions and groups of them")?;
-    ensure_at_most(groups, groups.named("GlobalAction").count(), MAX_ENVIRONMENTS, "environments")?;
+    let actions = groups
+        .children()
+        .map(|group| 1 + group.children().count())
+        .sum();
+    ensure_at_most(
+        groups,
+        actions,
+        MAX_INITIAL_ACTIONS,
+        "actions and groups of them",
+    )?;
+    ensure_at_most(
+        groups,
+        groups.named("GlobalAction").count(),
+        MAX_ENVIRONMENTS,
+        "environments",
+    )?;
     let mut state = InitialState {
         places: Vec::new(),
         speeds_mps: vec![None; count],
@@ -61,7 +76,10 @@ pub(super) fn read_initial<'a>(
                     match (inner.name(), inner.children().next().map(Node::name)) {
                         ("TeleportAction", _) => {
                             let position = inner.child("Position")?.single()?;
-                            if positions.get_mut(entity).is_some_and(|place| place.replace(position).is_some()) {
+                            if positions
+                                .get_mut(entity)
+                                .is_some_and(|place| place.replace(position).is_some())
+                            {
                                 return Err(inner.refuse("is a second position of the entity"));
                             }
                         }
@@ -73,7 +91,10 @@ pub(super) fn read_initial<'a>(
                         }
                         ("ControllerAction" | "ActivateControllerAction", _) => {
                             if let StoryAction::Activate = read_action(inner, entities)? {
-                                state.is_active.get_mut(entity).map(|active| std::mem::replace(active, true));
+                                state
+                                    .is_active
+                                    .get_mut(entity)
+                                    .map(|active| std::mem::replace(active, true));
                             }
                         }
                         ("LongitudinalAction", Some(_)) => {
@@ -94,24 +115,40 @@ pub(super) fn read_initial<'a>(
     Ok(state)
 }
 
-fn read_environment(action: Node<'_>, files: &SourceFiles<'_>, state: &mut InitialState<'_>) -> Result<()> {
+fn read_environment(
+    action: Node<'_>,
+    files: &SourceFiles<'_>,
+    state: &mut InitialState<'_>,
+) -> Result<()> {
     if action.name() != "EnvironmentAction" {
         return Err(action.refuse("is not supported"));
     }
     let environment = action.single()?;
     if environment.name() == "CatalogReference" {
-        return files.with_catalog_entry(environment, &["Environment"], |entry| read_conditions(entry, state));
+        return files.with_catalog_entry(environment, &["Environment"], |entry| {
+            read_conditions(entry, state)
+        });
     }
     read_conditions(environment, state)
 }
 
 fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Result<()> {
-    environment.only(&["ParameterDeclarations", "TimeOfDay", "Weather", "RoadCondition"], &["name"])?;
+    environment.only(
+        &[
+            "ParameterDeclarations",
+            "TimeOfDay",
+            "Weather",
+            "RoadCondition",
+        ],
+        &["name"],
+    )?;
     for part in environment.children() {
         match part.name() {
             "RoadCondition" => {
-                let (friction, [least, most]) =
-                    (part.number("frictionScaleFactor")?, [FRICTION_RANGE.start(), FRICTION_RANGE.end()]);
+                let (friction, [least, most]) = (
+                    part.number("frictionScaleFactor")?,
+                    [FRICTION_RANGE.start(), FRICTION_RANGE.end()],
+                );
                 if !FRICTION_RANGE.contains(&friction) {
                     let problem = format!("must be from {least} to {most}, found {friction}");
                     return Err(part.refuse(format!("attribute `frictionScaleFactor`: {problem}")));
@@ -119,7 +156,9 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
                 state.friction = friction;
             }
             "ParameterDeclarations" => {}
-            _ => state.notes.push(part.note("has no influence on the motion")),
+            _ => state
+                .notes
+                .push(part.note("has no influence on the motion")),
         }
     }
     Ok(())
@@ -142,20 +181,28 @@ fn resolve_places(
                 continue;
             }
             let position = positions.get(entity).copied().flatten().ok_or_else(|| {
-                let name = entities.get(entity).map_or("", |entity| entity.name.as_str());
+                let name = entities
+                    .get(entity)
+                    .map_or("", |entity| entity.name.as_str());
                 init.refuse(format!("has no position of the entity `{name}`"))
             })?;
             match resolve_place(position, &found, entities, roads)? {
                 Some(place) => drop(found.get_mut(entity).map(|slot| slot.replace(place))),
                 None if waiting.len() > positions.len() => {
-                    return Err(init.refuse("positions of entities are relative to each other in a circle"));
+                    return Err(
+                        init.refuse("positions of entities are relative to each other in a circle")
+                    );
                 }
                 None => waiting.push(entity_index(position, "entityRef", entities)?),
             }
         }
     }
     let all: Vec<LanePlace> = found.into_iter().flatten().collect();
-    match all.iter().zip(positions).find(|(place, _)| all.first().is_some_and(|first| first.road != place.road)) {
+    match all
+        .iter()
+        .zip(positions)
+        .find(|(place, _)| all.first().is_some_and(|first| first.road != place.road))
+    {
         Some((_, Some(node))) => Err(node.refuse("entities must be on the same road")),
         _ => Ok(all),
     }
@@ -172,15 +219,24 @@ pub(super) fn resolve_place(
     if orientation.name() == "Orientation" {
         orientation.only(&[], &["type", "h", "p", "r"])?;
     }
-    for angle in if node.name() == "WorldPosition" { &["p", "r"][..] } else { &["h", "p", "r"] } {
-        if orientation.optional_number(angle)?.is_some_and(|rad| rad.abs() > 1e-3) {
-            return Err(orientation.refuse(format!("`{angle}` differs from the direction of the lane")));
+    for angle in if node.name() == "WorldPosition" {
+        &["p", "r"][..]
+    } else {
+        &["h", "p", "r"]
+    } {
+        if orientation
+            .optional_number(angle)?
+            .is_some_and(|rad| rad.abs() > 1e-3)
+        {
+            return Err(
+                orientation.refuse(format!("`{angle}` differs from the direction of the lane"))
+            );
         }
     }
     let in_middle = |node: Node<'_>| match node.optional_number("offset")? {
-        Some(offset_m) if offset_m != 0.0 => {
-            Err(node.refuse(format!("offset = {offset_m} is lateral: vehicles drive in the middle of a lane")))
-        }
+        Some(offset_m) if offset_m != 0.0 => Err(node.refuse(format!(
+            "offset = {offset_m} is lateral: vehicles drive in the middle of a lane"
+        ))),
         _ => Ok(()),
     };
     match node.name() {
@@ -189,27 +245,36 @@ pub(super) fn resolve_place(
             let point_m = [node.number("x")?, node.number("y")?];
             let road = roads.find(node, None, point_m)?;
             // Without `h`, the heading is 0, but that of a trajectory is its direction.
-            let heading_rad = node.optional_number("h")?.or((!known.is_empty()).then_some(0.0));
+            let heading_rad = node
+                .optional_number("h")?
+                .or((!known.is_empty()).then_some(0.0));
             road.place_of_point(node, point_m, heading_rad).map(Some)
         }
         "LanePosition" => {
             node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
             in_middle(node)?;
             let road = roads.find(node, Some(&node.text("roadId")?), [0.0; 2])?;
-            road.place(node, lane_number(node, "laneId")?, node.number("s")?).map(Some)
+            road.place(node, lane_number(node, "laneId")?, node.number("s")?)
+                .map(Some)
         }
         "RelativeLanePosition" => {
-            node.only(&["Orientation"], &["entityRef", "dLane", "ds", "dsLane", "offset"])?;
+            node.only(
+                &["Orientation"],
+                &["entityRef", "dLane", "ds", "dsLane", "offset"],
+            )?;
             in_middle(node)?;
             let reference = known.get(entity_index(node, "entityRef", entities)?);
-            let Some(reference) = reference.and_then(Option::as_ref) else { return Ok(None) };
+            let Some(reference) = reference.and_then(Option::as_ref) else {
+                return Ok(None);
+            };
             let road = roads.find(node, Some(&reference.road), [0.0; 2])?;
             let lane = road.shifted_lane(reference.lane, lane_number(node, "dLane")?);
             let ahead_m = match node.optional_number("dsLane")? {
                 Some(ahead_m) => ahead_m,
                 None => node.number("ds")?,
             };
-            road.place_along(node, lane, reference.along_m + ahead_m).map(Some)
+            road.place_along(node, lane, reference.along_m + ahead_m)
+                .map(Some)
         }
         _ => Err(node.refuse("is not supported as a position")),
     }
@@ -231,13 +296,21 @@ fn resolve_speeds<'a>(
                 state.transitions.push((entity, action));
                 continue;
             }
-            let reference = action.target.reference.map(|other| state.speeds_mps.get(other).copied().flatten());
+            let reference = action
+                .target
+                .reference
+                .map(|other| state.speeds_mps.get(other).copied().flatten());
             match reference {
                 // A vehicle without an initial speed stands.
                 Some(None) if rounds <= count => later.push((entity, action)),
                 _ => {
-                    let mps = action.target.speed_mps(action.node, reference.flatten().unwrap_or(0.0))?;
-                    state.speeds_mps.get_mut(entity).map(|speed| speed.replace(mps));
+                    let mps = action
+                        .target
+                        .speed_mps(action.node, reference.flatten().unwrap_or(0.0))?;
+                    state
+                        .speeds_mps
+                        .get_mut(entity)
+                        .map(|speed| speed.replace(mps));
                 }
             }
         }
@@ -247,22 +320,43 @@ fn resolve_speeds<'a>(
 }
 
 /// Moves an entity to a distance from another one.
-fn apply_distance(node: Node<'_>, entity: usize, entities: &[Entity<'_>], state: &mut InitialState<'_>) -> Result<()> {
+fn apply_distance(
+    node: Node<'_>,
+    entity: usize,
+    entities: &[Entity<'_>],
+    state: &mut InitialState<'_>,
+) -> Result<()> {
     node.only(
         &[],
-        &["entityRef", "distance", "timeGap", "freespace", "continuous", "coordinateSystem", "displacement"],
+        &[
+            "entityRef",
+            "distance",
+            "timeGap",
+            "freespace",
+            "continuous",
+            "coordinateSystem",
+            "displacement",
+        ],
     )?;
     node.expect("continuous", &["false", "0"])?;
     node.expect("coordinateSystem", &["entity", "lane", "road"])?;
-    node.expect("displacement", &["leadingReferencedEntity", "trailingReferencedEntity"])?;
+    node.expect(
+        "displacement",
+        &["leadingReferencedEntity", "trailingReferencedEntity"],
+    )?;
     let reference = entity_index(node, "entityRef", entities)?;
     let leads = match node.optional_text("displacement")?.as_deref() {
         Some(displacement) => displacement == "leadingReferencedEntity",
         None => {
-            state.places.get(entity).map(|place| place.along_m) > state.places.get(reference).map(|place| place.along_m)
+            state.places.get(entity).map(|place| place.along_m)
+                > state.places.get(reference).map(|place| place.along_m)
         }
     };
-    let (front, rear) = if leads { (entity, reference) } else { (reference, entity) };
+    let (front, rear) = if leads {
+        (entity, reference)
+    } else {
+        (reference, entity)
+    };
     let rear_mps = state.speeds_mps.get(rear).copied().flatten().unwrap_or(0.0);
     let mut distance_m = match node.optional_number("timeGap")? {
         Some(gap_s) => gap_s * rear_mps,
@@ -273,9 +367,16 @@ fn apply_distance(node: Node<'_>, entity: usize, entities: &[Entity<'_>], state:
     {
         distance_m += rear.front_m + front.length_m - front.front_m;
     }
-    let from_m = state.places.get(reference).map_or(0.0, |place| place.along_m);
+    let from_m = state
+        .places
+        .get(reference)
+        .map_or(0.0, |place| place.along_m);
     if let Some(place) = state.places.get_mut(entity) {
-        place.along_m = if leads { from_m + distance_m } else { from_m - distance_m };
+        place.along_m = if leads {
+            from_m + distance_m
+        } else {
+            from_m - distance_m
+        };
     }
     Ok(())
 }

@@ -48,8 +48,17 @@ pub(super) const WORK_PER_INITIAL_SPEED: u64 = 20;
 pub(super) const WORK_PER_SAMPLE: u64 = 1000;
 
 /// Refuses an element that contains more than `most` things.
-pub(super) fn ensure_at_most(node: Node<'_>, found: usize, most: usize, what: &str) -> Result<(), ScenarioImportError> {
-    if found > most { Err(node.refuse(format!("has more than {most} {what}"))) } else { Ok(()) }
+pub(super) fn ensure_at_most(
+    node: Node<'_>,
+    found: usize,
+    most: usize,
+    what: &str,
+) -> Result<(), ScenarioImportError> {
+    if found > most {
+        Err(node.refuse(format!("has more than {most} {what}")))
+    } else {
+        Ok(())
+    }
 }
 
 /// Work that an import may still do.
@@ -60,7 +69,9 @@ pub(super) struct WorkBudget {
 
 impl WorkBudget {
     pub(super) fn new() -> Self {
-        Self { left: Cell::new(MAX_WORK) }
+        Self {
+            left: Cell::new(MAX_WORK),
+        }
     }
 
     /// Takes work from the budget before it is done.
@@ -87,19 +98,51 @@ pub(super) struct ConditionCount {
 impl ConditionCount {
     pub(super) fn add_group(&mut self, group: Node<'_>) -> Result<(), ScenarioImportError> {
         self.conditions += 1 + group.children().count();
-        let problem = || group.refuse(format!("there are more than {MAX_CONDITIONS} conditions and groups of them"));
-        if self.conditions > MAX_CONDITIONS { Err(problem()) } else { Ok(()) }
+        let problem = || {
+            group.refuse(format!(
+                "there are more than {MAX_CONDITIONS} conditions and groups of them"
+            ))
+        };
+        if self.conditions > MAX_CONDITIONS {
+            Err(problem())
+        } else {
+            Ok(())
+        }
     }
 
-    pub(super) fn add_entities(&mut self, node: Node<'_>, count: usize) -> Result<(), ScenarioImportError> {
+    pub(super) fn add_entities(
+        &mut self,
+        node: Node<'_>,
+        count: usize,
+    ) -> Result<(), ScenarioImportError> {
         self.entities += count;
-        let problem = || node.refuse(format!("there are more than {MAX_CONDITION_ENTITIES} entities in conditions"));
-        if self.entities > MAX_CONDITION_ENTITIES { Err(problem()) } else { Ok(()) }
+        let problem = || {
+            node.refuse(format!(
+                "there are more than {MAX_CONDITION_ENTITIES} entities in conditions"
+            ))
+        };
+        if self.entities > MAX_CONDITION_ENTITIES {
+            Err(problem())
+        } else {
+            Ok(())
+        }
     }
 
-    pub(super) fn add_delay_s(&mut self, node: Node<'_>, delay_s: f64) -> Result<(), ScenarioImportError> {
+    pub(super) fn add_delay_s(
+        &mut self,
+        node: Node<'_>,
+        delay_s: f64,
+    ) -> Result<(), ScenarioImportError> {
         self.delay_s += delay_s.min(MAX_DURATION_S);
-        let problem = || node.refuse(format!("the delays of all conditions exceed {MAX_TOTAL_DELAY_S} s"));
-        if self.delay_s > MAX_TOTAL_DELAY_S { Err(problem()) } else { Ok(()) }
+        let problem = || {
+            node.refuse(format!(
+                "the delays of all conditions exceed {MAX_TOTAL_DELAY_S} s"
+            ))
+        };
+        if self.delay_s > MAX_TOTAL_DELAY_S {
+            Err(problem())
+        } else {
+            Ok(())
+        }
     }
 }

@@ -82,7 +82,12 @@ impl OpenScenarioSource {
     /// [`MAX_XML_ITEMS`].
     pub fn load(path: &Path) -> Result<Self> {
         let files = FileCache::new(true);
-        Ok(Self { path: path.to_owned(), root: files.load(path, "OpenSCENARIO")?, files, work: WorkBudget::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            root: files.load(path, "OpenSCENARIO")?,
+            files,
+            work: WorkBudget::new(),
+        })
     }
 
     /// Parses a file with its road, without reading others.
@@ -93,7 +98,12 @@ impl OpenScenarioSource {
         let (files, path) = (FileCache::new(false), Path::new("f.xosc"));
         files.parse(road, Path::new("f.xodr"), "OpenDRIVE")?;
         let root = files.parse(scenario, path, "OpenSCENARIO")?;
-        Ok(Self { path: path.to_owned(), root, files, work: WorkBudget::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            root,
+            files,
+            work: WorkBudget::new(),
+        })
     }
 
     /// Interprets the file as a scenario on one lane. `ego` names the entity under test; without it, that is the only
@@ -102,21 +112,43 @@ impl OpenScenarioSource {
     /// # Errors
     /// [`ScenarioImportError`] names the file, the line, the element and the reason. The work of all calls together is
     /// limited (`docs/exchange.md`).
-    pub fn scenario(&self, ego: Option<&str>, assigned: &[(String, String)]) -> Result<ImportedLaneScenario> {
+    pub fn scenario(
+        &self,
+        ego: Option<&str>,
+        assigned: &[(String, String)],
+    ) -> Result<ImportedLaneScenario> {
         let none = Parameters::default();
-        let root = Node { element: &self.root, parameters: &none };
-        self.work.spend(root, WORK_PER_ITEM * self.files.items() as u64)?;
+        let root = Node {
+            element: &self.root,
+            parameters: &none,
+        };
+        self.work
+            .spend(root, WORK_PER_ITEM * self.files.items() as u64)?;
         let declarations = root.optional("ParameterDeclarations");
         let parameters = Parameters::declare(declarations, assigned)?;
         if let Some((name, _)) = assigned.iter().find(|(name, _)| !parameters.contains(name)) {
-            return Err(declarations.unwrap_or(root).refuse(format!("there is no parameter `{name}`")));
+            return Err(declarations
+                .unwrap_or(root)
+                .refuse(format!("there is no parameter `{name}`")));
         }
-        let root = Node { parameters: &parameters, ..root };
+        let root = Node {
+            parameters: &parameters,
+            ..root
+        };
         if root.optional("ParameterValueDistribution").is_some() {
-            return Err(root.refuse("is a file of distributions: give it with --distribution, after its scenario"));
+            return Err(root.refuse(
+                "is a file of distributions: give it with --distribution, after its scenario",
+            ));
         }
         root.only(
-            &["FileHeader", "ParameterDeclarations", "CatalogLocations", "RoadNetwork", "Entities", "Storyboard"],
+            &[
+                "FileHeader",
+                "ParameterDeclarations",
+                "CatalogLocations",
+                "RoadNetwork",
+                "Entities",
+                "Storyboard",
+            ],
             &[],
         )?;
         let header = root.child("FileHeader")?;
@@ -134,29 +166,84 @@ impl OpenScenarioSource {
         let storyboard = root.child("Storyboard")?;
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
         let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
-        let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files, &self.work)?;
-        let Stories { events, mut event_triggers, mut act_triggers, mut conditions, .. } =
-            storyboard::read_stories(storyboard, &entities)?;
+        let initial = initial::read_initial(
+            storyboard.child("Init")?,
+            &entities,
+            &roads,
+            &files,
+            &self.work,
+        )?;
+        let Stories {
+            events,
+            mut event_triggers,
+            mut act_triggers,
+            mut conditions,
+            ..
+        } = storyboard::read_stories(storyboard, &entities)?;
         let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
         let friction = initial.friction;
-        let mut replay = Replay::new(&entities, initial, &is_controlled, events, &roads, &self.work)?;
-        let (stop_s, stop_depends) = replay.run(&mut act_triggers, &mut event_triggers, &mut conditions, storyboard)?;
+        let mut replay = Replay::new(
+            &entities,
+            initial,
+            &is_controlled,
+            events,
+            &roads,
+            &self.work,
+        )?;
+        let (stop_s, stop_depends) = replay.run(
+            &mut act_triggers,
+            &mut event_triggers,
+            &mut conditions,
+            storyboard,
+        )?;
         let (name, about) = self.name_and_about(header)?;
-        LaneScenarioBuilder { storyboard, replay, drivers, friction, stop_s, stop_depends, name, about }.build()
+        LaneScenarioBuilder {
+            storyboard,
+            replay,
+            drivers,
+            friction,
+            stop_s,
+            stop_depends,
+            name,
+            about,
+        }
+        .build()
     }
 
     /// Returns the name and the purpose of the scenario: those of crumple's export, or the file's name and description.
     fn name_and_about(&self, header: Node<'_>) -> Result<(String, String)> {
         let description = header.raw("description").unwrap_or_default();
-        let exported = description.strip_prefix(DESCRIPTION_START).and_then(|rest| rest.split_once(": what "));
+        let exported = description
+            .strip_prefix(DESCRIPTION_START)
+            .and_then(|rest| rest.split_once(": what "));
         let (name, about) = match exported {
-            Some((name, rest)) => (name.to_owned(), rest.split_once(DESCRIPTION_ABOUT).map_or("", |(_, about)| about)),
+            Some((name, rest)) => (
+                name.to_owned(),
+                rest.split_once(DESCRIPTION_ABOUT)
+                    .map_or("", |(_, about)| about),
+            ),
             None => {
-                let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                let stem = self
+                    .path
+                    .file_stem()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into_owned();
                 (stem, description)
             }
         };
-        let name: String = name.chars().filter(|letter| !letter.is_control()).take(200).collect();
-        Ok((if name.is_empty() { "imported".to_owned() } else { name }, about.to_owned()))
+        let name: String = name
+            .chars()
+            .filter(|letter| !letter.is_control())
+            .take(200)
+            .collect();
+        Ok((
+            if name.is_empty() {
+                "imported".to_owned()
+            } else {
+                name
+            },
+            about.to_owned(),
+        ))
     }
 }

@@ -27,10 +27,15 @@ impl Parameters {
         assigned: &[(String, String)],
     ) -> Result<Self, ScenarioImportError> {
         let mut declared = Self::default();
-        let Some(node) = declarations else { return Ok(declared) };
+        let Some(node) = declarations else {
+            return Ok(declared);
+        };
         node.only(&["ParameterDeclaration"], &[])?;
         let groups = node.children().flat_map(Node::children);
-        let count = node.children().count() + groups.map(|group| 1 + group.children().count()).sum::<usize>();
+        let count = node.children().count()
+            + groups
+                .map(|group| 1 + group.children().count())
+                .sum::<usize>();
         ensure_at_most(node, count, MAX_PARAMETERS, "parameters and constraints")?;
         ensure_at_most(node, assigned.len(), MAX_PARAMETERS, "assigned parameters")?;
         let mut values: HashMap<&str, &str> = HashMap::new();
@@ -42,17 +47,29 @@ impl Parameters {
             let name = one.text("name")?;
             let text = match values.get(name.as_str()) {
                 Some(value) => (*value).to_owned(),
-                None => Node { parameters: &declared, ..one }.text("value")?,
+                None => Node {
+                    parameters: &declared,
+                    ..one
+                }
+                .text("value")?,
             };
             if text.len() > MAX_VALUE_BYTES {
-                return Err(one.refuse(format!("the value of `{name}` has more than {MAX_VALUE_BYTES} bytes")));
+                return Err(one.refuse(format!(
+                    "the value of `{name}` has more than {MAX_VALUE_BYTES} bytes"
+                )));
             }
             let number = text.trim().parse().ok();
             declared.0.insert(name, DeclaredParameter { text, number });
         }
         for one in node.children() {
-            let one = Node { parameters: &declared, ..one };
-            let (parameter, value) = (one.text("name")?, declared.get(one.raw("name").unwrap_or_default()));
+            let one = Node {
+                parameters: &declared,
+                ..one
+            };
+            let (parameter, value) = (
+                one.text("name")?,
+                declared.get(one.raw("name").unwrap_or_default()),
+            );
             let value = value.unwrap_or_default().to_owned();
             let mut is_allowed = one.children().next().is_none();
             for group in one.children() {
@@ -60,14 +77,23 @@ impl Parameters {
                 let mut holds = true;
                 for constraint in group.children() {
                     constraint.only(&[], &["rule", "value"])?;
-                    holds &= compare(&value, &constraint.text("rule")?, &constraint.text("value")?)
-                        .map_err(|why| constraint.refuse(why))?;
+                    holds &= compare(
+                        &value,
+                        &constraint.text("rule")?,
+                        &constraint.text("value")?,
+                    )
+                    .map_err(|why| constraint.refuse(why))?;
                 }
                 is_allowed |= holds;
             }
             if !is_allowed {
                 let (path, line) = (one.element.path.to_path_buf(), one.element.line);
-                return Err(ScenarioImportError::Constraint { path, line, parameter, value });
+                return Err(ScenarioImportError::Constraint {
+                    path,
+                    line,
+                    parameter,
+                    value,
+                });
             }
         }
         Ok(declared)
@@ -83,14 +109,27 @@ impl Parameters {
 
     /// Returns the value of an attribute: the text, a parameter `$name`, or an expression `${...}`.
     pub(super) fn resolve(&self, raw: &str) -> Result<String, String> {
-        let Some(reference) = raw.trim().strip_prefix('$').filter(|_| raw.starts_with('$')) else {
+        let Some(reference) = raw
+            .trim()
+            .strip_prefix('$')
+            .filter(|_| raw.starts_with('$'))
+        else {
             return Ok(raw.to_owned());
         };
-        if let Some(expression) = reference.strip_prefix('{').and_then(|rest| rest.strip_suffix('}')) {
+        if let Some(expression) = reference
+            .strip_prefix('{')
+            .and_then(|rest| rest.strip_suffix('}'))
+        {
             if expression.len() > MAX_VALUE_BYTES {
-                return Err(format!("an expression has more than {MAX_VALUE_BYTES} bytes"));
+                return Err(format!(
+                    "an expression has more than {MAX_VALUE_BYTES} bytes"
+                ));
             }
-            let mut parser = ExpressionParser { rest: expression, parameters: self, depth: 0 };
+            let mut parser = ExpressionParser {
+                rest: expression,
+                parameters: self,
+                depth: 0,
+            };
             let value = parser.sum()?;
             parser.skip_blanks();
             return match parser.rest {
@@ -99,7 +138,9 @@ impl Parameters {
                 rest => Err(format!("`{rest}` is not supported in an expression")),
             };
         }
-        self.get(reference).map(str::to_owned).ok_or_else(|| format!("there is no parameter `{reference}`"))
+        self.get(reference)
+            .map(str::to_owned)
+            .ok_or_else(|| format!("there is no parameter `{reference}`"))
     }
 }
 
@@ -110,7 +151,11 @@ pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), Scenar
 }
 
 fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
-    let numbers = value.trim().parse::<f64>().ok().zip(other.trim().parse::<f64>().ok());
+    let numbers = value
+        .trim()
+        .parse::<f64>()
+        .ok()
+        .zip(other.trim().parse::<f64>().ok());
     let is_equal = numbers.map_or(value == other, |(a, b)| a == b);
     match (rule, numbers) {
         ("equalTo", _) => Ok(is_equal),
@@ -119,7 +164,9 @@ fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
         ("lessThan", Some((a, b))) => Ok(a < b),
         ("greaterOrEqual", Some((a, b))) => Ok(a >= b),
         ("lessOrEqual", Some((a, b))) => Ok(a <= b),
-        _ => Err(format!("cannot compare `{value}` and `{other}` by the rule `{rule}`")),
+        _ => Err(format!(
+            "cannot compare `{value}` and `{other}` by the rule `{rule}`"
+        )),
     }
 }
 
@@ -143,18 +190,27 @@ impl ExpressionParser<'_> {
     }
 
     fn take_while(&mut self, accepts: impl Fn(char) -> bool) -> &str {
-        let end = self.rest.find(|letter| !accepts(letter)).unwrap_or(self.rest.len());
+        let end = self
+            .rest
+            .find(|letter| !accepts(letter))
+            .unwrap_or(self.rest.len());
         let (taken, rest) = self.rest.split_at(end);
         self.rest = rest;
         taken
     }
 
     fn sum(&mut self) -> Result<f64, String> {
-        self.chain(&['+', '-'], |parser| parser.chain(&['*', '/', '%'], Self::factor))
+        self.chain(&['+', '-'], |parser| {
+            parser.chain(&['*', '/', '%'], Self::factor)
+        })
     }
 
     /// Parses values between operators of one precedence.
-    fn chain(&mut self, operators: &[char], value: impl Fn(&mut Self) -> Result<f64, String>) -> Result<f64, String> {
+    fn chain(
+        &mut self,
+        operators: &[char],
+        value: impl Fn(&mut Self) -> Result<f64, String>,
+    ) -> Result<f64, String> {
         let mut result = value(self)?;
         while let Some(operator) = operators.iter().find(|operator| self.take(**operator)) {
             let other = value(self)?;
@@ -179,12 +235,29 @@ impl ExpressionParser<'_> {
         } else if self.take('(') {
             self.closed_list()?.pop().ok_or("an empty expression")?
         } else if self.take('$') {
-            let name = self.take_while(|letter| letter.is_alphanumeric() || letter == '_').to_owned();
-            let value = self.parameters.0.get(&name).ok_or_else(|| format!("there is no parameter `{name}`"))?;
-            value.number.ok_or_else(|| format!("the parameter `{name}` = `{}` is not a number", value.text))?
-        } else if self.rest.starts_with(|letter: char| letter.is_ascii_alphabetic()) {
-            let name = self.take_while(|letter| letter.is_ascii_alphanumeric()).to_owned();
-            let values = if self.take('(') { self.closed_list()? } else { Vec::new() };
+            let name = self
+                .take_while(|letter| letter.is_alphanumeric() || letter == '_')
+                .to_owned();
+            let value = self
+                .parameters
+                .0
+                .get(&name)
+                .ok_or_else(|| format!("there is no parameter `{name}`"))?;
+            value.number.ok_or_else(|| {
+                format!("the parameter `{name}` = `{}` is not a number", value.text)
+            })?
+        } else if self
+            .rest
+            .starts_with(|letter: char| letter.is_ascii_alphabetic())
+        {
+            let name = self
+                .take_while(|letter| letter.is_ascii_alphanumeric())
+                .to_owned();
+            let values = if self.take('(') {
+                self.closed_list()?
+            } else {
+                Vec::new()
+            };
             match (name.as_str(), values.as_slice()) {
                 ("round", [a]) => a.round(),
                 ("floor", [a]) => a.floor(),
@@ -195,15 +268,26 @@ impl ExpressionParser<'_> {
                 ("pow", [a, b]) => libm::pow(*a, *b),
                 ("min", [a, b]) => a.min(*b),
                 ("max", [a, b]) => a.max(*b),
-                _ => return Err(format!("`{name}` with {} values is not supported in an expression", values.len())),
+                _ => {
+                    return Err(format!(
+                        "`{name}` with {} values is not supported in an expression",
+                        values.len()
+                    ));
+                }
             }
         } else {
-            let digits = self.take_while(|letter| letter.is_ascii_digit() || letter == '.').to_owned();
+            let digits = self
+                .take_while(|letter| letter.is_ascii_digit() || letter == '.')
+                .to_owned();
             let mut number = digits;
             if self.rest.starts_with(['e', 'E']) {
-                number += self.take_while(|letter| matches!(letter, 'e' | 'E' | '+' | '-') || letter.is_ascii_digit());
+                number += self.take_while(|letter| {
+                    matches!(letter, 'e' | 'E' | '+' | '-') || letter.is_ascii_digit()
+                });
             }
-            number.parse().map_err(|_| format!("a number was expected before `{}`", self.rest))?
+            number
+                .parse()
+                .map_err(|_| format!("a number was expected before `{}`", self.rest))?
         };
         self.depth -= 1;
         Ok(value)
@@ -214,6 +298,10 @@ impl ExpressionParser<'_> {
         while self.take(',') {
             values.push(self.sum()?);
         }
-        if self.take(')') { Ok(values) } else { Err("a parenthesis is not closed".to_owned()) }
+        if self.take(')') {
+            Ok(values)
+        } else {
+            Err("a parenthesis is not closed".to_owned())
+        }
     }
 }

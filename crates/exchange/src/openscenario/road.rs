@@ -57,23 +57,45 @@ pub(super) struct RoadMap<'a> {
 
 impl<'a> RoadMap<'a> {
     pub(super) fn new(file: &'a SourceElement, work: &'a WorkBudget) -> Self {
-        Self { file, work, known: RefCell::default(), read: RefCell::default() }
+        Self {
+            file,
+            work,
+            known: RefCell::default(),
+            read: RefCell::default(),
+        }
     }
 
     /// Returns the road with an identifier, or, without one, the road that contains a point of the world.
-    pub(super) fn find(&self, node: Node<'_>, id: Option<&str>, point_m: [f64; 2]) -> Result<Rc<StraightRoad>> {
-        let is_wanted = |road: &StraightRoad| id.map_or_else(|| road.project(point_m).is_some(), |id| road.id == id);
+    pub(super) fn find(
+        &self,
+        node: Node<'_>,
+        id: Option<&str>,
+        point_m: [f64; 2],
+    ) -> Result<Rc<StraightRoad>> {
+        let is_wanted = |road: &StraightRoad| {
+            id.map_or_else(|| road.project(point_m).is_some(), |id| road.id == id)
+        };
         if let Some(found) = self.known.borrow().iter().find(|road| is_wanted(road)) {
             return Ok(found.clone());
         }
-        self.work.spend(node, WORK_PER_ROAD * self.file.children().len() as u64)?;
+        self.work
+            .spend(node, WORK_PER_ROAD * self.file.children().len() as u64)?;
         let mut refused = None;
-        for (index, road) in (Node { element: self.file, ..node }).named("road").enumerate() {
+        for (index, road) in (Node {
+            element: self.file,
+            ..node
+        })
+        .named("road")
+        .enumerate()
+        {
             if id.is_some_and(|id| road.raw("id") != Some(id)) {
                 continue;
             }
             let mut read = self.read.borrow_mut();
-            match read.entry(index).or_insert_with(|| StraightRoad::read(road).ok().map(Rc::new)) {
+            match read
+                .entry(index)
+                .or_insert_with(|| StraightRoad::read(road).ok().map(Rc::new))
+            {
                 Some(found) if is_wanted(found) => return self.add_known(road, found.clone()),
                 Some(_) => {}
                 None => refused = refused.or(Some(road)),
@@ -82,9 +104,10 @@ impl<'a> RoadMap<'a> {
         match (refused, id) {
             (Some(road), _) => StraightRoad::read(road).map(Rc::new),
             (None, Some(id)) => Err(node.refuse(format!("there is no road `{id}`"))),
-            (None, None) => {
-                Err(node.refuse(format!("no road contains the point x = {}, y = {}", point_m[0], point_m[1])))
-            }
+            (None, None) => Err(node.refuse(format!(
+                "no road contains the point x = {}, y = {}",
+                point_m[0], point_m[1]
+            ))),
         }
     }
 
@@ -101,10 +124,16 @@ impl<'a> RoadMap<'a> {
 
 impl StraightRoad {
     fn read(road: Node<'_>) -> Result<Self> {
-        if road.raw("junction").is_some_and(|junction| junction != "-1") {
+        if road
+            .raw("junction")
+            .is_some_and(|junction| junction != "-1")
+        {
             return Err(road.refuse("is part of a junction"));
         }
-        for (name, what) in [("elevationProfile", "elevation"), ("lateralProfile", "superelevation")] {
+        for (name, what) in [
+            ("elevationProfile", "elevation"),
+            ("lateralProfile", "superelevation"),
+        ] {
             let entries = road.named(name).flat_map(Node::children);
             for entry in entries {
                 let is_flat = entry.name() == what && is_zero(entry, &["a", "b", "c", "d"]);
@@ -120,25 +149,42 @@ impl StraightRoad {
             if shape.name() != "line" {
                 return Err(shape.refuse("the road must be straight"));
             }
-            let [s_m, x_m, y_m] = [geometry.number("s")?, geometry.number("x")?, geometry.number("y")?];
+            let [s_m, x_m, y_m] = [
+                geometry.number("s")?,
+                geometry.number("x")?,
+                geometry.number("y")?,
+            ];
             let heading_rad = geometry.number("hdg")?;
             let (origin_m, first_rad) = *start.get_or_insert(([x_m, y_m], heading_rad));
             let (sine, cosine) = (libm::sin(first_rad), libm::cos(first_rad));
-            let off_m = (x_m - origin_m[0] - s_m * cosine).abs() + (y_m - origin_m[1] - s_m * sine).abs();
-            if (heading_rad - first_rad).abs() > HEADING_TOLERANCE_RAD || off_m > LATERAL_TOLERANCE_M {
+            let off_m =
+                (x_m - origin_m[0] - s_m * cosine).abs() + (y_m - origin_m[1] - s_m * sine).abs();
+            if (heading_rad - first_rad).abs() > HEADING_TOLERANCE_RAD
+                || off_m > LATERAL_TOLERANCE_M
+            {
                 return Err(geometry.refuse("the road must be straight"));
             }
             end_m = s_m + geometry.number("length")?;
         }
         let (origin_m, heading_rad) = start.ok_or_else(|| road.refuse("has no geometry"))?;
         if (end_m - length_m).abs() > 1.0 {
-            return Err(road.refuse(format!("is {length_m} m long, but its geometry ends at {end_m} m")));
+            return Err(road.refuse(format!(
+                "is {length_m} m long, but its geometry ends at {end_m} m"
+            )));
         }
         let is_right_hand = road.raw("rule") != Some("LHT");
         let lanes = read_lanes(road.child("lanes")?)?;
         let id = road.text("id")?;
         let direction = [libm::cos(heading_rad), libm::sin(heading_rad)];
-        Ok(Self { id, origin_m, heading_rad, direction, length_m, is_right_hand, lanes })
+        Ok(Self {
+            id,
+            origin_m,
+            heading_rad,
+            direction,
+            length_m,
+            is_right_hand,
+            lanes,
+        })
     }
 
     /// Returns the position along the road and the lateral position of a point on the road.
@@ -157,7 +203,11 @@ impl StraightRoad {
 
     /// Returns 1 for lanes in the direction of the road, and -1 for the opposite direction.
     fn direction(&self, lane: i32) -> f64 {
-        if (lane < 0) == self.is_right_hand { 1.0 } else { -1.0 }
+        if (lane < 0) == self.is_right_hand {
+            1.0
+        } else {
+            -1.0
+        }
     }
 
     /// Returns the place `s_m` along the road on a lane.
@@ -166,10 +216,17 @@ impl StraightRoad {
             return Err(node.refuse(format!("the road `{}` has no lane {lane}", self.id)));
         }
         if !(0.0..=self.length_m).contains(&s_m) {
-            return Err(node.refuse(format!("{s_m} m is outside the road `{}` of {} m", self.id, self.length_m)));
+            return Err(node.refuse(format!(
+                "{s_m} m is outside the road `{}` of {} m",
+                self.id, self.length_m
+            )));
         }
         let along_m = self.direction(lane) * (self.start_m() + s_m);
-        Ok(LanePlace { road: self.id.clone(), lane, along_m })
+        Ok(LanePlace {
+            road: self.id.clone(),
+            lane,
+            along_m,
+        })
     }
 
     /// Returns the place at a position in the direction of travel.
@@ -190,20 +247,31 @@ impl StraightRoad {
         point_m: [f64; 2],
         heading_rad: Option<f64>,
     ) -> Result<LanePlace> {
-        let [s_m, lateral_m] = self.project(point_m).ok_or_else(|| node.refuse("is outside the road"))?;
+        let [s_m, lateral_m] = self
+            .project(point_m)
+            .ok_or_else(|| node.refuse("is outside the road"))?;
         let distance_m = |lane: &&Lane| (lateral_m - lane.middle_m).abs();
         let nearest = self.lanes.iter().filter(|lane| lane.id != 0);
         let nearest = nearest.min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
         let lane = nearest.ok_or_else(|| node.refuse("the road has no lanes"))?;
         if distance_m(&lane) > LATERAL_TOLERANCE_M {
             let off_m = lateral_m - lane.middle_m;
-            return Err(node.refuse(format!("is {off_m} m beside the middle of lane {}", lane.id)));
+            return Err(node.refuse(format!(
+                "is {off_m} m beside the middle of lane {}",
+                lane.id
+            )));
         }
-        let travel_rad = self.heading_rad + if self.direction(lane.id) > 0.0 { 0.0 } else { std::f64::consts::PI };
+        let travel_rad = self.heading_rad
+            + if self.direction(lane.id) > 0.0 {
+                0.0
+            } else {
+                std::f64::consts::PI
+            };
         match heading_rad.map(|heading_rad| libm::cos(heading_rad - travel_rad)) {
-            Some(cosine) if cosine < libm::cos(HEADING_TOLERANCE_RAD) => {
-                Err(node.refuse(format!("`h` is not {travel_rad} rad, the direction of lane {}", lane.id)))
-            }
+            Some(cosine) if cosine < libm::cos(HEADING_TOLERANCE_RAD) => Err(node.refuse(format!(
+                "`h` is not {travel_rad} rad, the direction of lane {}",
+                lane.id
+            ))),
             _ => self.place(node, lane.id, s_m),
         }
     }
@@ -211,12 +279,19 @@ impl StraightRoad {
     /// Returns the lane `left` lanes to the left in the direction of the road, across the missing lane 0.
     pub(super) fn shifted_lane(&self, lane: i32, by: i32) -> i32 {
         let target = lane.saturating_add(by);
-        if (lane < 0) != (target < 0) || target == 0 { target.saturating_add(by.signum()) } else { target }
+        if (lane < 0) != (target < 0) || target == 0 {
+            target.saturating_add(by.signum())
+        } else {
+            target
+        }
     }
 
     /// Returns the distance between the middles of two lanes, and the width of the second, in metres.
     pub(super) fn lane_distance_m(&self, node: Node<'_>, from: i32, to: i32) -> Result<[f64; 2]> {
-        let lane = |id| self.lane(id).ok_or_else(|| node.refuse(format!("the road `{}` has no lane {id}", self.id)));
+        let lane = |id| {
+            self.lane(id)
+                .ok_or_else(|| node.refuse(format!("the road `{}` has no lane {id}", self.id)))
+        };
         let (from, to) = (lane(from)?, lane(to)?);
         Ok([(from.middle_m - to.middle_m).abs(), to.width_m])
     }
@@ -224,11 +299,16 @@ impl StraightRoad {
 
 /// Returns true if all listed attributes are absent or 0.
 fn is_zero(node: Node<'_>, attributes: &[&str]) -> bool {
-    attributes.iter().all(|name| matches!(node.optional_number(name), Ok(None | Some(0.0))))
+    attributes
+        .iter()
+        .all(|name| matches!(node.optional_number(name), Ok(None | Some(0.0))))
 }
 
 fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
-    if let Some(offset) = lanes.named("laneOffset").find(|offset| !is_zero(*offset, &["a", "b", "c", "d"])) {
+    if let Some(offset) = lanes
+        .named("laneOffset")
+        .find(|offset| !is_zero(*offset, &["a", "b", "c", "d"]))
+    {
         return Err(offset.refuse("lanes must not be offset from the reference line"));
     }
     let section = lanes.child("laneSection")?;
@@ -242,25 +322,39 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
             "right" => -1.0,
             _ => continue,
         };
-        ensure_at_most(side, found.len() + side.children().count(), MAX_LANES, "lanes")?;
+        ensure_at_most(
+            side,
+            found.len() + side.children().count(),
+            MAX_LANES,
+            "lanes",
+        )?;
         let mut ordered = Vec::new();
         for lane in side.named("lane") {
             let id = lane.number("id")?;
             let width = lane.child("width")?;
-            if let Some(changed) =
-                lane.named("width").nth(1).or_else(|| (!is_zero(width, &["b", "c", "d"])).then_some(width))
+            if let Some(changed) = lane
+                .named("width")
+                .nth(1)
+                .or_else(|| (!is_zero(width, &["b", "c", "d"])).then_some(width))
             {
                 return Err(changed.refuse("the width of a lane must be constant"));
             }
             if id.fract() != 0.0 || id.abs() > 1000.0 || id * sign <= 0.0 {
-                return Err(lane.refuse(format!("`{id}` is not the number of a lane in `{}`", side.name())));
+                return Err(lane.refuse(format!(
+                    "`{id}` is not the number of a lane in `{}`",
+                    side.name()
+                )));
             }
             ordered.push((id as i32, width.non_negative("a")?));
         }
         ordered.sort_by_key(|(id, _)| id.abs());
         let mut inner_m = 0.0;
         for (id, width_m) in ordered {
-            found.push(Lane { id, middle_m: sign * (inner_m + width_m / 2.0), width_m });
+            found.push(Lane {
+                id,
+                middle_m: sign * (inner_m + width_m / 2.0),
+                width_m,
+            });
             inner_m += width_m;
         }
     }

@@ -53,21 +53,34 @@ struct CatalogIndex {
 
 impl CatalogIndex {
     fn new(root: Node<'_>) -> Self {
-        let (place, catalog) = root.children().enumerate().find(|(_, child)| child.name() == "Catalog").unzip();
+        let (place, catalog) = root
+            .children()
+            .enumerate()
+            .find(|(_, child)| child.name() == "Catalog")
+            .unzip();
         let mut entries = HashMap::new();
         for (index, entry) in catalog.into_iter().flat_map(Node::children).enumerate() {
             if let Some(name) = entry.raw("name") {
                 entries.entry(name.to_owned()).or_insert(index);
             }
         }
-        let name = catalog.and_then(|catalog| catalog.raw("name")).map(str::to_owned);
-        Self { name, place: place.unwrap_or_default(), entries }
+        let name = catalog
+            .and_then(|catalog| catalog.raw("name"))
+            .map(str::to_owned);
+        Self {
+            name,
+            place: place.unwrap_or_default(),
+            entries,
+        }
     }
 }
 
 impl FileCache {
     pub(super) fn new(reads_disk: bool) -> Self {
-        Self { parsed: RefCell::default(), reads_disk }
+        Self {
+            parsed: RefCell::default(),
+            reads_disk,
+        }
     }
 
     /// Returns the number of tags and attributes of all files.
@@ -81,19 +94,30 @@ impl FileCache {
             return Ok(found.root.clone());
         }
         if !self.reads_disk {
-            return Err(ScenarioImportError::read(path, io::ErrorKind::NotFound.into()));
+            return Err(ScenarioImportError::read(
+                path,
+                io::ErrorKind::NotFound.into(),
+            ));
         }
         let used: u64 = self.parsed.borrow().values().map(|file| file.bytes).sum();
         let bytes = read_bytes(path, MAX_XML_BYTES.saturating_sub(used));
-        self.parse(&bytes.map_err(|source| ScenarioImportError::read(path, source))?, path, root)
+        self.parse(
+            &bytes.map_err(|source| ScenarioImportError::read(path, source))?,
+            path,
+            root,
+        )
     }
 
     /// Parses a file, whose size counts together with that of the other files.
     pub(super) fn parse(&self, bytes: &[u8], path: &Path, root: &str) -> Result<Rc<SourceElement>> {
         let left = MAX_XML_ITEMS.saturating_sub(self.items());
         let root = Rc::new(SourceElement::parse(bytes, path, root, left)?);
-        let file =
-            ParsedFile { root: root.clone(), bytes: bytes.len() as u64, items: count_items(bytes), catalog: None };
+        let file = ParsedFile {
+            root: root.clone(),
+            bytes: bytes.len() as u64,
+            items: count_items(bytes),
+            catalog: None,
+        };
         self.parsed.borrow_mut().insert(path.to_owned(), file);
         Ok(root)
     }
@@ -102,7 +126,10 @@ impl FileCache {
     fn catalog(&self, path: &Path, root: Node<'_>) -> Rc<CatalogIndex> {
         let mut parsed = self.parsed.borrow_mut();
         match parsed.get_mut(path) {
-            Some(file) => file.catalog.get_or_insert_with(|| Rc::new(CatalogIndex::new(root))).clone(),
+            Some(file) => file
+                .catalog
+                .get_or_insert_with(|| Rc::new(CatalogIndex::new(root)))
+                .clone(),
             None => Rc::new(CatalogIndex::new(root)),
         }
     }
@@ -110,9 +137,14 @@ impl FileCache {
 
 fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    regular_file::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    regular_file::open(path)?
+        .take(most + 1)
+        .read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
-        let problem = format!("the scenario with its road and its catalogues exceeds {} MiB", MAX_XML_BYTES >> 20);
+        let problem = format!(
+            "the scenario with its road and its catalogues exceeds {} MiB",
+            MAX_XML_BYTES >> 20
+        );
         return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
     }
     Ok(bytes)
@@ -127,31 +159,57 @@ pub(super) struct SourceFiles<'a> {
 
 impl<'a> SourceFiles<'a> {
     /// `locations` is the element `CatalogLocations`.
-    pub(super) fn new(cache: &'a FileCache, folder: &'a Path, locations: Option<Node<'_>>) -> Result<Self> {
+    pub(super) fn new(
+        cache: &'a FileCache,
+        folder: &'a Path,
+        locations: Option<Node<'_>>,
+    ) -> Result<Self> {
         let (mut catalog_files, mut entries_left) = (Vec::new(), MAX_FOLDER_ENTRIES);
         if let Some(locations) = locations {
-            ensure_at_most(locations, locations.children().count(), MAX_CATALOG_FOLDERS, "folders of catalogues")?;
+            ensure_at_most(
+                locations,
+                locations.children().count(),
+                MAX_CATALOG_FOLDERS,
+                "folders of catalogues",
+            )?;
         }
         for location in locations.into_iter().flat_map(Node::children) {
             location.only(&["Directory"], &[])?;
             let place = folder.join(location.child("Directory")?.text("path")?);
-            let is_catalog = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "xosc");
+            let is_catalog = |path: &PathBuf| {
+                path.extension()
+                    .is_some_and(|extension| extension == "xosc")
+            };
             if is_catalog(&place) {
                 catalog_files.push(place);
             } else if let Some(entries) = fs::read_dir(&place).ok().filter(|_| cache.reads_disk) {
                 // A folder may be missing if no element refers to its catalogues.
                 let entries: Vec<_> = entries.take(entries_left + 1).collect();
                 entries_left = entries_left.checked_sub(entries.len()).ok_or_else(|| {
-                    location.refuse(format!("the folders of catalogues have more than {MAX_FOLDER_ENTRIES} files"))
+                    location.refuse(format!(
+                        "the folders of catalogues have more than {MAX_FOLDER_ENTRIES} files"
+                    ))
                 })?;
-                catalog_files.extend(entries.into_iter().flatten().map(|entry| entry.path()).filter(is_catalog));
+                catalog_files.extend(
+                    entries
+                        .into_iter()
+                        .flatten()
+                        .map(|entry| entry.path())
+                        .filter(is_catalog),
+                );
             }
             if catalog_files.len() > MAX_CATALOG_FILES {
-                return Err(location.refuse(format!("the folders have more than {MAX_CATALOG_FILES} catalogues")));
+                return Err(location.refuse(format!(
+                    "the folders have more than {MAX_CATALOG_FILES} catalogues"
+                )));
             }
         }
         catalog_files.sort();
-        Ok(Self { cache, folder, catalog_files })
+        Ok(Self {
+            cache,
+            folder,
+            catalog_files,
+        })
     }
 
     pub(super) fn road(&self, reference: Node<'_>) -> Result<Rc<SourceElement>> {
@@ -180,13 +238,27 @@ impl<'a> SourceFiles<'a> {
         let none = Parameters::default();
         for path in &self.catalog_files {
             let root = self.load(reference, path, "OpenSCENARIO")?;
-            let root = Node { element: &root, parameters: &none };
+            let root = Node {
+                element: &root,
+                parameters: &none,
+            };
             let index = self.cache.catalog(path, root);
-            let found = root.element.children().get(index.place).filter(|_| index.name.as_ref() == Some(&catalog));
+            let found = root
+                .element
+                .children()
+                .get(index.place)
+                .filter(|_| index.name.as_ref() == Some(&catalog));
             let Some(found) = found else { continue };
-            let entry = index.entries.get(&name).and_then(|index| found.children().get(*index));
-            let entry = entry.ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{name}`")))?;
-            let entry = Node { element: entry, ..root };
+            let entry = index
+                .entries
+                .get(&name)
+                .and_then(|index| found.children().get(*index));
+            let entry = entry
+                .ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{name}`")))?;
+            let entry = Node {
+                element: entry,
+                ..root
+            };
             let (items, bytes) = entry.element.size();
             ensure_at_most(entry, items, MAX_ENTRY_ITEMS, "elements and attributes")?;
             ensure_at_most(entry, bytes, MAX_ENTRY_BYTES, "bytes of attributes")?;
@@ -194,8 +266,13 @@ impl<'a> SourceFiles<'a> {
                 return Err(entry.refuse(format!("expected {}", kinds.join(", "))));
             }
             let parameters = entry_parameters(reference, entry)?;
-            return read(Node { parameters: &parameters, ..entry });
+            return read(Node {
+                parameters: &parameters,
+                ..entry
+            });
         }
-        Err(reference.refuse(format!("there is no catalogue `{catalog}` in the folders of CatalogLocations")))
+        Err(reference.refuse(format!(
+            "there is no catalogue `{catalog}` in the folders of CatalogLocations"
+        )))
     }
 }

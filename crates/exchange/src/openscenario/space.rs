@@ -10,8 +10,8 @@ use super::distribution::ParameterDistributionFile;
 use super::error::ScenarioImportError;
 use super::{ImportedLaneScenario, OpenScenarioSource};
 use crumple_world::scenario::space::{
-    Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec,
-    UniformSpec,
+    Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace,
+    SpaceSpec, UniformSpec,
 };
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -34,9 +34,13 @@ impl OpenScenarioSource {
         progress: &dyn Observer<RunProgress>,
     ) -> Result<(ScenarioSpace, Vec<String>)> {
         let refuse = |problem: String| distributions.root.refuse(problem);
-        let counter = ProgressCounter::new(progress, Some(1 + 3 * distributions.random.len() as u64));
-        let means: Vec<(String, String)> =
-            distributions.random.iter().map(|(name, of)| (name.clone(), middle(of).to_string())).collect();
+        let counter =
+            ProgressCounter::new(progress, Some(1 + 3 * distributions.random.len() as u64));
+        let means: Vec<(String, String)> = distributions
+            .random
+            .iter()
+            .map(|(name, of)| (name.clone(), middle(of).to_string()))
+            .collect();
         let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &means)?;
         counter.add(1)?;
         let mut base = scenario.spec().clone();
@@ -45,7 +49,10 @@ impl OpenScenarioSource {
             let [low, high] = range(distribution);
             let at = |value: f64| {
                 let mut assigned = means.clone();
-                assigned.iter_mut().filter(|(other, _)| other == name).for_each(|(_, old)| *old = value.to_string());
+                assigned
+                    .iter_mut()
+                    .filter(|(other, _)| other == name)
+                    .for_each(|(_, old)| *old = value.to_string());
                 let imported = self.scenario(ego, &assigned)?;
                 counter.add(1)?;
                 Ok::<_, ScenarioImportError>(imported.scenario.spec().clone())
@@ -57,23 +64,41 @@ impl OpenScenarioSource {
                 spec.duration_s = 0.0;
             }
             let mut changed = Vec::new();
-            let values = [&first, &between, &last].map(|spec| serde_json::to_value(spec).unwrap_or_default());
-            find_changes(&values[0], &values[1], &values[2], String::new(), &mut changed);
+            let values = [&first, &between, &last]
+                .map(|spec| serde_json::to_value(spec).unwrap_or_default());
+            find_changes(
+                &values[0],
+                &values[1],
+                &values[2],
+                String::new(),
+                &mut changed,
+            );
             let (field, [from, mid, to]) = match changed.as_slice() {
                 [(field, Some(found))] => (field, *found),
                 [] => return Err(refuse(format!("the parameter `{name}` changes nothing"))),
                 several => {
-                    let fields: Vec<_> = several.iter().take(MAX_LISTED).map(|(field, _)| field.as_str()).collect();
-                    let problem = format!("the parameter `{name}` changes {}, not one number", fields.join(", "));
+                    let fields: Vec<_> = several
+                        .iter()
+                        .take(MAX_LISTED)
+                        .map(|(field, _)| field.as_str())
+                        .collect();
+                    let problem = format!(
+                        "the parameter `{name}` changes {}, not one number",
+                        fields.join(", ")
+                    );
                     return Err(refuse(problem));
                 }
             };
             if (mid - 0.5 * (from + to)).abs() > PROPORTION_TOLERANCE * (to - from).abs() {
-                return Err(refuse(format!("the parameter `{name}` changes {field}, but not in proportion")));
+                return Err(refuse(format!(
+                    "the parameter `{name}` changes {field}, but not in proportion"
+                )));
             }
             let factor = (to - from) / (high - low);
             let map = |value: f64| from + factor * (value - low);
-            let unit = crumple_world::scenario::space::field_unit(field, &base).unwrap_or_default().to_owned();
+            let unit = crumple_world::scenario::space::field_unit(field, &base)
+                .unwrap_or_default()
+                .to_owned();
             let (name, field) = (identifier(name), field.clone());
             parameters.push(ParameterSpec {
                 name,
@@ -93,28 +118,44 @@ impl OpenScenarioSource {
             exposure: None,
             observed: None,
         };
-        let space =
-            ScenarioSpace::new(spec, std::path::Path::new("")).map_err(|invalid| refuse(invalid.to_string()))?;
+        let space = ScenarioSpace::new(spec, std::path::Path::new(""))
+            .map_err(|invalid| refuse(invalid.to_string()))?;
         Ok((space, notes))
     }
 }
 
 /// Lists the fields that differ, with their numbers; `None` for a field that is no number.
-fn find_changes(a: &Value, b: &Value, c: &Value, path: String, found: &mut Vec<(String, Option<[f64; 3]>)>) {
+fn find_changes(
+    a: &Value,
+    b: &Value,
+    c: &Value,
+    path: String,
+    found: &mut Vec<(String, Option<[f64; 3]>)>,
+) {
     match (a, b, c) {
-        (Value::Object(a), Value::Object(b), Value::Object(c)) if a.keys().eq(b.keys()) && a.keys().eq(c.keys()) => {
+        (Value::Object(a), Value::Object(b), Value::Object(c))
+            if a.keys().eq(b.keys()) && a.keys().eq(c.keys()) =>
+        {
             for ((key, a), (b, c)) in a.iter().zip(b.values().zip(c.values())) {
                 let dot = if path.is_empty() { "" } else { "." };
                 find_changes(a, b, c, format!("{path}{dot}{key}"), found);
             }
         }
-        (Value::Array(a), Value::Array(b), Value::Array(c)) if a.len() == b.len() && a.len() == c.len() => {
+        (Value::Array(a), Value::Array(b), Value::Array(c))
+            if a.len() == b.len() && a.len() == c.len() =>
+        {
             for (index, (a, (b, c))) in a.iter().zip(b.iter().zip(c)).enumerate() {
                 find_changes(a, b, c, format!("{path}[{index}]"), found);
             }
         }
         _ if a == b && b == c => {}
-        _ => found.push((path, a.as_f64().zip(b.as_f64()).zip(c.as_f64()).map(|((a, b), c)| [a, b, c]))),
+        _ => found.push((
+            path,
+            a.as_f64()
+                .zip(b.as_f64())
+                .zip(c.as_f64())
+                .map(|((a, b), c)| [a, b, c]),
+        )),
     }
 }
 
@@ -122,7 +163,9 @@ fn range(distribution: &DistributionSpec) -> [f64; 2] {
     match distribution {
         DistributionSpec::Uniform(of) => [of.low, of.high],
         DistributionSpec::Normal(of) => [of.low, of.high],
-        DistributionSpec::Histogram(of) => [of.edges.first(), of.edges.last()].map(|edge| edge.copied().unwrap_or(0.0)),
+        DistributionSpec::Histogram(of) => {
+            [of.edges.first(), of.edges.last()].map(|edge| edge.copied().unwrap_or(0.0))
+        }
         _ => [0.0, 0.0],
     }
 }
@@ -142,11 +185,18 @@ fn mapped(distribution: &DistributionSpec, map: &impl Fn(f64) -> f64) -> Distrib
     match distribution {
         DistributionSpec::Normal(of) => {
             let deviation = (map(of.mean + of.deviation) - map(of.mean)).abs();
-            DistributionSpec::Normal(NormalSpec { mean: map(of.mean), deviation, low, high })
+            DistributionSpec::Normal(NormalSpec {
+                mean: map(of.mean),
+                deviation,
+                low,
+                high,
+            })
         }
         DistributionSpec::Histogram(of) => {
-            let (mut edges, mut weights): (Vec<f64>, _) =
-                (of.edges.iter().map(|edge| map(*edge)).collect(), of.weights.clone());
+            let (mut edges, mut weights): (Vec<f64>, _) = (
+                of.edges.iter().map(|edge| map(*edge)).collect(),
+                of.weights.clone(),
+            );
             if edges.first() > edges.last() {
                 edges.reverse();
                 weights.reverse();
@@ -159,5 +209,13 @@ fn mapped(distribution: &DistributionSpec, map: &impl Fn(f64) -> f64) -> Distrib
 
 /// Returns a name of letters, digits and underscores.
 fn identifier(name: &str) -> String {
-    name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '_' }).collect()
+    name.chars()
+        .map(|letter| {
+            if letter.is_ascii_alphanumeric() {
+                letter
+            } else {
+                '_'
+            }
+        })
+        .collect()
 }

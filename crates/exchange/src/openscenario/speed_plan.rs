@@ -38,7 +38,15 @@ enum TransitionExtent {
 
 impl TransitionDynamics {
     pub(super) fn read(node: Node<'_>) -> Result<Self> {
-        node.only(&[], &["dynamicsShape", "dynamicsDimension", "value", "followingMode"])?;
+        node.only(
+            &[],
+            &[
+                "dynamicsShape",
+                "dynamicsDimension",
+                "value",
+                "followingMode",
+            ],
+        )?;
         node.expect("followingMode", &["position"])?;
         let value = node.non_negative("value")?;
         let shape = match node.text("dynamicsShape")?.as_str() {
@@ -89,7 +97,11 @@ impl TransitionDynamics {
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if self.progress(middle) < wanted { low = middle } else { high = middle }
+            if self.progress(middle) < wanted {
+                low = middle
+            } else {
+                high = middle
+            }
         }
         high
     }
@@ -98,7 +110,8 @@ impl TransitionDynamics {
 /// Takes samples from those that a file may still have.
 pub(super) fn take_samples(node: Node<'_>, samples: usize, left: &mut usize) -> Result<()> {
     *left = left.checked_sub(samples).ok_or_else(|| {
-        let what = "samples of curved transitions, entries of speed profiles and vertices of trajectories";
+        let what =
+            "samples of curved transitions, entries of speed profiles and vertices of trajectories";
         node.refuse(format!("the scenario has more than {MAX_SAMPLES} {what}"))
     })?;
     Ok(())
@@ -119,7 +132,13 @@ pub(super) struct SpeedKnot {
 
 impl SpeedPlan {
     pub(super) fn constant(position_m: f64, speed_mps: f64) -> Self {
-        Self { knots: vec![SpeedKnot { time_s: 0.0, speed_mps, position_m }] }
+        Self {
+            knots: vec![SpeedKnot {
+                time_s: 0.0,
+                speed_mps,
+                position_m,
+            }],
+        }
     }
 
     /// Returns the work of finding the state at a time.
@@ -133,16 +152,30 @@ impl SpeedPlan {
 
     /// Returns the state at a time; the last speed is held.
     pub(super) fn at(&self, time_s: f64) -> SpeedKnot {
-        let next = self.knots.partition_point(|knot| knot.time_s <= time_s).max(1);
+        let next = self
+            .knots
+            .partition_point(|knot| knot.time_s <= time_s)
+            .max(1);
         let Some(&from) = self.knots.get(next - 1) else {
-            return SpeedKnot { time_s, speed_mps: 0.0, position_m: 0.0 };
+            return SpeedKnot {
+                time_s,
+                speed_mps: 0.0,
+                position_m: 0.0,
+            };
         };
         let passed_s = time_s - from.time_s;
         let speed_mps = match self.knots.get(next) {
-            Some(to) => from.speed_mps + (to.speed_mps - from.speed_mps) * passed_s / (to.time_s - from.time_s),
+            Some(to) => {
+                from.speed_mps
+                    + (to.speed_mps - from.speed_mps) * passed_s / (to.time_s - from.time_s)
+            }
             None => from.speed_mps,
         };
-        SpeedKnot { time_s, speed_mps, position_m: from.position_m + 0.5 * (from.speed_mps + speed_mps) * passed_s }
+        SpeedKnot {
+            time_s,
+            speed_mps,
+            position_m: from.position_m + 0.5 * (from.speed_mps + speed_mps) * passed_s,
+        }
     }
 
     /// Discards the plan after a time.
@@ -154,11 +187,25 @@ impl SpeedPlan {
 
     /// Adds a knot. A jump at one time takes the shortest time that separates knots.
     pub(super) fn push(&mut self, time_s: f64, speed_mps: f64) {
-        let Some(&last) = self.knots.last() else { return };
-        let time_s = time_s.max(last.time_s + if speed_mps == last.speed_mps { 0.0 } else { 1e-9 });
+        let Some(&last) = self.knots.last() else {
+            return;
+        };
+        let time_s = time_s.max(
+            last.time_s
+                + if speed_mps == last.speed_mps {
+                    0.0
+                } else {
+                    1e-9
+                },
+        );
         if time_s > last.time_s {
-            let position_m = last.position_m + 0.5 * (last.speed_mps + speed_mps) * (time_s - last.time_s);
-            self.knots.push(SpeedKnot { time_s, speed_mps, position_m });
+            let position_m =
+                last.position_m + 0.5 * (last.speed_mps + speed_mps) * (time_s - last.time_s);
+            self.knots.push(SpeedKnot {
+                time_s,
+                speed_mps,
+                position_m,
+            });
         }
     }
 
@@ -179,7 +226,10 @@ impl SpeedPlan {
         if duration_s == f64::INFINITY {
             return Ok(duration_s);
         }
-        let is_straight = matches!(dynamics.shape, TransitionShape::Linear | TransitionShape::Step);
+        let is_straight = matches!(
+            dynamics.shape,
+            TransitionShape::Linear | TransitionShape::Step
+        );
         if duration_s.is_nan() || !is_straight && duration_s > MAX_TRANSITION_S {
             return Err(node.refuse(format!("the change takes longer than {MAX_TRANSITION_S} s")));
         }
@@ -205,7 +255,11 @@ impl SpeedPlan {
         let (mut low_s, mut high_s) = (0.0, MAX_TRANSITION_S);
         for _ in 0..60 {
             let middle_s = 0.5 * (low_s + high_s);
-            if self.at(from_s + middle_s).position_m < goal_m { low_s = middle_s } else { high_s = middle_s }
+            if self.at(from_s + middle_s).position_m < goal_m {
+                low_s = middle_s
+            } else {
+                high_s = middle_s
+            }
         }
         high_s
     }
@@ -221,29 +275,45 @@ impl SpeedPlan {
         const SPEED_TOLERANCE_MPS: f64 = 0.005;
         /// Share of an alternating error that remains after a segment.
         const REMAINING_RIPPLE: f64 = 0.99;
-        let Some(&(start_s, _)) = vertices.first() else { return };
+        let Some(&(start_s, _)) = vertices.first() else {
+            return;
+        };
         self.cut(start_s);
-        let spans_s = vertices.windows(2).rev().skip(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.0));
+        let spans_s = vertices
+            .windows(2)
+            .rev()
+            .skip(2)
+            .filter_map(|pair| Some(pair.last()?.0 - pair.first()?.0));
         let step_s = spans_s.fold(f64::INFINITY, f64::min);
         let mean_mps = |index: usize| match vertices.get(index..index + 2) {
-            Some([(from_s, from_m), (to_s, to_m)]) => Some(((to_m - from_m) / (to_s - from_s), to_s - from_s)),
+            Some([(from_s, from_m), (to_s, to_m)]) => {
+                Some(((to_m - from_m) / (to_s - from_s), to_s - from_s))
+            }
             _ => None,
         };
         for (index, &(to_s, to_m)) in vertices.iter().enumerate().skip(1) {
-            let Some((stated_mps, span_s)) = mean_mps(index - 1) else { return };
+            let Some((stated_mps, span_s)) = mean_mps(index - 1) else {
+                return;
+            };
             let from = self.at(to_s - span_s);
             let covered_m = to_m - from.position_m;
             if span_s <= 1.5 * step_s {
-                let wanted_mps = (1.0 + REMAINING_RIPPLE) * covered_m / span_s - REMAINING_RIPPLE * from.speed_mps;
+                let wanted_mps = (1.0 + REMAINING_RIPPLE) * covered_m / span_s
+                    - REMAINING_RIPPLE * from.speed_mps;
                 self.push(to_s, wanted_mps.max(0.0));
                 continue;
             }
             // A larger change is a jump, which begins at the vertex.
-            let next_mps = mean_mps(index).filter(|(_, span_s)| *span_s > 1.5 * step_s).map(|(mps, _)| mps);
-            let smooth_mps = next_mps.filter(|mps| (mps - stated_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
+            let next_mps = mean_mps(index)
+                .filter(|(_, span_s)| *span_s > 1.5 * step_s)
+                .map(|(mps, _)| mps);
+            let smooth_mps =
+                next_mps.filter(|mps| (mps - stated_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
             let to_mps = 0.5 * (stated_mps + smooth_mps.unwrap_or(stated_mps));
             let ramp_s = step_s.min(span_s / 2.0);
-            let held_mps = ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps)) / (span_s - ramp_s)).max(0.0);
+            let held_mps = ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps))
+                / (span_s - ramp_s))
+                .max(0.0);
             self.push(to_s - span_s + ramp_s, held_mps);
             self.push(to_s - ramp_s, held_mps);
             self.push(to_s, to_mps.max(0.0));

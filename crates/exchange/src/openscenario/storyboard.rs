@@ -46,7 +46,13 @@ pub(super) struct StoryEvent<'a> {
 impl StoryEvent<'_> {
     /// Returns the end of the event; `None` before its start.
     pub(super) fn end_s(&self) -> Option<f64> {
-        self.start_s.map(|start_s| self.action_ends_s.iter().copied().reduce(f64::max).unwrap_or(start_s))
+        self.start_s.map(|start_s| {
+            self.action_ends_s
+                .iter()
+                .copied()
+                .reduce(f64::max)
+                .unwrap_or(start_s)
+        })
     }
 }
 
@@ -62,7 +68,10 @@ pub(super) enum StoryAction<'a> {
 
 impl StoryAction<'_> {
     pub(super) fn changes_speed(&self) -> bool {
-        matches!(self, Self::Speed(_) | Self::SpeedProfile(_) | Self::Trajectory(_))
+        matches!(
+            self,
+            Self::Speed(_) | Self::SpeedProfile(_) | Self::Trajectory(_)
+        )
     }
 }
 
@@ -84,18 +93,29 @@ pub(super) struct SpeedTarget {
 impl SpeedTarget {
     pub(super) fn speed_mps(self, node: Node<'_>, reference_mps: f64) -> Result<f64> {
         let mps = self.factor * reference_mps + self.offset_mps;
-        if mps < 0.0 { Err(node.refuse(format!("the speed would be {mps} m/s"))) } else { Ok(mps) }
+        if mps < 0.0 {
+            Err(node.refuse(format!("the speed would be {mps} m/s")))
+        } else {
+            Ok(mps)
+        }
     }
 }
 
-pub(super) fn entity_index(node: Node<'_>, attribute: &str, entities: &[Entity<'_>]) -> Result<usize> {
+pub(super) fn entity_index(
+    node: Node<'_>,
+    attribute: &str,
+    entities: &[Entity<'_>],
+) -> Result<usize> {
     let name = node.text(attribute)?;
     let found = entities.iter().position(|entity| entity.name == name);
     found.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
 }
 
 /// Reads all events with their triggers.
-pub(super) fn read_stories<'a>(storyboard: Node<'a>, entities: &[Entity<'_>]) -> Result<Stories<'a>> {
+pub(super) fn read_stories<'a>(
+    storyboard: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<Stories<'a>> {
     let mut stories = Stories {
         events: Vec::new(),
         event_triggers: Vec::new(),
@@ -105,19 +125,29 @@ pub(super) fn read_stories<'a>(storyboard: Node<'a>, entities: &[Entity<'_>]) ->
     };
     for story in storyboard.named("Story") {
         story.only(&["Act", "ParameterDeclarations"], &["name"])?;
-        if let Some(declared) = story.named("ParameterDeclarations").find_map(|list| list.children().next()) {
+        if let Some(declared) = story
+            .named("ParameterDeclarations")
+            .find_map(|list| list.children().next())
+        {
             return Err(declared.refuse("parameters of a story are not supported"));
         }
         for act in story.named("Act") {
             act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
-            if let Some(stop) = act.named("StopTrigger").find_map(|stop| stop.children().next()) {
+            if let Some(stop) = act
+                .named("StopTrigger")
+                .find_map(|stop| stop.children().next())
+            {
                 return Err(stop.refuse("a stop trigger of an act is not supported"));
             }
             for group in act.named("ManeuverGroup") {
                 let names = [story.text("name")?, act.text("name")?, group.text("name")?];
                 read_group(group, names, entities, &mut stories)?;
             }
-            let trigger = Trigger::read(act.optional("StartTrigger"), entities, &mut stories.conditions)?;
+            let trigger = Trigger::read(
+                act.optional("StartTrigger"),
+                entities,
+                &mut stories.conditions,
+            )?;
             stories.act_triggers.push(trigger);
             ensure_at_most(storyboard, stories.act_triggers.len(), MAX_EVENTS, "acts")?;
         }
@@ -139,17 +169,28 @@ fn read_group<'a>(
         return Err(list.refuse("triggering entities as actors are not supported"));
     }
     ensure_at_most(list, list.children().count(), MAX_ENTITIES, "entities")?;
-    let actors = list.children().map(|actor| entity_index(actor, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
+    let actors = list
+        .children()
+        .map(|actor| entity_index(actor, "entityRef", entities))
+        .collect::<Result<Vec<_>>>()?;
     for maneuver in group.named("Maneuver") {
         maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
         for node in maneuver.named("Event") {
-            node.only(&["Action", "StartTrigger"], &["name", "priority", "maximumExecutionCount"])?;
+            node.only(
+                &["Action", "StartTrigger"],
+                &["name", "priority", "maximumExecutionCount"],
+            )?;
             node.expect("maximumExecutionCount", &["1"])?;
             node.expect("priority", &["override", "overwrite", "parallel"])?;
             if actors.is_empty() {
                 return Err(list.refuse("names no entity for the actions of the events"));
             }
-            ensure_at_most(group, stories.events.len() + 1, MAX_EVENTS, "events, with those before it")?;
+            ensure_at_most(
+                group,
+                stories.events.len() + 1,
+                MAX_EVENTS,
+                "events, with those before it",
+            )?;
             stories.actions += actors.len() * node.named("Action").count().max(1);
             let what = "actions of events, each counted for each of its entities";
             ensure_at_most(node, stories.actions, MAX_EVENT_ACTIONS, what)?;
@@ -159,12 +200,21 @@ fn read_group<'a>(
                 let inner = action.single()?.single()?;
                 actions.push((action.text("name")?, read_action(inner, entities)?));
             }
-            let trigger = Trigger::read(node.optional("StartTrigger"), entities, &mut stories.conditions)?;
+            let trigger = Trigger::read(
+                node.optional("StartTrigger"),
+                entities,
+                &mut stories.conditions,
+            )?;
             stories.event_triggers.push(trigger);
             stories.events.push(StoryEvent {
                 node,
                 name: node.text("name")?,
-                parents: [story.clone(), act.clone(), group_name.clone(), maneuver.text("name")?],
+                parents: [
+                    story.clone(),
+                    act.clone(),
+                    group_name.clone(),
+                    maneuver.text("name")?,
+                ],
                 act: stories.act_triggers.len(),
                 actors: actors.clone(),
                 actions: actions.into(),
@@ -178,7 +228,10 @@ fn read_group<'a>(
 }
 
 /// Reads a private action.
-pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity<'_>]) -> Result<StoryAction<'a>> {
+pub(super) fn read_action<'a>(
+    action: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<StoryAction<'a>> {
     match action.name() {
         "LongitudinalAction" => {
             let inner = action.single()?;
@@ -205,7 +258,8 @@ pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity<'_>]) -> Resu
         "ControllerAction" => {
             action.only(&["AssignControllerAction", "ActivateControllerAction"], &[])?;
             let activate = action.optional("ActivateControllerAction");
-            let activate = activate.ok_or_else(|| action.refuse("controllers must be assigned by the entity"))?;
+            let activate = activate
+                .ok_or_else(|| action.refuse("controllers must be assigned by the entity"))?;
             read_activation(activate)
         }
         "ActivateControllerAction" => read_activation(action),
@@ -214,7 +268,17 @@ pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity<'_>]) -> Resu
 }
 
 fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
-    node.only(&[], &["longitudinal", "lateral", "animation", "lighting", "controllerRef", "objectControllerRef"])?;
+    node.only(
+        &[],
+        &[
+            "longitudinal",
+            "lateral",
+            "animation",
+            "lighting",
+            "controllerRef",
+            "objectControllerRef",
+        ],
+    )?;
     match node.flag("longitudinal", true)? {
         true => Ok(StoryAction::Activate),
         false => Err(node.refuse("a controller must be active in longitudinal direction")),
@@ -228,23 +292,45 @@ pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<
     let target = match target.name() {
         "AbsoluteTargetSpeed" => {
             target.only(&[], &["value"])?;
-            SpeedTarget { reference: None, factor: 0.0, offset_mps: target.non_negative("value")? }
+            SpeedTarget {
+                reference: None,
+                factor: 0.0,
+                offset_mps: target.non_negative("value")?,
+            }
         }
         "RelativeTargetSpeed" => {
-            target.only(&[], &["entityRef", "value", "speedTargetValueType", "continuous"])?;
+            target.only(
+                &[],
+                &["entityRef", "value", "speedTargetValueType", "continuous"],
+            )?;
             if target.flag("continuous", false)? {
                 return Err(target.refuse("a continuous target is not supported"));
             }
-            let (reference, value) = (Some(entity_index(target, "entityRef", entities)?), target.number("value")?);
+            let (reference, value) = (
+                Some(entity_index(target, "entityRef", entities)?),
+                target.number("value")?,
+            );
             match target.text("speedTargetValueType")?.as_str() {
-                "delta" => SpeedTarget { reference, factor: 1.0, offset_mps: value },
-                "factor" => SpeedTarget { reference, factor: value, offset_mps: 0.0 },
+                "delta" => SpeedTarget {
+                    reference,
+                    factor: 1.0,
+                    offset_mps: value,
+                },
+                "factor" => SpeedTarget {
+                    reference,
+                    factor: value,
+                    offset_mps: 0.0,
+                },
                 other => return Err(target.refuse(format!("`{other}` is not supported"))),
             }
         }
         _ => return Err(target.refuse("is not supported as a target speed")),
     };
-    Ok(SpeedAction { node, dynamics, target })
+    Ok(SpeedAction {
+        node,
+        dynamics,
+        target,
+    })
 }
 
 fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
@@ -254,5 +340,7 @@ fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
         entry.only(&[], &["time", "speed"])?;
         Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
     };
-    Ok(StoryAction::SpeedProfile(node.children().map(read).collect::<Result<Vec<_>>>()?))
+    Ok(StoryAction::SpeedProfile(
+        node.children().map(read).collect::<Result<Vec<_>>>()?,
+    ))
 }

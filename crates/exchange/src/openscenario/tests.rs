@@ -92,41 +92,84 @@ value="3.5"/><LaneChangeTarget><AbsoluteTargetLane value="{target}"/></LaneChang
 }
 
 fn import(text: &str) -> Result<Scenario, String> {
-    let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).map_err(|error| error.to_string())?;
-    source.scenario(None, &[]).map(|imported| imported.scenario).map_err(|error| error.to_string())
+    let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes())
+        .map_err(|error| error.to_string())?;
+    source
+        .scenario(None, &[])
+        .map(|imported| imported.scenario)
+        .map_err(|error| error.to_string())
 }
 
 /// Returns the first and the last speed of the leader, and its largest braking and acceleration, in a simulation.
 fn drive(scenario: &Scenario) -> [f64; 4] {
-    let options =
-        RunOptions::new(ControllerSpec::from_name("match-leader").unwrap()).with_estimator(EstimatorKind::Truth);
-    let trace = simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace).trace.unwrap();
+    let options = RunOptions::new(ControllerSpec::from_name("match-leader").unwrap())
+        .with_estimator(EstimatorKind::Truth);
+    let trace = simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
+        .trace
+        .unwrap();
     let speeds = &trace.vehicles[0].speed_mps;
     let rates = || speeds.windows(2).map(|pair| (pair[1] - pair[0]) / 0.01);
-    [speeds[0], *speeds.last().unwrap(), rates().fold(0.0, f64::min), rates().fold(0.0, f64::max)]
+    [
+        speeds[0],
+        *speeds.last().unwrap(),
+        rates().fold(0.0, f64::min),
+        rates().fold(0.0, f64::max),
+    ]
 }
 
 #[test]
 fn speed_actions_of_all_shapes_become_scripts() {
-    let scenario = import(&file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME)).unwrap();
-    let [other, ego] = scenario.vehicles() else { panic!("{scenario:?}") };
+    let scenario = import(&file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    ))
+    .unwrap();
+    let [other, ego] = scenario.vehicles() else {
+        panic!("{scenario:?}")
+    };
     // The reference point is the rear axle, 1.5 m behind the middle.
-    assert_eq!((other.position_m, ego.position_m, other.speed_mps), (154.0, 114.0, 20.0));
-    assert_eq!((other.length_m, other.max_brake_mps2, &ego.driver), (Some(5.0), Some(8.0), &Driver::UnderTest));
-    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &other.driver else { panic!("{other:?}") };
-    assert_eq!((brake.onset_s, brake.rate_mps2, brake.final_speed_mps), (2.5, 4.0, 10.0));
+    assert_eq!(
+        (other.position_m, ego.position_m, other.speed_mps),
+        (154.0, 114.0, 20.0)
+    );
+    assert_eq!(
+        (other.length_m, other.max_brake_mps2, &ego.driver),
+        (Some(5.0), Some(8.0), &Driver::UnderTest)
+    );
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &other.driver else {
+        panic!("{other:?}")
+    };
+    assert_eq!(
+        (brake.onset_s, brake.rate_mps2, brake.final_speed_mps),
+        (2.5, 4.0, 10.0)
+    );
     assert_eq!(scenario.spec().duration_s, 2.5 + 2.5 + 1.0);
-    for (shape, dimension, value, hardest_mps2) in
-        [("cubic", "time", "5", 3.0), ("sinusoidal", "rate", "3", 3.0), ("linear", "distance", "75", 2.0)]
-    {
-        let scenario = import(&file(same_lane(), &speed_action(shape, dimension, value, 10.0), TIME)).unwrap();
+    for (shape, dimension, value, hardest_mps2) in [
+        ("cubic", "time", "5", 3.0),
+        ("sinusoidal", "rate", "3", 3.0),
+        ("linear", "distance", "75", 2.0),
+    ] {
+        let scenario = import(&file(
+            same_lane(),
+            &speed_action(shape, dimension, value, 10.0),
+            TIME,
+        ))
+        .unwrap();
         let [from_mps, to_mps, lowest_mps2, highest_mps2] = drive(&scenario);
         assert_eq!((from_mps, highest_mps2), (20.0, 0.0), "{shape}");
-        assert!((to_mps - 10.0).abs() < 1e-9 && (lowest_mps2 + hardest_mps2).abs() < 0.01, "{shape}: {lowest_mps2}");
+        assert!(
+            (to_mps - 10.0).abs() < 1e-9 && (lowest_mps2 + hardest_mps2).abs() < 0.01,
+            "{shape}: {lowest_mps2}"
+        );
     }
-    let refused = import(&file(same_lane(), &speed_action("step", "time", "0", 10.0), TIME)).unwrap_err();
-    let expected =
-        ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², outside its limits of -8 and 5";
+    let refused = import(&file(
+        same_lane(),
+        &speed_action("step", "time", "0", 10.0),
+        TIME,
+    ))
+    .unwrap_err();
+    let expected = ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², outside its limits of -8 and 5";
     assert!(refused.contains(expected), "{refused}");
 }
 
@@ -135,105 +178,258 @@ fn lane_changes_cross_the_marking_with_the_side_of_the_body() {
     // The vehicle of 1.5 m leaves 1 m on each side, and changes 3.5 m in 3.5 s.
     let beside = same_lane().replace("\"-1\"", "\"-2\"");
     let scenario = import(&file(&beside, &lane_change("-1"), TIME)).unwrap();
-    let Some(LaneChange::At(enters_s)) = scenario.vehicles()[0].enters else { panic!("{scenario:?}") };
+    let Some(LaneChange::At(enters_s)) = scenario.vehicles()[0].enters else {
+        panic!("{scenario:?}")
+    };
     assert!((enters_s - 3.5).abs() < 1e-9, "{enters_s}");
     let scenario = import(&file(same_lane(), &lane_change("-2"), TIME)).unwrap();
-    let Some(LaneChange::At(leaves_s)) = scenario.vehicles()[0].leaves else { panic!("{scenario:?}") };
+    let Some(LaneChange::At(leaves_s)) = scenario.vehicles()[0].leaves else {
+        panic!("{scenario:?}")
+    };
     assert!((leaves_s - 5.0).abs() < 1e-9, "{leaves_s}");
     let near = r#"<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="other"/>
 </TriggeringEntities><EntityCondition><TimeHeadwayCondition entityRef="ego" value="2" freespace="true"
 coordinateSystem="lane" relativeDistanceType="longitudinal" rule="greaterThan"/></EntityCondition>
 </ByEntityCondition>"#;
-    let faster = |text: &str| text.replace(r#"entityRef="ego" value="0""#, r#"entityRef="ego" value="5""#);
+    let faster = |text: &str| {
+        text.replace(
+            r#"entityRef="ego" value="0""#,
+            r#"entityRef="ego" value="5""#,
+        )
+    };
     let scenario = import(&faster(&file(&beside, &lane_change("-1"), near))).unwrap();
-    let Some(LaneChange::Gap(gap_m)) = scenario.vehicles()[0].enters else { panic!("{scenario:?}") };
+    let Some(LaneChange::Gap(gap_m)) = scenario.vehicles()[0].enters else {
+        panic!("{scenario:?}")
+    };
     // Fifty metres at the trigger, then half a second of delay and one second to the marking.
     assert!((gap_m - 57.5).abs() < 1e-6, "{gap_m}");
 }
 
 #[test]
 fn content_that_one_lane_cannot_represent_is_refused_by_name() {
-    let good = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let good = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
     for (old, new, expected) in [
-        ("offset=\"0\"", "offset=\"0.5\"", "LanePosition: offset = 0.5 is lateral"),
-        ("SimulationTimeCondition", "TimeOfDayCondition", "TimeOfDayCondition: is not supported"),
-        ("revMajor=\"1\"", "revMajor=\"2\"", "FileHeader: only versions 1.0 to 1.3"),
-        ("entityRef=\"other\"", "entityRef=\"nobody\"", "there is no entity `nobody`"),
-        ("override", "skip", "Event: `priority` = `skip` is not supported"),
-        ("LongitudinalAction>", "AppearanceAction>", "AppearanceAction: is not supported"),
-        ("s=\"140\"", "s=\"9000\"", "LanePosition: 9000 m is outside the road"),
-        ("laneId=\"-1\"", "laneId=\"-2\"", "the entity `other` is never in the lane of the vehicle under test"),
-        ("y=\"-1.75\"", "y=\"-1\"", "WorldPosition: is 0.75 m beside the middle of lane -1"),
-        ("name=\"mine\"", "name=\"mine\" sort=\"x\"", "Controller: the attribute `sort` is not supported"),
-        ("value=\"$rate\"", "value=\"$missing\"", "there is no parameter `missing`"),
-        ("${round($speed)", "${random($speed)", "`random` with 1 values is not supported in an expression"),
-        ("value=\"72\"", "value=\"200\"", "`speed` = `200` violates its constraints"),
-        ("storyboardElementRef=\"act\"", "storyboardElementRef=\"x\"", "there is no action `x`"),
-        ("<StopTrigger>", "<StopTrigger/><StopTrigger>", "Storyboard: has no stop trigger"),
-        ("y=\"-1.75\"", "y=\"-1.75\" h=\"3.1\"", "WorldPosition: `h` is not 0 rad, the direction of lane -1"),
-        ("y=\"-1.75\"", "y=\"-1.75\" p=\"0.1\"", "WorldPosition: `p` differs from the direction of the lane"),
-        ("<CatalogLocations/>", "<ParameterValueDistribution/>", "OpenSCENARIO: is a file of distributions"),
+        (
+            "offset=\"0\"",
+            "offset=\"0.5\"",
+            "LanePosition: offset = 0.5 is lateral",
+        ),
+        (
+            "SimulationTimeCondition",
+            "TimeOfDayCondition",
+            "TimeOfDayCondition: is not supported",
+        ),
+        (
+            "revMajor=\"1\"",
+            "revMajor=\"2\"",
+            "FileHeader: only versions 1.0 to 1.3",
+        ),
+        (
+            "entityRef=\"other\"",
+            "entityRef=\"nobody\"",
+            "there is no entity `nobody`",
+        ),
+        (
+            "override",
+            "skip",
+            "Event: `priority` = `skip` is not supported",
+        ),
+        (
+            "LongitudinalAction>",
+            "AppearanceAction>",
+            "AppearanceAction: is not supported",
+        ),
+        (
+            "s=\"140\"",
+            "s=\"9000\"",
+            "LanePosition: 9000 m is outside the road",
+        ),
+        (
+            "laneId=\"-1\"",
+            "laneId=\"-2\"",
+            "the entity `other` is never in the lane of the vehicle under test",
+        ),
+        (
+            "y=\"-1.75\"",
+            "y=\"-1\"",
+            "WorldPosition: is 0.75 m beside the middle of lane -1",
+        ),
+        (
+            "name=\"mine\"",
+            "name=\"mine\" sort=\"x\"",
+            "Controller: the attribute `sort` is not supported",
+        ),
+        (
+            "value=\"$rate\"",
+            "value=\"$missing\"",
+            "there is no parameter `missing`",
+        ),
+        (
+            "${round($speed)",
+            "${random($speed)",
+            "`random` with 1 values is not supported in an expression",
+        ),
+        (
+            "value=\"72\"",
+            "value=\"200\"",
+            "`speed` = `200` violates its constraints",
+        ),
+        (
+            "storyboardElementRef=\"act\"",
+            "storyboardElementRef=\"x\"",
+            "there is no action `x`",
+        ),
+        (
+            "<StopTrigger>",
+            "<StopTrigger/><StopTrigger>",
+            "Storyboard: has no stop trigger",
+        ),
+        (
+            "y=\"-1.75\"",
+            "y=\"-1.75\" h=\"3.1\"",
+            "WorldPosition: `h` is not 0 rad, the direction of lane -1",
+        ),
+        (
+            "y=\"-1.75\"",
+            "y=\"-1.75\" p=\"0.1\"",
+            "WorldPosition: `p` differs from the direction of the lane",
+        ),
+        (
+            "<CatalogLocations/>",
+            "<ParameterValueDistribution/>",
+            "OpenSCENARIO: is a file of distributions",
+        ),
         ("f.xodr", "g.xodr", "LogicFile: g.xodr: entity not found"),
-        ("<EntityRef entityRef=\"other\"/></Actors>", "</Actors>", "Actors: names no entity"),
-        ("mine\"><Properties/>", "idm\"><Properties><Property name=\"gap\" value=\"1\"/></Properties>", "Controller: "),
-        ("s=\"140\"", "s=\"101\"", "the scenario is outside the ranges of crumple: vehicles[1].position_m"),
+        (
+            "<EntityRef entityRef=\"other\"/></Actors>",
+            "</Actors>",
+            "Actors: names no entity",
+        ),
+        (
+            "mine\"><Properties/>",
+            "idm\"><Properties><Property name=\"gap\" value=\"1\"/></Properties>",
+            "Controller: ",
+        ),
+        (
+            "s=\"140\"",
+            "s=\"101\"",
+            "the scenario is outside the ranges of crumple: vehicles[1].position_m",
+        ),
     ] {
         let damaged = good.replace(old, new);
         assert_ne!(damaged, good, "{old}");
         let error = import(&damaged).expect_err(new);
-        assert!(error.starts_with("f.xosc:") && error.contains(expected) && !error.contains('\n'), "{new}: {error}");
+        assert!(
+            error.starts_with("f.xosc:") && error.contains(expected) && !error.contains('\n'),
+            "{new}: {error}"
+        );
     }
     let curved = ROAD.replace("<line/>", "<arc curvature=\"0.001\"/>");
-    let error = OpenScenarioSource::from_bytes(good.as_bytes(), curved.as_bytes()).unwrap().scenario(None, &[]);
-    assert_eq!(error.unwrap_err().to_string(), "f.xodr:2: arc: the road must be straight");
+    let error = OpenScenarioSource::from_bytes(good.as_bytes(), curved.as_bytes())
+        .unwrap()
+        .scenario(None, &[]);
+    assert_eq!(
+        error.unwrap_err().to_string(),
+        "f.xodr:2: arc: the road must be straight"
+    );
     let many = "<a b=''>".repeat(1_100_000);
-    assert!(import(&many).unwrap_err().contains(":1: there are more than 1000000 tags and attributes"));
+    assert!(
+        import(&many)
+            .unwrap_err()
+            .contains(":1: there are more than 1000000 tags and attributes")
+    );
     let deep = "<a>".repeat(100_000);
     assert!(import(&deep).unwrap_err().contains("nested deeper than 64"));
     let parentheses = good.replace("${round($speed)", &format!("${{{}", "(".repeat(900)));
-    assert!(import(&parentheses).unwrap_err().contains("nested deeper than 50"));
+    assert!(
+        import(&parentheses)
+            .unwrap_err()
+            .contains("nested deeper than 50")
+    );
 }
 
 #[test]
 fn assumptions_and_content_without_influence_are_noted_with_their_lines() {
-    let relative = r#"<RelativeTargetSpeed entityRef="ego" value="-5" speedTargetValueType="delta"/>"#;
-    let slower = speed_action("linear", "rate", "2", 10.0).replace("<AbsoluteTargetSpeed value=\"10\"/>", relative);
+    let relative =
+        r#"<RelativeTargetSpeed entityRef="ego" value="-5" speedTargetValueType="delta"/>"#;
+    let slower = speed_action("linear", "rate", "2", 10.0)
+        .replace("<AbsoluteTargetSpeed value=\"10\"/>", relative);
     let good = file(same_lane(), &slower, TIME);
     let notes = |old: &str, new: &str, road: &str| {
         let text = good.replace(old, new);
         let source = OpenScenarioSource::from_bytes(text.as_bytes(), road.as_bytes()).unwrap();
         source.scenario(None, &[]).unwrap().notes
     };
-    let [relative, never] = &notes("", "", ROAD)[..] else { panic!("two notes") };
-    assert!(relative.ends_with("SpeedAction: is relative to `ego`, as if it kept its speed"), "{relative}");
-    assert!(never.ends_with("ScenarioObject: the controller is never activated: it drives from the start"), "{never}");
+    let [relative, never] = &notes("", "", ROAD)[..] else {
+        panic!("two notes")
+    };
+    assert!(
+        relative.ends_with("SpeedAction: is relative to `ego`, as if it kept its speed"),
+        "{relative}"
+    );
+    assert!(
+        never.ends_with(
+            "ScenarioObject: the controller is never activated: it drives from the start"
+        ),
+        "{never}"
+    );
     let until = r#"<SimulationTimeCondition value="9" rule="greaterThan"/>"#;
-    let falling = good.replace("<StoryboardElementStateCondition storyboardElementType=\"action\" ", until);
+    let falling = good.replace(
+        "<StoryboardElementStateCondition storyboardElementType=\"action\" ",
+        until,
+    );
     let falling = falling.replace("storyboardElementRef=\"act\" state=\"completeState\"/>", "");
-    let property = |name: &str| format!("<Properties><Property name=\"{name}\" value=\"idm\"/></Properties>");
+    let property =
+        |name: &str| format!("<Properties><Property name=\"{name}\" value=\"idm\"/></Properties>");
     for (old, new, expected) in [
         (
             &*good,
-            falling.replace("delay=\"0.5\" conditionEdge=\"rising", "delay=\"0\" conditionEdge=\"falling"),
+            falling.replace(
+                "delay=\"0.5\" conditionEdge=\"rising",
+                "delay=\"0\" conditionEdge=\"falling",
+            ),
             ": Event: `e` never",
         ),
-        (&*good, falling.replace("value=\"2\" rule", "value=\"20\" rule"), ": Event: `e` never starts within the 10 s"),
-        ("<Properties/>", property("sensor"), ": Controller: properties without influence on the motion: sensor"),
+        (
+            &*good,
+            falling.replace("value=\"2\" rule", "value=\"20\" rule"),
+            ": Event: `e` never starts within the 10 s",
+        ),
+        (
+            "<Properties/>",
+            property("sensor"),
+            ": Controller: properties without influence on the motion: sensor",
+        ),
         (
             "<Axles/>",
             "<Axles/>".to_owned() + &property("paint"),
             ": Vehicle: properties without influence on the motion: paint",
         ),
-        ("<Axles/>", "<Axles/>".to_owned() + &property("driver"), "driver = `idm` contradicts the controller `mine`"),
+        (
+            "<Axles/>",
+            "<Axles/>".to_owned() + &property("driver"),
+            "driver = `idm` contradicts the controller `mine`",
+        ),
     ] {
         let found = notes(old, &new, ROAD);
         assert!(
-            found.iter().any(|note| note.starts_with("f.xosc:") && note.contains(expected)),
+            found
+                .iter()
+                .any(|note| note.starts_with("f.xosc:") && note.contains(expected)),
             "{expected}: {found:?}"
         );
     }
     let found = notes("", "", &ROAD.replace("5000", "150"));
-    assert!(found.iter().any(|note| note.contains("is outside the road `7` of 150 m, at the end")), "{found:?}");
+    assert!(
+        found
+            .iter()
+            .any(|note| note.contains("is outside the road `7` of 150 m, at the end")),
+        "{found:?}"
+    );
 }
 
 fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {
@@ -246,7 +442,11 @@ fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {
 
 #[test]
 fn distributions_give_variations_or_a_space() {
-    let text = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let text = file(
+        same_lane(),
+        &speed_action("linear", "rate", "$rate", 10.0),
+        TIME,
+    );
     let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).unwrap();
     let varied = distributions(
         r#"<Deterministic><DeterministicSingleParameterDistribution parameterName="rate">
@@ -258,8 +458,21 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
     );
     let variations = varied.unwrap().variations().unwrap();
     assert_eq!(variations.len(), 22);
-    assert_eq!(variations[6], [("rate".to_owned(), "1.3".to_owned()), ("speed".to_owned(), "90".to_owned())]);
-    assert_eq!(variations.iter().filter(|one| source.scenario(None, one).is_ok()).count(), 11, "one speed is too high");
+    assert_eq!(
+        variations[6],
+        [
+            ("rate".to_owned(), "1.3".to_owned()),
+            ("speed".to_owned(), "90".to_owned())
+        ]
+    );
+    assert_eq!(
+        variations
+            .iter()
+            .filter(|one| source.scenario(None, one).is_ok())
+            .count(),
+        11,
+        "one speed is too high"
+    );
 
     let stochastic = |name: &str, law: &str| {
         distributions(&format!(
@@ -272,11 +485,22 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
 <HistogramBin weight="3"><Range lowerLimit="4" upperLimit="6"/></HistogramBin></Histogram>"#;
     for (law, mean_mps2) in [
         (histogram, 0.25 * 2.5 + 0.75 * 5.0),
-        (r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#, 4.0),
-        (r#"<NormalDistribution expectedValue="4" variance="0.25"/>"#, 4.0),
+        (
+            r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#,
+            4.0,
+        ),
+        (
+            r#"<NormalDistribution expectedValue="4" variance="0.25"/>"#,
+            4.0,
+        ),
     ] {
-        let (space, _) = source.space(None, &stochastic("rate", law).unwrap(), &Quiet).unwrap();
-        assert_eq!(space.spec().parameters[0].field, "vehicles[0].driver.brake-to-speed.rate_mps2");
+        let (space, _) = source
+            .space(None, &stochastic("rate", law).unwrap(), &Quiet)
+            .unwrap();
+        assert_eq!(
+            space.spec().parameters[0].field,
+            "vehicles[0].driver.brake-to-speed.rate_mps2"
+        );
         let rate = |index| match &space.draw(1, index).unwrap().vehicles()[0].driver {
             Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => brake.rate_mps2,
             other => panic!("{other:?}"),
@@ -284,15 +508,29 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
         let mean = (0..2000).map(rate).sum::<f64>() / 2000.0;
         assert!((mean - mean_mps2).abs() < 0.1, "{law}: {mean}");
     }
-    let uniform = r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
-    let refused = source.space(None, &stochastic("speed", uniform).unwrap(), &Quiet).unwrap_err().to_string();
-    assert!(refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"), "{refused}");
+    let uniform =
+        r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
+    let refused = source
+        .space(None, &stochastic("speed", uniform).unwrap(), &Quiet)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"),
+        "{refused}"
+    );
     let twice = distributions(
         r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="rate"><NormalDistribution
 expectedValue="4" variance="1"/></StochasticDistribution><StochasticDistribution parameterName="rate">
 <NormalDistribution expectedValue="5" variance="1"/></StochasticDistribution></Stochastic>"#,
     );
-    assert!(twice.unwrap_err().ends_with("StochasticDistribution: the parameter `rate` has two distributions"));
+    assert!(
+        twice
+            .unwrap_err()
+            .ends_with("StochasticDistribution: the parameter `rate` has two distributions")
+    );
     let refused = stochastic("rate", r#"<PoissonDistribution expectedValue="4"/>"#).unwrap_err();
-    assert!(refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"), "{refused}");
+    assert!(
+        refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"),
+        "{refused}"
+    );
 }

@@ -47,8 +47,17 @@ enum ConditionEdge {
 
 enum ConditionKind {
     Time(ConditionThreshold),
-    Element { kind: String, name: String, is_end: bool },
-    Entity { who: Vec<usize>, needs_all: bool, quantity: EntityQuantity, threshold: ConditionThreshold },
+    Element {
+        kind: String,
+        name: String,
+        is_end: bool,
+    },
+    Entity {
+        who: Vec<usize>,
+        needs_all: bool,
+        quantity: EntityQuantity,
+        threshold: ConditionThreshold,
+    },
 }
 
 /// A quantity of an entity, which may be relative to another entity.
@@ -84,28 +93,50 @@ impl ConditionThreshold {
             "lessOrEqual" => (false, false),
             other => return Err(node.refuse(format!("the rule `{other}` is not supported"))),
         };
-        Ok(Self { value: node.number("value")?, is_lower, is_strict })
+        Ok(Self {
+            value: node.number("value")?,
+            is_lower,
+            is_strict,
+        })
     }
 
     fn margin(self, found: f64) -> f64 {
-        let margin = if self.is_lower { found - self.value } else { self.value - found };
+        let margin = if self.is_lower {
+            found - self.value
+        } else {
+            self.value - found
+        };
         // Conditions hold at positive margins.
-        if margin == 0.0 && !self.is_strict { f64::MIN_POSITIVE } else { margin }
+        if margin == 0.0 && !self.is_strict {
+            f64::MIN_POSITIVE
+        } else {
+            margin
+        }
     }
 }
 
 impl<'a> Trigger<'a> {
-    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<Self> {
-        let Some(node) = node else { return Ok(Self { groups: None }) };
+    pub(super) fn read(
+        node: Option<Node<'a>>,
+        entities: &[Entity<'_>],
+        count: &mut ConditionCount,
+    ) -> Result<Self> {
+        let Some(node) = node else {
+            return Ok(Self { groups: None });
+        };
         node.only(&["ConditionGroup"], &[])?;
         let mut groups = Vec::new();
         for group in node.children() {
             group.only(&["Condition"], &[])?;
             count.add_group(group)?;
-            let conditions = group.children().map(|condition| Condition::read(condition, entities, count));
+            let conditions = group
+                .children()
+                .map(|condition| Condition::read(condition, entities, count));
             groups.push(conditions.collect::<Result<Vec<_>>>()?);
         }
-        Ok(Self { groups: Some(groups) })
+        Ok(Self {
+            groups: Some(groups),
+        })
     }
 
     /// Returns the work of one evaluation: `elements` is the number of events and actions, `state_work` that of finding
@@ -122,8 +153,15 @@ impl<'a> Trigger<'a> {
 
     /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`, and whether it depends on a
     /// controller.
-    pub(super) fn fires(&mut self, state: &Replay<'_, '_>, before_s: f64, now_s: f64) -> Result<Option<(f64, bool)>> {
-        let Some(groups) = &mut self.groups else { return Ok(Some((before_s, false))) };
+    pub(super) fn fires(
+        &mut self,
+        state: &Replay<'_, '_>,
+        before_s: f64,
+        now_s: f64,
+    ) -> Result<Option<(f64, bool)>> {
+        let Some(groups) = &mut self.groups else {
+            return Ok(Some((before_s, false)));
+        };
         let mut first: Option<(f64, bool)> = None;
         for group in groups {
             let (mut fired, mut depends) = (Some(before_s), false);
@@ -144,7 +182,10 @@ impl<'a> Trigger<'a> {
 
 impl<'a> Condition<'a> {
     fn read(node: Node<'a>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<Self> {
-        node.only(&["ByValueCondition", "ByEntityCondition"], &["name", "delay", "conditionEdge"])?;
+        node.only(
+            &["ByValueCondition", "ByEntityCondition"],
+            &["name", "delay", "conditionEdge"],
+        )?;
         let edge = match node.text("conditionEdge")?.as_str() {
             "none" => ConditionEdge::None,
             "rising" => ConditionEdge::Rising,
@@ -158,29 +199,48 @@ impl<'a> Condition<'a> {
         };
         let delay_s = node.optional_number("delay")?.unwrap_or(0.0).max(0.0);
         count.add_delay_s(node, delay_s)?;
-        Ok(Self { node, kind, edge, delay_s, before: None, pending_s: Default::default() })
+        Ok(Self {
+            node,
+            kind,
+            edge,
+            delay_s,
+            before: None,
+            pending_s: Default::default(),
+        })
     }
 
     /// Returns a time in the step at which the condition is true, and whether it depends on a controller.
-    fn evaluate(&mut self, state: &Replay<'_, '_>, before_s: f64, now_s: f64) -> Result<(Option<f64>, bool)> {
+    fn evaluate(
+        &mut self,
+        state: &Replay<'_, '_>,
+        before_s: f64,
+        now_s: f64,
+    ) -> Result<(Option<f64>, bool)> {
         let (margin, since_s, depends) = self.observe(state, now_s)?;
         let before = self.before.replace(margin);
         let (was, is) = (before.is_some_and(|before| before > 0.0), margin > 0.0);
         let crossed_s = || {
             let share = before.map_or(f64::NAN, |before| before / (before - margin));
-            let found_s = if share.is_finite() { before_s + share * (now_s - before_s) } else { now_s };
+            let found_s = if share.is_finite() {
+                before_s + share * (now_s - before_s)
+            } else {
+                now_s
+            };
             since_s.map_or(found_s, |since_s| since_s.max(before_s))
         };
         let true_s = match self.edge {
             ConditionEdge::None if is && was => Some(before_s),
             ConditionEdge::Rising if before.is_none() && is => {
-                return Err(self.node.refuse("is true from the start, so that it never becomes true"));
+                return Err(self
+                    .node
+                    .refuse("is true from the start, so that it never becomes true"));
             }
             ConditionEdge::None | ConditionEdge::Rising if is && !was => Some(crossed_s()),
             ConditionEdge::Falling if was && !is => Some(crossed_s()),
             _ => None,
         };
-        self.pending_s.extend(true_s.map(|true_s| true_s + self.delay_s));
+        self.pending_s
+            .extend(true_s.map(|true_s| true_s + self.delay_s));
         let mut found = None;
         while let Some(due_s) = self.pending_s.pop_front_if(|due_s| *due_s <= now_s + 1e-9) {
             found = found.or(Some(due_s));
@@ -192,17 +252,43 @@ impl<'a> Condition<'a> {
     /// exactly, and whether it depends on a controller.
     fn observe(&self, state: &Replay<'_, '_>, now_s: f64) -> Result<(f64, Option<f64>, bool)> {
         match &self.kind {
-            ConditionKind::Time(threshold) => Ok((threshold.margin(now_s), Some(threshold.value), false)),
+            ConditionKind::Time(threshold) => {
+                Ok((threshold.margin(now_s), Some(threshold.value), false))
+            }
             ConditionKind::Element { kind, name, is_end } => {
-                let missing = || self.node.refuse(format!("there is no {kind} `{name}` in the stories"));
+                let missing = || {
+                    self.node
+                        .refuse(format!("there is no {kind} `{name}` in the stories"))
+                };
                 let (times_s, depends) = state.element_times_s(kind, name).ok_or_else(missing)?;
                 let at_s = times_s[usize::from(*is_end)];
-                Ok((if at_s.is_some_and(|at_s| at_s <= now_s) { 1.0 } else { -1.0 }, at_s, depends))
+                Ok((
+                    if at_s.is_some_and(|at_s| at_s <= now_s) {
+                        1.0
+                    } else {
+                        -1.0
+                    },
+                    at_s,
+                    depends,
+                ))
             }
-            ConditionKind::Entity { who, needs_all, quantity, threshold } => {
-                let margins = who.iter().map(|one| threshold.margin(quantity.value(state, *one, now_s)));
-                let margin = margins.reduce(if *needs_all { f64::min } else { f64::max }).unwrap_or(-1.0);
-                let depends = who.iter().copied().chain(quantity.to).any(|entity| state.is_controlled(entity));
+            ConditionKind::Entity {
+                who,
+                needs_all,
+                quantity,
+                threshold,
+            } => {
+                let margins = who
+                    .iter()
+                    .map(|one| threshold.margin(quantity.value(state, *one, now_s)));
+                let margin = margins
+                    .reduce(if *needs_all { f64::min } else { f64::max })
+                    .unwrap_or(-1.0);
+                let depends = who
+                    .iter()
+                    .copied()
+                    .chain(quantity.to)
+                    .any(|entity| state.is_controlled(entity));
                 Ok((margin, None, depends))
             }
         }
@@ -221,7 +307,10 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
             }
         }
         "StoryboardElementStateCondition" => {
-            node.only(&[], &["storyboardElementType", "storyboardElementRef", "state"])?;
+            node.only(
+                &[],
+                &["storyboardElementType", "storyboardElementRef", "state"],
+            )?;
             let is_end = match node.text("state")?.as_str() {
                 "startTransition" | "runningState" => false,
                 "endTransition" | "completeState" => true,
@@ -230,20 +319,31 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
             // A reference may be qualified by the names of the elements around.
             let name = node.text("storyboardElementRef")?;
             let name = name.rsplit("::").next().unwrap_or_default().to_owned();
-            Ok(ConditionKind::Element { kind: node.text("storyboardElementType")?, name, is_end })
+            Ok(ConditionKind::Element {
+                kind: node.text("storyboardElementType")?,
+                name,
+                is_end,
+            })
         }
         _ => Err(node.refuse("is not supported as a condition")),
     }
 }
 
-fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<ConditionKind> {
+fn read_entity_condition(
+    node: Node<'_>,
+    entities: &[Entity<'_>],
+    count: &mut ConditionCount,
+) -> Result<ConditionKind> {
     node.only(&["TriggeringEntities", "EntityCondition"], &[])?;
     let triggering = node.child("TriggeringEntities")?;
     triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
     triggering.expect("triggeringEntitiesRule", &["any", "all"])?;
     count.add_entities(triggering, triggering.children().count())?;
     let needs_all = triggering.text("triggeringEntitiesRule")? == "all";
-    let who = triggering.children().map(|one| entity_index(one, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
+    let who = triggering
+        .children()
+        .map(|one| entity_index(one, "entityRef", entities))
+        .collect::<Result<Vec<_>>>()?;
     let condition = node.child("EntityCondition")?.single()?;
     let (kind, attributes) = match condition.name() {
         "SpeedCondition" => (QuantityKind::Speed, &["value", "rule"][..]),
@@ -254,18 +354,36 @@ fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>], count: &mut Co
         _ => return Err(condition.refuse("is not supported as a condition")),
     };
     let is_collision = condition.name() == "TimeToCollisionCondition";
-    condition.only(if is_collision { &["TimeToCollisionConditionTarget"] } else { &[] }, attributes)?;
+    condition.only(
+        if is_collision {
+            &["TimeToCollisionConditionTarget"]
+        } else {
+            &[]
+        },
+        attributes,
+    )?;
     condition.expect("relativeDistanceType", &["longitudinal"])?;
     condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
     let is_free = condition.flag("freespace", false)?;
     let to = match condition.name() {
         "SpeedCondition" => None,
-        _ if is_collision => Some(condition.child("TimeToCollisionConditionTarget")?.single()?),
+        _ if is_collision => Some(
+            condition
+                .child("TimeToCollisionConditionTarget")?
+                .single()?,
+        ),
         _ => Some(condition),
     };
-    let to = to.map(|node| entity_index(node, "entityRef", entities)).transpose()?;
+    let to = to
+        .map(|node| entity_index(node, "entityRef", entities))
+        .transpose()?;
     let quantity = EntityQuantity { kind, to, is_free };
-    Ok(ConditionKind::Entity { who, needs_all, quantity, threshold: ConditionThreshold::read(condition)? })
+    Ok(ConditionKind::Entity {
+        who,
+        needs_all,
+        quantity,
+        threshold: ConditionThreshold::read(condition)?,
+    })
 }
 
 impl EntityQuantity {
@@ -274,9 +392,17 @@ impl EntityQuantity {
         let Some(to) = self.to else { return own_mps };
         let ahead_m = state.position_m(to, now_s) - state.position_m(who, now_s);
         let faster_mps = own_mps - state.speed_mps(to, now_s);
-        let (front, rear, closing_mps) = if ahead_m >= 0.0 { (to, who, faster_mps) } else { (who, to, -faster_mps) };
+        let (front, rear, closing_mps) = if ahead_m >= 0.0 {
+            (to, who, faster_mps)
+        } else {
+            (who, to, -faster_mps)
+        };
         let bodies_m = state.bumpers_m(rear)[0] + state.bumpers_m(front)[1];
-        let gap_m = if self.is_free { (ahead_m.abs() - bodies_m).max(0.0) } else { ahead_m.abs() };
+        let gap_m = if self.is_free {
+            (ahead_m.abs() - bodies_m).max(0.0)
+        } else {
+            ahead_m.abs()
+        };
         match self.kind {
             QuantityKind::Speed => faster_mps,
             QuantityKind::Distance => gap_m,

@@ -40,7 +40,11 @@ impl SourceElement {
         let path: Arc<Path> = path.into();
         let syntax = |line, problem: String| {
             let problem = shorten_message(&problem).into_owned();
-            ScenarioImportError::Syntax { path: path.to_path_buf(), line, problem }
+            ScenarioImportError::Syntax {
+                path: path.to_path_buf(),
+                line,
+                problem,
+            }
         };
         let text = std::str::from_utf8(bytes).map_err(|error| {
             let before = bytes.get(..error.valid_up_to()).unwrap_or_default();
@@ -52,7 +56,10 @@ impl SourceElement {
         if let Some((at, _)) = items.nth(most_items) {
             let line = 1 + count_lines(text.as_bytes().get(..at).unwrap_or_default());
             let problem = "tags and attributes, with the other files of the scenario";
-            return Err(syntax(line, format!("there are more than {MAX_XML_ITEMS} {problem}")));
+            return Err(syntax(
+                line,
+                format!("there are more than {MAX_XML_ITEMS} {problem}"),
+            ));
         }
         let mut reader = Reader::from_str(text);
         let (mut found, mut open): (Option<Self>, Vec<Self>) = (None, Vec::new());
@@ -60,7 +67,11 @@ impl SourceElement {
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
-            let end = if event.is_err() { reader.error_position() } else { start };
+            let end = if event.is_err() {
+                reader.error_position()
+            } else {
+                start
+            };
             let end = usize::try_from(end).unwrap_or(usize::MAX).min(text.len());
             line += count_lines(text.as_bytes().get(counted..end).unwrap_or_default());
             counted = counted.max(end);
@@ -71,25 +82,44 @@ impl SourceElement {
                 }
                 Event::Start(tag) => {
                     if open.len() >= MAX_DEPTH {
-                        return Err(wrong(&format!("elements are nested deeper than {MAX_DEPTH}")));
+                        return Err(wrong(&format!(
+                            "elements are nested deeper than {MAX_DEPTH}"
+                        )));
                     }
-                    open.push(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?);
+                    open.push(
+                        Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?,
+                    );
                     None
                 }
-                Event::Empty(tag) => Some(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?),
+                Event::Empty(tag) => {
+                    Some(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?)
+                }
                 Event::End(_) => open.pop(),
                 Event::DocType(_) => return Err(wrong("there is a document type declaration")),
                 Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
                 Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) => {
-                    let around = open.last_mut().ok_or_else(|| wrong("there is text outside of the root element"))?;
+                    let around = open
+                        .last_mut()
+                        .ok_or_else(|| wrong("there is text outside of the root element"))?;
                     around.has_text = true;
                     None
                 }
-                Event::Eof if !open.is_empty() => return Err(wrong("the text ends within an element")),
+                Event::Eof if !open.is_empty() => {
+                    return Err(wrong("the text ends within an element"));
+                }
                 Event::Eof => {
                     let found = found.ok_or_else(|| wrong("there is no element"))?;
-                    let expected = || syntax(found.line, format!("the root is `{}`, expected `{root}`", found.name));
-                    return if found.name == root { Ok(found) } else { Err(expected()) };
+                    let expected = || {
+                        syntax(
+                            found.line,
+                            format!("the root is `{}`, expected `{root}`", found.name),
+                        )
+                    };
+                    return if found.name == root {
+                        Ok(found)
+                    } else {
+                        Err(expected())
+                    };
                 }
                 Event::Decl(_) | Event::Comment(_) | Event::PI(_) => None,
             };
@@ -101,8 +131,13 @@ impl SourceElement {
         }
     }
 
-    fn from_tag(tag: &BytesStart<'_>, line: u32, path: &Arc<Path>) -> std::result::Result<Self, String> {
-        let too_long = || format!("a name or an attribute has more than {MAX_ATTRIBUTE_BYTES} bytes");
+    fn from_tag(
+        tag: &BytesStart<'_>,
+        line: u32,
+        path: &Arc<Path>,
+    ) -> std::result::Result<Self, String> {
+        let too_long =
+            || format!("a name or an attribute has more than {MAX_ATTRIBUTE_BYTES} bytes");
         if tag.name().as_ref().len() > MAX_ATTRIBUTE_BYTES {
             return Err(too_long());
         }
@@ -112,14 +147,18 @@ impl SourceElement {
             let attribute = attribute.map_err(|error| error.to_string())?;
             // The parser compares each attribute with all before it.
             if index >= MAX_ATTRIBUTES {
-                return Err(format!("an element has more than {MAX_ATTRIBUTES} attributes"));
+                return Err(format!(
+                    "an element has more than {MAX_ATTRIBUTES} attributes"
+                ));
             }
             if attribute.key.as_ref().len().max(attribute.value.len()) > MAX_ATTRIBUTE_BYTES {
                 return Err(too_long());
             }
             let key = String::from_utf8_lossy(attribute.key.as_ref()).into_owned();
             let value = attribute.normalized_value(XmlVersion::Implicit1_0);
-            let value = value.map_err(|error| format!("attribute `{key}`: {error}"))?.into_owned();
+            let value = value
+                .map_err(|error| format!("attribute `{key}`: {error}"))?
+                .into_owned();
             if !key.starts_with("xmlns") && !key.starts_with("xsi:") {
                 attributes.push((key, value));
             }
@@ -135,15 +174,30 @@ impl SourceElement {
     }
 
     pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
-        let [element, reason] = [&self.name, &reason.into()].map(|text| shorten_message(text).into_owned());
-        ScenarioImportError::Refused { path: self.path.to_path_buf(), line: self.line, element, reason }
+        let [element, reason] =
+            [&self.name, &reason.into()].map(|text| shorten_message(text).into_owned());
+        ScenarioImportError::Refused {
+            path: self.path.to_path_buf(),
+            line: self.line,
+            element,
+            reason,
+        }
     }
 
     /// Returns the number of elements and attributes, this element included, and the bytes of the attributes.
     pub(super) fn size(&self) -> (usize, usize) {
-        let own_bytes: usize = self.attributes.iter().map(|(name, value)| name.len() + value.len()).sum();
+        let own_bytes: usize = self
+            .attributes
+            .iter()
+            .map(|(name, value)| name.len() + value.len())
+            .sum();
         let own = (1 + self.attributes.len(), own_bytes);
-        self.children.iter().map(Self::size).fold(own, |(items, bytes), (more, others)| (items + more, bytes + others))
+        self.children
+            .iter()
+            .map(Self::size)
+            .fold(own, |(items, bytes), (more, others)| {
+                (items + more, bytes + others)
+            })
     }
 
     pub(super) fn children(&self) -> &[Self] {
@@ -187,7 +241,10 @@ impl<'a> Node<'a> {
     }
 
     pub(super) fn children(self) -> impl Iterator<Item = Node<'a>> {
-        self.element.children.iter().map(move |element| Node { element, ..self })
+        self.element
+            .children
+            .iter()
+            .map(move |element| Node { element, ..self })
     }
 
     pub(super) fn named(self, name: &str) -> impl Iterator<Item = Node<'a>> {
@@ -196,13 +253,25 @@ impl<'a> Node<'a> {
 
     /// Refuses the first child or attribute that is not listed, and text.
     pub(super) fn only(self, children: &[&str], attributes: &[&str]) -> Result<()> {
-        if let Some(child) = self.children().find(|child| !children.contains(&child.name())) {
+        if let Some(child) = self
+            .children()
+            .find(|child| !children.contains(&child.name()))
+        {
             return Err(child.refuse(format!("is not supported in `{}`", self.name())));
         }
-        if let Some((name, _)) = self.element.attributes.iter().find(|(name, _)| !attributes.contains(&name.as_str())) {
+        if let Some((name, _)) = self
+            .element
+            .attributes
+            .iter()
+            .find(|(name, _)| !attributes.contains(&name.as_str()))
+        {
             return Err(self.refuse(format!("the attribute `{name}` is not supported")));
         }
-        if self.element.has_text { Err(self.refuse("text is not supported")) } else { Ok(()) }
+        if self.element.has_text {
+            Err(self.refuse("text is not supported"))
+        } else {
+            Ok(())
+        }
     }
 
     pub(super) fn optional(self, name: &'a str) -> Option<Node<'a>> {
@@ -210,7 +279,8 @@ impl<'a> Node<'a> {
     }
 
     pub(super) fn child(self, name: &'a str) -> Result<Node<'a>> {
-        self.optional(name).ok_or_else(|| self.refuse(format!("has no `{name}`")))
+        self.optional(name)
+            .ok_or_else(|| self.refuse(format!("has no `{name}`")))
     }
 
     /// Returns the only child.
@@ -219,40 +289,56 @@ impl<'a> Node<'a> {
         match (children.next(), children.next()) {
             (Some(child), None) => Ok(child),
             (None, _) => Err(self.refuse("is empty")),
-            (_, Some(second)) => Err(second.refuse(format!("is a second element in `{}`", self.name()))),
+            (_, Some(second)) => {
+                Err(second.refuse(format!("is a second element in `{}`", self.name())))
+            }
         }
     }
 
     /// Returns an attribute as written.
     pub(super) fn raw(self, name: &str) -> Option<&'a str> {
-        self.element.attributes.iter().find(|(other, _)| other == name).map(|(_, value)| value.as_str())
+        self.element
+            .attributes
+            .iter()
+            .find(|(other, _)| other == name)
+            .map(|(_, value)| value.as_str())
     }
 
     pub(super) fn optional_text(self, name: &str) -> Result<Option<String>> {
-        let value = |raw| self.parameters.resolve(raw).map_err(|why| self.refuse(format!("attribute `{name}`: {why}")));
+        let value = |raw| {
+            self.parameters
+                .resolve(raw)
+                .map_err(|why| self.refuse(format!("attribute `{name}`: {why}")))
+        };
         self.raw(name).map(value).transpose()
     }
 
     pub(super) fn text(self, name: &str) -> Result<String> {
-        self.optional_text(name)?.ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
+        self.optional_text(name)?
+            .ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
     }
 
     pub(super) fn optional_number(self, name: &str) -> Result<Option<f64>> {
         let parse = |text: String| match text.trim().parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(self.refuse(format!("attribute `{name}`: `{text}` is not a finite number"))),
+            _ => Err(self.refuse(format!(
+                "attribute `{name}`: `{text}` is not a finite number"
+            ))),
         };
         self.optional_text(name)?.map(parse).transpose()
     }
 
     pub(super) fn number(self, name: &str) -> Result<f64> {
-        self.optional_number(name)?.ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
+        self.optional_number(name)?
+            .ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
     }
 
     pub(super) fn non_negative(self, name: &str) -> Result<f64> {
         match self.number(name)? {
             value if value >= 0.0 => Ok(value),
-            value => Err(self.refuse(format!("attribute `{name}`: must not be negative, found {value}"))),
+            value => Err(self.refuse(format!(
+                "attribute `{name}`: must not be negative, found {value}"
+            ))),
         }
     }
 
@@ -261,16 +347,19 @@ impl<'a> Node<'a> {
             None => Ok(default),
             Some("true" | "1") => Ok(true),
             Some("false" | "0") => Ok(false),
-            Some(other) => Err(self.refuse(format!("attribute `{name}`: `{other}` is not true or false"))),
+            Some(other) => Err(self.refuse(format!(
+                "attribute `{name}`: `{other}` is not true or false"
+            ))),
         }
     }
 
     /// Refuses any value of an attribute but the expected ones; a missing attribute is accepted.
     pub(super) fn expect(self, name: &str, expected: &[&str]) -> Result<()> {
         match self.optional_text(name)? {
-            Some(found) if !expected.contains(&found.as_str()) => {
-                Err(self.refuse(format!("`{name}` = `{found}` is not supported, only {}", expected.join(", "))))
-            }
+            Some(found) if !expected.contains(&found.as_str()) => Err(self.refuse(format!(
+                "`{name}` = `{found}` is not supported, only {}",
+                expected.join(", ")
+            ))),
             _ => Ok(()),
         }
     }

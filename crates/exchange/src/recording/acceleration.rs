@@ -16,11 +16,24 @@ pub(super) struct AccelerationCheck {
 
 impl AccelerationCheck {
     /// Returns the check of a speed whose acceleration the map names.
-    pub(super) fn find(names: &CsvRow<'_>, speed: &SpeedSpec) -> Result<Option<Self>, RecordingError> {
-        let Some(acceleration) = &speed.acceleration else { return Ok(None) };
-        let column = CsvColumn::find(names, &acceleration.column, AccelerationUnit::of_column(acceleration.unit))?;
+    pub(super) fn find(
+        names: &CsvRow<'_>,
+        speed: &SpeedSpec,
+    ) -> Result<Option<Self>, RecordingError> {
+        let Some(acceleration) = &speed.acceleration else {
+            return Ok(None);
+        };
+        let column = CsvColumn::find(
+            names,
+            &acceleration.column,
+            AccelerationUnit::of_column(acceleration.unit),
+        )?;
         let series = Series::new(column, ColumnQuantity::Signed);
-        Ok(Some(Self { series, comparison: Comparison::of_speeds(), speed: speed.column.clone() }))
+        Ok(Some(Self {
+            series,
+            comparison: Comparison::of_speeds(),
+            speed: speed.column.clone(),
+        }))
     }
 
     /// Ends the current comparison, for another vehicle.
@@ -28,8 +41,14 @@ impl AccelerationCheck {
         self.comparison.restart();
     }
 
-    pub(super) fn add(&mut self, at: (f64, u64), speed_mps: Option<f64>, acceleration_mps2: Option<f64>) {
-        self.comparison.add(at, speed_mps, acceleration_mps2.map(|mps2| [mps2, 0.0]));
+    pub(super) fn add(
+        &mut self,
+        at: (f64, u64),
+        speed_mps: Option<f64>,
+        acceleration_mps2: Option<f64>,
+    ) {
+        self.comparison
+            .add(at, speed_mps, acceleration_mps2.map(|mps2| [mps2, 0.0]));
     }
 
     /// Checks what was added, and forgets it.
@@ -39,12 +58,20 @@ impl AccelerationCheck {
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<(), RecordingError> {
         let (column, terms) = (&self.series.column, [false, true, false]);
-        let sign = Hypothesis { factors: [1.0, -1.0, 1.0], reason: format!("{} has the opposite sign", column.name) };
+        let sign = Hypothesis {
+            factors: [1.0, -1.0, 1.0],
+            reason: format!("{} has the opposite sign", column.name),
+        };
         let units = Hypothesis::units(&column.name, (AccelerationUnit::ALL, column.factor), terms);
         let hypotheses: Vec<_> = std::iter::once(sign).chain(units).collect();
         let change = format!("the change of {}", self.speed);
         let comparison = std::mem::replace(&mut self.comparison, Comparison::of_speeds());
-        comparison.check(table, &column.name, [&change, &column.name], (&hypotheses, dropped))?;
+        comparison.check(
+            table,
+            &column.name,
+            [&change, &column.name],
+            (&hypotheses, dropped),
+        )?;
         Ok(())
     }
 }

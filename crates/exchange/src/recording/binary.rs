@@ -55,11 +55,18 @@ impl RecordingFile {
     pub(super) fn open(path: &Path, progress: Option<&ReadProgress>) -> io::Result<Self> {
         let file = crumple_core::regular_file::open(path)?;
         let length = file.metadata()?.len();
-        Ok(Self { file, length, read: 0, progress: progress.cloned() })
+        Ok(Self {
+            file,
+            length,
+            read: 0,
+            progress: progress.cloned(),
+        })
     }
 
     fn report(&self, read: u64) {
-        self.progress.iter().for_each(|report| report(read.min(self.length), self.length));
+        self.progress
+            .iter()
+            .for_each(|report| report(read.min(self.length), self.length));
     }
 }
 
@@ -86,7 +93,9 @@ impl BinaryFormat {
         } else if start.starts_with(b"MDF     ") || start.starts_with(b"UnFinMF ") {
             Some(Self::Mdf)
         } else {
-            let found = OTHER_FORMATS.iter().find(|(first, _)| start.starts_with(first));
+            let found = OTHER_FORMATS
+                .iter()
+                .find(|(first, _)| start.starts_with(first));
             found.map(|(_, name)| Self::Other(name))
         }
     }
@@ -95,10 +104,16 @@ impl BinaryFormat {
 /// Returns the names of the columns or signals of a file, and whether it can state units. The clocks of an MDF file are
 /// `time`.
 pub(super) fn column_names(path: &Path) -> Result<(Vec<String>, bool), RecordingError> {
-    let error = |source| RecordingError::Read { path: path.to_owned(), source };
+    let error = |source| RecordingError::Read {
+        path: path.to_owned(),
+        source,
+    };
     let open_file = || RecordingFile::open(path, None).map_err(error);
     let mut start = Vec::new();
-    open_file()?.take(START_BYTES).read_to_end(&mut start).map_err(error)?;
+    open_file()?
+        .take(START_BYTES)
+        .read_to_end(&mut start)
+        .map_err(error)?;
     let mut rows = match BinaryFormat::detect(&start) {
         #[cfg(feature = "mdf")]
         Some(BinaryFormat::Mdf) => {
@@ -108,13 +123,18 @@ pub(super) fn column_names(path: &Path) -> Result<(Vec<String>, bool), Recording
                 false
             };
             let read = super::mdf::SignalSet::read(open_file()?, None, &collect);
-            read.map_err(|problem| RecordingError::Binary { path: path.to_owned(), problem: problem.into() })?;
+            read.map_err(|problem| RecordingError::Binary {
+                path: path.to_owned(),
+                problem: problem.into(),
+            })?;
             return Ok((names.into_inner(), true));
         }
         Some(format) => open(format, Input::File(open_file()?), path, None)?,
         None => RowReader::new(open_file()?, path, None)?,
     };
-    let names = rows.next_header()?.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })?;
+    let names = rows.next_header()?.ok_or_else(|| RecordingError::Empty {
+        path: path.to_owned(),
+    })?;
     Ok((names.fields.iter().map(str::to_owned).collect(), false))
 }
 
@@ -130,7 +150,10 @@ pub(super) fn open<'a>(
         BinaryFormat::Mdf => open_mdf(input, path, map),
         BinaryFormat::Other(format) => Err(BinaryProblem::UnknownFormat { format }),
     };
-    opened.map_err(|problem| RecordingError::Binary { path: path.to_owned(), problem })
+    opened.map_err(|problem| RecordingError::Binary {
+        path: path.to_owned(),
+        problem,
+    })
 }
 
 #[cfg(feature = "parquet")]
@@ -143,16 +166,31 @@ fn open_parquet<'a>(
         Input::File(file) => super::parquet::open(file, map)?,
         Input::Bytes(bytes) => super::parquet::open(std::io::Cursor::new(bytes), map)?,
     };
-    Ok(RowReader::from_binary(Box::new(rows), (names, Fields::default()), path))
+    Ok(RowReader::from_binary(
+        Box::new(rows),
+        (names, Fields::default()),
+        path,
+    ))
 }
 
 #[cfg(not(feature = "parquet"))]
-fn open_parquet<'a>(_: Input, _: &'a Path, _: Option<&RecordingMapSpec>) -> Result<RowReader<'a>, BinaryProblem> {
-    Err(BinaryProblem::NeedsFeature { format: "a Parquet file", feature: "parquet" })
+fn open_parquet<'a>(
+    _: Input,
+    _: &'a Path,
+    _: Option<&RecordingMapSpec>,
+) -> Result<RowReader<'a>, BinaryProblem> {
+    Err(BinaryProblem::NeedsFeature {
+        format: "a Parquet file",
+        feature: "parquet",
+    })
 }
 
 #[cfg(feature = "mdf")]
-fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) -> Result<RowReader<'a>, BinaryProblem> {
+fn open_mdf<'a>(
+    input: Input,
+    path: &'a Path,
+    map: Option<&RecordingMapSpec>,
+) -> Result<RowReader<'a>, BinaryProblem> {
     use super::mdf::{DbcFile, SignalStream, SignalUse};
     let map = map.ok_or(BinaryProblem::NeedsMap)?;
     let known = std::cell::RefCell::new(Vec::new());
@@ -161,13 +199,19 @@ fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) ->
             known.borrow_mut().push(name.to_owned());
         }
         let role = map.column_role(name).filter(|role| !role.is_clock)?;
-        Some(if role.is_id { SignalUse::Id } else { SignalUse::Number })
+        Some(if role.is_id {
+            SignalUse::Id
+        } else {
+            SignalUse::Number
+        })
     };
     let dbc = map.dbc.as_deref().map(DbcFile::load).transpose()?;
     let dbc = dbc.map(|dbc| dbc.with_frames_of(map)).transpose()?;
     let signals = match input {
         Input::File(file) => SignalStream::open(file, dbc.as_ref(), &wanted),
-        Input::Bytes(bytes) => SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted),
+        Input::Bytes(bytes) => {
+            SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted)
+        }
     }?;
     let (rows, names, units) = super::signal_rows::ResampledSignals::new(signals, map);
     check_columns(map, &names, &known.into_inner())?;
@@ -176,22 +220,55 @@ fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) ->
 
 /// Checks that a file has the columns of a map, beside numbered ones.
 #[cfg(any(feature = "mdf", feature = "parquet"))]
-pub(super) fn check_columns(map: &RecordingMapSpec, names: &Fields, known: &[String]) -> Result<(), BinaryProblem> {
-    let is_missing = |column: &str| !column.contains("{}") && !names.iter().any(|name| is_same_name(name, column));
-    match map.columns().into_iter().find(|(_, column)| is_missing(column)) {
+pub(super) fn check_columns(
+    map: &RecordingMapSpec,
+    names: &Fields,
+    known: &[String],
+) -> Result<(), BinaryProblem> {
+    let is_missing = |column: &str| {
+        !column.contains("{}") && !names.iter().any(|name| is_same_name(name, column))
+    };
+    match map
+        .columns()
+        .into_iter()
+        .find(|(_, column)| is_missing(column))
+    {
         Some((_, column)) => {
-            let more = if known.len() < MAX_LISTED { "" } else { ", ..." };
-            let known: Vec<_> = known.iter().take(MAX_LISTED).map(|name| super::table::excerpt(name)).collect();
-            let has_frames = map.dbc.is_none() && known.iter().any(|name| name.starts_with("CAN_DataFrame"));
-            let hint = if has_frames { "; raw CAN frames need `dbc = \"FILE.dbc\"` in the map" } else { "" };
+            let more = if known.len() < MAX_LISTED {
+                ""
+            } else {
+                ", ..."
+            };
+            let known: Vec<_> = known
+                .iter()
+                .take(MAX_LISTED)
+                .map(|name| super::table::excerpt(name))
+                .collect();
+            let has_frames =
+                map.dbc.is_none() && known.iter().any(|name| name.starts_with("CAN_DataFrame"));
+            let hint = if has_frames {
+                "; raw CAN frames need `dbc = \"FILE.dbc\"` in the map"
+            } else {
+                ""
+            };
             let known = format!("{}{more}{hint}", known.join(", "));
-            Err(BinaryProblem::MissingColumn { column: column.to_owned(), known })
+            Err(BinaryProblem::MissingColumn {
+                column: column.to_owned(),
+                known,
+            })
         }
         None => Ok(()),
     }
 }
 
 #[cfg(not(feature = "mdf"))]
-fn open_mdf<'a>(_: Input, _: &'a Path, _: Option<&RecordingMapSpec>) -> Result<RowReader<'a>, BinaryProblem> {
-    Err(BinaryProblem::NeedsFeature { format: "an MDF file", feature: "mdf" })
+fn open_mdf<'a>(
+    _: Input,
+    _: &'a Path,
+    _: Option<&RecordingMapSpec>,
+) -> Result<RowReader<'a>, BinaryProblem> {
+    Err(BinaryProblem::NeedsFeature {
+        format: "an MDF file",
+        feature: "mdf",
+    })
 }

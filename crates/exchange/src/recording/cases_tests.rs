@@ -6,20 +6,40 @@ use super::map::RecordingMap;
 use super::*;
 
 fn case(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../corpora/recordings/cases").join(file)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../corpora/recordings/cases")
+        .join(file)
 }
 
 fn load_case(file: &str, map: &str) -> Result<Recording, RecordingError> {
-    load(&case(file), Some(&RecordingMap::load(&case(map)).expect("a map")))
+    load(
+        &case(file),
+        Some(&RecordingMap::load(&case(map)).expect("a map")),
+    )
 }
 
 /// Returns numbers of the vehicles and gaps ahead in metres, of the episode with most vehicles.
 fn longest_line(file: &str, map: &str) -> (Vec<usize>, Vec<f64>) {
     let recording = load_case(file, map).expect("readable");
     let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let longest = found.iter().max_by_key(|episode| episode.vehicles.len()).expect("an episode");
-    let numbers = longest.vehicles.iter().map(|vehicle| vehicle.number).collect();
-    (numbers, longest.vehicles.iter().skip(1).map(|vehicle| vehicle.gap_ahead_m).collect())
+    let longest = found
+        .iter()
+        .max_by_key(|episode| episode.vehicles.len())
+        .expect("an episode");
+    let numbers = longest
+        .vehicles
+        .iter()
+        .map(|vehicle| vehicle.number)
+        .collect();
+    (
+        numbers,
+        longest
+            .vehicles
+            .iter()
+            .skip(1)
+            .map(|vehicle| vehicle.gap_ahead_m)
+            .collect(),
+    )
 }
 
 #[test]
@@ -33,7 +53,10 @@ fn vehicles_follow_those_ahead_of_them() {
     ] {
         let (found, found_m) = longest_line(file, map);
         assert_eq!(found, vehicles, "{file}: {found_m:?}");
-        let errors_m = found_m.iter().zip(gaps_m).map(|(found, right)| (found - right).abs());
+        let errors_m = found_m
+            .iter()
+            .zip(gaps_m)
+            .map(|(found, right)| (found - right).abs());
         assert!(errors_m.fold(0.0, f64::max) < 0.05, "{file}: {found_m:?}");
     }
 }
@@ -41,10 +64,24 @@ fn vehicles_follow_those_ahead_of_them() {
 #[test]
 fn columns_that_contradict_each_other_stop_the_import() {
     for (file, map, parts) in [
-        ("n_basic.csv", "ng_wrong.toml", ["v_Vel looks like ft/s: ratio 3.28", "13.2 m/s", "43.5 m/s"]),
-        ("p_base.csv", "sign.toml", ["relative_speed_mps has the opposite sign", "m/s here", "correct the map"]),
+        (
+            "n_basic.csv",
+            "ng_wrong.toml",
+            ["v_Vel looks like ft/s: ratio 3.28", "13.2 m/s", "43.5 m/s"],
+        ),
+        (
+            "p_base.csv",
+            "sign.toml",
+            [
+                "relative_speed_mps has the opposite sign",
+                "m/s here",
+                "correct the map",
+            ],
+        ),
     ] {
-        let message = load_case(file, map).expect_err("must be refused").to_string();
+        let message = load_case(file, map)
+            .expect_err("must be refused")
+            .to_string();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
 }
@@ -65,12 +102,20 @@ fn accelerations_that_contradict_the_speeds_stop_the_import() {
         let mut text = "t,gap,v,lead,a\n".to_owned();
         for tenth in 0..600 {
             let at_s = f64::from(tenth) / 10.0;
-            let (speed_mps, acceleration_mps2) = (20.0 + 4.0 * (0.4 * at_s).sin(), 1.6 * (0.4 * at_s).cos());
-            text += &format!("{at_s},30,{speed_mps},{speed_mps},{}\n", factor * acceleration_mps2 + offset);
+            let (speed_mps, acceleration_mps2) =
+                (20.0 + 4.0 * (0.4 * at_s).sin(), 1.6 * (0.4 * at_s).cos());
+            text += &format!(
+                "{at_s},30,{speed_mps},{speed_mps},{}\n",
+                factor * acceleration_mps2 + offset
+            );
         }
         read(text.as_bytes(), Path::new("a.csv"), Some(&map(unit)))
     };
-    for (factor, unit) in [(1.0, "m/s2"), (1.0 / 0.3048, "ft/s2"), (1.0 / 9.806_65, "g")] {
+    for (factor, unit) in [
+        (1.0, "m/s2"),
+        (1.0 / 0.3048, "ft/s2"),
+        (1.0 / 9.806_65, "g"),
+    ] {
         let recording = read_with(factor, 0.0, unit).expect("readable");
         assert!(recording.dropped.is_empty(), "{:?}", recording.dropped);
     }
@@ -79,16 +124,27 @@ fn accelerations_that_contradict_the_speeds_stop_the_import() {
         (1.0 / 9.806_65, "m/s2", "a looks like g: ratio 0.10"),
         (1.0 / 0.3048, "m/s2", "a looks like ft/s2: ratio 3.28"),
     ] {
-        let message = read_with(factor, 0.0, unit).expect_err("must be refused").to_string();
-        assert!(message.contains(reason) && message.contains("m/s² here"), "{message}");
+        let message = read_with(factor, 0.0, unit)
+            .expect_err("must be refused")
+            .to_string();
+        assert!(
+            message.contains(reason) && message.contains("m/s² here"),
+            "{message}"
+        );
     }
     let dropped = read_with(1.0, 2.0, "m/s2").expect("readable").dropped;
-    assert!(dropped.len() == 1 && dropped[0].to_string().contains("an offset of -2.0 m/s²"), "{dropped:?}");
+    assert!(
+        dropped.len() == 1 && dropped[0].to_string().contains("an offset of -2.0 m/s²"),
+        "{dropped:?}"
+    );
 }
 
 /// Returns a recording of a drive: the gap ahead with noise, the gap behind, and both closing speeds.
 fn two_gaps(noise_m: f64, resolution_m: f64) -> String {
-    let (mut text, mut gaps_m) = ("t,front,rear,front_closing,rear_closing,v\n".to_owned(), [40.0, 25.0]);
+    let (mut text, mut gaps_m) = (
+        "t,front,rear,front_closing,rear_closing,v\n".to_owned(),
+        [40.0, 25.0],
+    );
     let mut random = 1_u64;
     for tenth in 0..1200 {
         let at_s = f64::from(tenth) / 10.0;
@@ -97,15 +153,22 @@ fn two_gaps(noise_m: f64, resolution_m: f64) -> String {
         // A sum of uniform numbers is nearly normal.
         let mut noise = || {
             let mut uniform = || {
-                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
                 (random >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
             };
             noise_m * (0..12).map(|_| uniform()).sum::<f64>()
         };
         let shown = gaps_m.map(|gap_m| ((gap_m + noise()) / resolution_m).round() * resolution_m);
-        text += &format!("{at_s},{},{},{},{},20\n", shown[0], shown[1], rates_mps[0], rates_mps[1]);
+        text += &format!(
+            "{at_s},{},{},{},{},20\n",
+            shown[0], shown[1], rates_mps[0], rates_mps[1]
+        );
         let next_mps = speeds(at_s + 0.1);
-        for (gap_m, (rate_mps, next_mps)) in gaps_m.iter_mut().zip(rates_mps.into_iter().zip(next_mps)) {
+        for (gap_m, (rate_mps, next_mps)) in
+            gaps_m.iter_mut().zip(rates_mps.into_iter().zip(next_mps))
+        {
             *gap_m += 0.05 * (rate_mps + next_mps);
         }
     }
@@ -120,25 +183,44 @@ fn contradictions(text: &str, gap: &str, closing: &str) -> Vec<String> {
     );
     let map = RecordingMap::from_toml(&map, Path::new("a.toml")).expect("a map");
     let recording = read(text.as_bytes(), Path::new("a.csv"), Some(&map)).expect("readable");
-    let dropped = recording.dropped.iter().filter(|one| matches!(one.omission, Omission::ColumnsContradict(_)));
+    let dropped = recording
+        .dropped
+        .iter()
+        .filter(|one| matches!(one.omission, Omission::ColumnsContradict(_)));
     dropped.map(ToString::to_string).collect()
 }
 
 /// The rear gap with the closing speed ahead is wrong by about 1 m/s; noise of a gap is no contradiction.
 #[test]
 fn columns_of_different_vehicles_are_reported_and_noise_is_not() {
-    for (noise_m, resolution_m) in
-        [(0.0, 1e-3), (0.1, 1e-3), (0.3, 1e-3), (0.5, 1e-3), (1.0, 1e-3), (0.0, 1.0), (0.1, 0.5)]
-    {
+    for (noise_m, resolution_m) in [
+        (0.0, 1e-3),
+        (0.1, 1e-3),
+        (0.3, 1e-3),
+        (0.5, 1e-3),
+        (1.0, 1e-3),
+        (0.0, 1.0),
+        (0.1, 0.5),
+    ] {
         let text = two_gaps(noise_m, resolution_m);
         for (gap, closing) in [("front", "front_closing"), ("rear", "rear_closing")] {
-            assert_eq!(contradictions(&text, gap, closing), Vec::<String>::new(), "{noise_m} {resolution_m} {gap}");
+            assert_eq!(
+                contradictions(&text, gap, closing),
+                Vec::<String>::new(),
+                "{noise_m} {resolution_m} {gap}"
+            );
         }
         for (gap, closing) in [("rear", "front_closing"), ("front", "rear_closing")] {
             let found = contradictions(&text, gap, closing);
             let expected = format!("the change of {gap} is");
-            assert!(found.len() == 1 && found[0].contains(&expected), "{noise_m} {resolution_m} {gap}: {found:?}");
-            assert!(found[0].ends_with("no other unit or sign explains this"), "{found:?}");
+            assert!(
+                found.len() == 1 && found[0].contains(&expected),
+                "{noise_m} {resolution_m} {gap}: {found:?}"
+            );
+            assert!(
+                found[0].ends_with("no other unit or sign explains this"),
+                "{found:?}"
+            );
         }
     }
 }

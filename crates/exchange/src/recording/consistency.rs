@@ -62,9 +62,17 @@ pub struct ColumnContradiction {
 
 impl fmt::Display for ColumnContradiction {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { columns: [first, second], rates, unit, reason } = self;
+        let Self {
+            columns: [first, second],
+            rates,
+            unit,
+            reason,
+        } = self;
         let [first_rate, second_rate] = rates.map(|rate| format_fixed(rate, 1));
-        write!(out, "{first} is {first_rate} {unit} here, but {second} is {second_rate} {unit}")?;
+        write!(
+            out,
+            "{first} is {first_rate} {unit} here, but {second} is {second_rate} {unit}"
+        )?;
         match reason {
             Some(reason) => write!(out, ": {reason}"),
             None => out.write_str(", and no other unit or sign explains this"),
@@ -86,11 +94,17 @@ impl Hypothesis {
         (units, given): (&'a [(&'static str, f64)], f64),
         terms: [bool; 3],
     ) -> impl Iterator<Item = Self> + 'a {
-        units.iter().filter(move |(_, factor)| *factor != given).map(move |(name, factor)| {
-            let change = factor / given;
-            let factors = terms.map(|is_scaled| if is_scaled { change } else { 1.0 });
-            Self { factors, reason: format!("{column} looks like {name}: ratio {:.2}", 1.0 / change) }
-        })
+        units
+            .iter()
+            .filter(move |(_, factor)| *factor != given)
+            .map(move |(name, factor)| {
+                let change = factor / given;
+                let factors = terms.map(|is_scaled| if is_scaled { change } else { 1.0 });
+                Self {
+                    factors,
+                    reason: format!("{column} looks like {name}: ratio {:.2}", 1.0 / change),
+                }
+            })
     }
 
     /// Returns a hypothesis for each other unit of both speeds, or of either.
@@ -99,9 +113,11 @@ impl Hypothesis {
         difference: &'a str,
     ) -> impl Iterator<Item = Self> + 'a {
         let units = |column, given, terms| Self::units(column, (SpeedUnit::ALL, given), terms);
-        let both = units(difference, leader_unit, [false, true, true]).filter(move |_| leader_unit == follower_unit);
+        let both = units(difference, leader_unit, [false, true, true])
+            .filter(move |_| leader_unit == follower_unit);
         let each = units(leader, leader_unit, [false, true, false]);
-        both.chain(each).chain(units(follower, follower_unit, [false, false, true]))
+        both.chain(each)
+            .chain(units(follower, follower_unit, [false, false, true]))
     }
 
     /// Returns a hypothesis for each other unit of the time, or rate of frames.
@@ -130,7 +146,8 @@ struct Window {
 
 impl Window {
     fn rates(&self, factors: [f64; 3]) -> [f64; 2] {
-        let [level, first, second] = [0, 1, 2].map(|index| factors[index] * self.terms[index] / self.seconds);
+        let [level, first, second] =
+            [0, 1, 2].map(|index| factors[index] * self.terms[index] / self.seconds);
         [level, first + second]
     }
 
@@ -142,7 +159,12 @@ impl Window {
     /// Returns this window and the next one as one window.
     fn join(self, next: &Self) -> Self {
         let terms = [0, 1, 2].map(|index| self.terms[index] + next.terms[index]);
-        Self { terms, seconds: self.seconds + next.seconds, to_s: next.to_s, ..self }
+        Self {
+            terms,
+            seconds: self.seconds + next.seconds,
+            to_s: next.to_s,
+            ..self
+        }
     }
 }
 
@@ -169,12 +191,18 @@ struct Sample {
 
 impl Comparison {
     pub(super) fn undirected() -> Self {
-        Self { is_undirected: true, ..Self::default() }
+        Self {
+            is_undirected: true,
+            ..Self::default()
+        }
     }
 
     /// Compares speeds, as levels, with accelerations.
     pub(super) fn of_speeds() -> Self {
-        Self { is_of_speeds: true, ..Self::default() }
+        Self {
+            is_of_speeds: true,
+            ..Self::default()
+        }
     }
 
     /// Ends the current window, for another vehicle.
@@ -183,15 +211,32 @@ impl Comparison {
     }
 
     /// Adds a row; unknown values end the window.
-    pub(super) fn add(&mut self, (time_s, line): (f64, u64), level_m: Option<f64>, rates_mps: Option<[f64; 2]>) {
-        let Some((level_m, rates_mps)) = level_m.zip(rates_mps) else { return self.restart() };
-        let sample = Sample { time_s, line, level_m, rates_mps };
+    pub(super) fn add(
+        &mut self,
+        (time_s, line): (f64, u64),
+        level_m: Option<f64>,
+        rates_mps: Option<[f64; 2]>,
+    ) {
+        let Some((level_m, rates_mps)) = level_m.zip(rates_mps) else {
+            return self.restart();
+        };
+        let sample = Sample {
+            time_s,
+            line,
+            level_m,
+            rates_mps,
+        };
         let Some((first, last, rows)) = self.current else {
             (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
             return;
         };
         let step_s = time_s - last.time_s;
-        for ((integral, before), after) in self.integrals_m.iter_mut().zip(last.rates_mps).zip(rates_mps) {
+        for ((integral, before), after) in self
+            .integrals_m
+            .iter_mut()
+            .zip(last.rates_mps)
+            .zip(rates_mps)
+        {
             *integral += 0.5 * (before + after) * step_s;
         }
         self.current = Some((first, sample, rows + 1));
@@ -201,17 +246,33 @@ impl Comparison {
         }
         if seconds > 0.0 {
             let change_m = level_m - first.level_m;
-            let change_m = if self.is_undirected { change_m.abs() } else { change_m };
+            let change_m = if self.is_undirected {
+                change_m.abs()
+            } else {
+                change_m
+            };
             let [a, b] = self.integrals_m;
             let (from_s, to_s) = (first.time_s, time_s);
-            self.windows.push(Window { terms: [change_m, a, b], seconds, from_s, to_s, line: first.line });
+            self.windows.push(Window {
+                terms: [change_m, a, b],
+                seconds,
+                from_s,
+                to_s,
+                line: first.line,
+            });
         }
         (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
     }
 
     /// Adds an instant at which the first rate should be the sum of the others.
     pub(super) fn add_instant(&mut self, (time_s, line): (f64, u64), terms: [f64; 3]) {
-        self.windows.push(Window { terms, seconds: 1.0, from_s: time_s, to_s: time_s, line });
+        self.windows.push(Window {
+            terms,
+            seconds: 1.0,
+            from_s: time_s,
+            to_s: time_s,
+            line,
+        });
     }
 
     /// Returns whether the error lasts longer than noise: the median over times of [`LASTING_S`] in which the columns
@@ -222,14 +283,21 @@ impl Comparison {
             *values.select_nth_unstable_by(middle, f64::total_cmp).1
         };
         let error_mps = |window: &Window| window.difference(GIVEN).abs();
-        let largest_mps = |window: &Window| window.rates(GIVEN).iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+        let largest_mps = |window: &Window| {
+            window
+                .rates(GIVEN)
+                .iter()
+                .fold(0.0, |a: f64, b| a.max(b.abs()))
+        };
         let lasting = self.lasting_windows();
         if lasting.len() < MIN_WINDOWS {
             return None;
         }
         let noise_mps = NOISE_SHARE * median(self.windows.iter().map(error_mps).collect());
         let scale_mps = median(lasting.iter().map(largest_mps).collect());
-        let limit_mps = MAX_LASTING_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps).max(noise_mps);
+        let limit_mps = MAX_LASTING_ERROR_MPS
+            .max(MAX_RELATIVE_ERROR * scale_mps)
+            .max(noise_mps);
         Some(median(lasting.iter().map(error_mps).collect()) > limit_mps)
     }
 
@@ -243,23 +311,37 @@ impl Comparison {
                 open.clear();
             }
             open.iter_mut().for_each(|open| *open = open.join(window));
-            if open.back().is_none_or(|last| window.from_s - last.from_s >= WINDOW_S - 1e-6) {
+            if open
+                .back()
+                .is_none_or(|last| window.from_s - last.from_s >= WINDOW_S - 1e-6)
+            {
                 open.push_back(*window);
             }
-            while let Some(complete) = open.pop_front_if(|first| first.to_s - first.from_s >= LASTING_S - 1e-6) {
+            while let Some(complete) =
+                open.pop_front_if(|first| first.to_s - first.from_s >= LASTING_S - 1e-6)
+            {
                 lasting.push(complete);
             }
         }
-        let tells = |window: &Window| (window.rates(GIVEN)[1] * (window.to_s - window.from_s)).abs() >= MIN_CHANGE_M;
+        let tells = |window: &Window| {
+            (window.rates(GIVEN)[1] * (window.to_s - window.from_s)).abs() >= MIN_CHANGE_M
+        };
         lasting.retain(tells);
         lasting
     }
 
     /// Returns the contradiction, its line, and whether a unit or a sign explains it.
-    fn find(&self, columns: [&str; 2], hypotheses: &[Hypothesis]) -> Option<(ColumnContradiction, u64, bool)> {
+    fn find(
+        &self,
+        columns: [&str; 2],
+        hypotheses: &[Hypothesis],
+    ) -> Option<(ColumnContradiction, u64, bool)> {
         let unit = if self.is_of_speeds { "m/s²" } else { "m/s" };
         let is_telling = |window: &&Window| {
-            window.rates(GIVEN).iter().any(|rate_mps| (rate_mps * window.seconds).abs() >= MIN_CHANGE_M)
+            window
+                .rates(GIVEN)
+                .iter()
+                .any(|rate_mps| (rate_mps * window.seconds).abs() >= MIN_CHANGE_M)
         };
         let windows: Vec<_> = self.windows.iter().filter(is_telling).collect();
         if windows.len() < MIN_WINDOWS {
@@ -272,9 +354,22 @@ impl Comparison {
         };
         let difference = |window: &Window, factors| window.difference(factors);
         let error = |factors| quantile(0.5, &|window| difference(window, factors).abs());
-        let scale =
-            |factors| quantile(0.5, &|window| window.rates(factors).iter().fold(0.0, |a: f64, b| a.max(b.abs())));
-        let ratio = |factors| ratio_interval(self.windows.iter().map(|window| window.rates(factors)).collect());
+        let scale = |factors| {
+            quantile(0.5, &|window| {
+                window
+                    .rates(factors)
+                    .iter()
+                    .fold(0.0, |a: f64, b| a.max(b.abs()))
+            })
+        };
+        let ratio = |factors| {
+            ratio_interval(
+                self.windows
+                    .iter()
+                    .map(|window| window.rates(factors))
+                    .collect(),
+            )
+        };
         let (given_mps, scale_mps) = (error(GIVEN), scale(GIVEN));
         let is_wrong = given_mps > MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps);
         let [low, high] = ratio(GIVEN);
@@ -284,39 +379,81 @@ impl Comparison {
         }
         // Relative errors of the hypotheses that leave only noise.
         let relative = hypotheses.iter().map(|one| {
-            let (error_mps, scale_mps) = (error(one.factors), scale(one.factors).max(f64::MIN_POSITIVE));
+            let (error_mps, scale_mps) = (
+                error(one.factors),
+                scale(one.factors).max(f64::MIN_POSITIVE),
+            );
             let is_noise = error_mps <= MAX_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
-            if is_noise { error_mps / scale_mps } else { f64::INFINITY }
+            if is_noise {
+                error_mps / scale_mps
+            } else {
+                f64::INFINITY
+            }
         });
         let relative: Vec<f64> = relative.collect();
         let best = relative.iter().copied().fold(f64::INFINITY, f64::min);
         let has_better_error = is_wrong && best <= EXPLAINED_SHARE * given_mps / scale_mps;
         let explains = |(one, &error): (&'_ Hypothesis, &f64)| {
             let [low, high] = ratio(one.factors);
-            let has_ratio = low > 1.0 / MIN_RATIO && low < 1.0 + RATIO_TOLERANCE && high > 1.0 - RATIO_TOLERANCE;
-            let is_likely = if has_better_error { error <= best + 0.03 } else { error.is_finite() && has_ratio };
+            let has_ratio = low > 1.0 / MIN_RATIO
+                && low < 1.0 + RATIO_TOLERANCE
+                && high > 1.0 - RATIO_TOLERANCE;
+            let is_likely = if has_better_error {
+                error <= best + 0.03
+            } else {
+                error.is_finite() && has_ratio
+            };
             is_likely.then(|| one.reason.clone())
         };
-        let reasons: Vec<_> = hypotheses.iter().zip(&relative).filter_map(explains).collect();
+        let reasons: Vec<_> = hypotheses
+            .iter()
+            .zip(&relative)
+            .filter_map(explains)
+            .collect();
         let is_explained = !reasons.is_empty();
         let offset_mps = quantile(0.5, &|window| difference(window, GIVEN));
-        let scatter_mps = || quantile(0.5, &|window| (difference(window, GIVEN) - offset_mps).abs());
+        let scatter_mps = || {
+            quantile(0.5, &|window| {
+                (difference(window, GIVEN) - offset_mps).abs()
+            })
+        };
         let reason = if is_explained {
             Some(reasons.join(", or "))
         } else if !is_wrong {
             return None;
         } else if scatter_mps() <= EXPLAINED_SHARE * given_mps {
-            Some(format!("this looks like an offset of {} {unit}", format_fixed(offset_mps, 1)))
-        } else if self.error_lasts().unwrap_or(given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps)) {
+            Some(format!(
+                "this looks like an offset of {} {unit}",
+                format_fixed(offset_mps, 1)
+            ))
+        } else if self
+            .error_lasts()
+            .unwrap_or(given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps))
+        {
             None
         } else {
             return None;
         };
-        let typical_mps = if is_wrong { given_mps } else { quantile(0.9, &|window| difference(window, GIVEN).abs()) };
+        let typical_mps = if is_wrong {
+            given_mps
+        } else {
+            quantile(0.9, &|window| difference(window, GIVEN).abs())
+        };
         let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - typical_mps).abs();
-        let typical = windows.iter().min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+        let typical = windows
+            .iter()
+            .min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
         let (columns, rates) = (columns.map(str::to_owned), typical.rates(GIVEN));
-        Some((ColumnContradiction { columns, rates, unit, reason }, typical.line, is_explained))
+        Some((
+            ColumnContradiction {
+                columns,
+                rates,
+                unit,
+                reason,
+            },
+            typical.line,
+            is_explained,
+        ))
     }
 
     /// Reports a contradiction of two columns, of which `field` is probably wrong. Returns whether they agree.
@@ -330,15 +467,27 @@ impl Comparison {
         columns: [&str; 2],
         (hypotheses, dropped): (&[Hypothesis], &mut Vec<DroppedItem>),
     ) -> Result<bool, RecordingError> {
-        let Some((contradiction, line, is_explained)) = self.find(columns, hypotheses) else { return Ok(true) };
+        let Some((contradiction, line, is_explained)) = self.find(columns, hypotheses) else {
+            return Ok(true);
+        };
         let path = table.path().to_owned();
         if is_explained {
             let column = field.to_owned();
-            let problem =
-                LineProblem::Column { column, problem: ColumnProblem::Contradiction(Box::new(contradiction)) };
-            return Err(RecordingError::Line { path, line, problem });
+            let problem = LineProblem::Column {
+                column,
+                problem: ColumnProblem::Contradiction(Box::new(contradiction)),
+            };
+            return Err(RecordingError::Line {
+                path,
+                line,
+                problem,
+            });
         }
-        dropped.push(DroppedItem { path, line, omission: Omission::ColumnsContradict(contradiction) });
+        dropped.push(DroppedItem {
+            path,
+            line,
+            omission: Omission::ColumnsContradict(contradiction),
+        });
         Ok(false)
     }
 }
@@ -349,10 +498,16 @@ fn ratio_interval(mut rates: Vec<[f64; 2]>) -> [f64; 2] {
     let fit = |rates: &[[f64; 2]]| {
         let count = rates.len() as f64;
         let mean = [0, 1].map(|index| rates.iter().map(|pair| pair[index]).sum::<f64>() / count);
-        let product =
-            |a: usize, b: usize| rates.iter().map(|pair| (pair[a] - mean[a]) * (pair[b] - mean[b])).sum::<f64>();
-        let (slope, correlation) =
-            (product(0, 1) / product(1, 1), product(0, 1).powi(2) / (product(0, 0) * product(1, 1)));
+        let product = |a: usize, b: usize| {
+            rates
+                .iter()
+                .map(|pair| (pair[a] - mean[a]) * (pair[b] - mean[b]))
+                .sum::<f64>()
+        };
+        let (slope, correlation) = (
+            product(0, 1) / product(1, 1),
+            product(0, 1).powi(2) / (product(0, 0) * product(1, 1)),
+        );
         (mean, slope, correlation)
     };
     let (mean, slope, _) = fit(&rates);
@@ -360,7 +515,8 @@ fn ratio_interval(mut rates: Vec<[f64; 2]>) -> [f64; 2] {
     rates.sort_by(|a, b| error(a).total_cmp(&error(b)));
     rates.truncate(rates.len() - rates.len() / 20);
     let (_, slope, correlation) = fit(&rates);
-    let least = 1.0 - RATIO_ERRORS * ((1.0 / correlation - 1.0).max(0.0) / (rates.len() as f64 - 2.0)).sqrt();
+    let least = 1.0
+        - RATIO_ERRORS * ((1.0 / correlation - 1.0).max(0.0) / (rates.len() as f64 - 2.0)).sqrt();
     match slope * least {
         low if least > 0.0 && slope > 0.0 => [low, slope / (correlation * least)],
         high if least > 0.0 => [slope / (correlation * least), high],

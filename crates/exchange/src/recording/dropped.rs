@@ -25,7 +25,12 @@ pub struct DroppedItem {
 
 impl fmt::Display for DroppedItem {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}: {}", format_place(&self.path, self.line), self.omission)
+        write!(
+            out,
+            "{}: {}",
+            format_place(&self.path, self.line),
+            self.omission
+        )
     }
 }
 
@@ -62,8 +67,16 @@ pub enum Omission {
 }
 
 impl Omission {
-    pub(super) fn counted(before: impl Into<String>, count: usize, after: impl Into<String>) -> Self {
-        Self::Counted { before: before.into(), count, after: after.into() }
+    pub(super) fn counted(
+        before: impl Into<String>,
+        count: usize,
+        after: impl Into<String>,
+    ) -> Self {
+        Self::Counted {
+            before: before.into(),
+            count,
+            after: after.into(),
+        }
     }
 
     /// Returns the omission of missing values that were interpolated, as the map demands.
@@ -71,7 +84,9 @@ impl Omission {
         Self::counted(
             "",
             count,
-            format!(" missing values of {column} were filled by straight lines, the first one here"),
+            format!(
+                " missing values of {column} were filled by straight lines, the first one here"
+            ),
         )
     }
 
@@ -86,7 +101,12 @@ impl Omission {
     pub(super) fn absorb(&mut self, other: &Self) -> bool {
         match (&*self, other) {
             (Self::ColumnsContradict(a), Self::ColumnsContradict(b)) => a.columns == b.columns,
-            (Self::Counted { after: a, .. }, Self::Counted { count, after: b, .. }) if a == b => {
+            (
+                Self::Counted { after: a, .. },
+                Self::Counted {
+                    count, after: b, ..
+                },
+            ) if a == b => {
                 self.add(*count);
                 true
             }
@@ -96,7 +116,11 @@ impl Omission {
 }
 
 pub(super) fn format_fixed(number: f64, decimals: usize) -> String {
-    if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
+    if number.abs() < 1e9 {
+        format!("{number:.decimals$}")
+    } else {
+        format_compact(number)
+    }
 }
 
 fn format_counted(before: &str, count: usize, after: &str) -> String {
@@ -111,7 +135,9 @@ fn format_counted(before: &str, count: usize, after: &str) -> String {
 #[non_exhaustive]
 pub enum EpisodeProblem {
     /// No time shortly before braking with known speed and gap of the follower.
-    #[error("speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before")]
+    #[error(
+        "speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before"
+    )]
     NoFollower {
         /// Number of the follower.
         follower: usize,

@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::scenario::{
-    Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass,
+    VehicleSpec,
 };
 
 use super::lead_vehicles::VehicleAhead;
@@ -91,7 +92,9 @@ impl BrakingEpisode {
                     time_s: self.time_s.clone(),
                     speed_mps: self.speed_mps.clone(),
                 })),
-                _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
+                _ if index == last && last > 1 => {
+                    Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
+                }
                 _ => Driver::UnderTest,
             };
             let length_m = placed.length_m.unwrap_or(CAR_LENGTH_M);
@@ -99,8 +102,12 @@ impl BrakingEpisode {
             let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
             vehicle.length_m = Some(length_m);
             vehicles.push(vehicle);
-            let ahead = index.checked_sub(1).and_then(|ahead| self.vehicles.get(ahead));
-            let ahead_m = ahead.and_then(|ahead| ahead.length_m).unwrap_or(CAR_LENGTH_M);
+            let ahead = index
+                .checked_sub(1)
+                .and_then(|ahead| self.vehicles.get(ahead));
+            let ahead_m = ahead
+                .and_then(|ahead| ahead.length_m)
+                .unwrap_or(CAR_LENGTH_M);
             position_m = round_to_milli(position_m + placed.gap_ahead_m + ahead_m);
         }
         vehicles.reverse();
@@ -109,7 +116,8 @@ impl BrakingEpisode {
             leader.max_accel_mps2 = raise_limit(leader.max_accel_mps2(), self.hardest_accel_mps2);
         }
         // Division rounds to the decimals of the file; multiplication by the step would not.
-        let duration_s = (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S;
+        let duration_s =
+            (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S;
         Scenario::new(ScenarioSpec {
             about: self.about(file),
             step_s: 1.0 / STEPS_PER_S,
@@ -118,8 +126,16 @@ impl BrakingEpisode {
     }
 
     fn about(&self, file: &str) -> String {
-        let event = self.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
-        let leader = self.vehicles.first().map(EpisodeVehicle::to_string).unwrap_or_default();
+        let event = self
+            .event
+            .as_ref()
+            .map(|event| format!(", event {event}"))
+            .unwrap_or_default();
+        let leader = self
+            .vehicles
+            .first()
+            .map(EpisodeVehicle::to_string)
+            .unwrap_or_default();
         let mut about = format!(
             "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within {:.1} \
              s, by {:.2} m/s in its hardest second.",
@@ -130,27 +146,56 @@ impl BrakingEpisode {
             self.braking_end_s - self.onset_s,
             self.largest_drop_mps,
         );
-        let followers: Vec<_> = self.vehicles.iter().skip(1).map(EpisodeVehicle::to_string).collect();
-        let verb = if followers.len() == 1 { "starts" } else { "start" };
-        let gaps = if followers.len() == 1 { "gap and speed" } else { "gaps and speeds" };
+        let followers: Vec<_> = self
+            .vehicles
+            .iter()
+            .skip(1)
+            .map(EpisodeVehicle::to_string)
+            .collect();
+        let verb = if followers.len() == 1 {
+            "starts"
+        } else {
+            "start"
+        };
+        let gaps = if followers.len() == 1 {
+            "gap and speed"
+        } else {
+            "gaps and speeds"
+        };
         // Writing to a String cannot fail.
-        let _ = write!(about, " Behind it {verb} {} at the recorded {gaps}.", followers.join(", "));
+        let _ = write!(
+            about,
+            " Behind it {verb} {} at the recorded {gaps}.",
+            followers.join(", ")
+        );
         let _ = match self.ahead {
             VehicleAhead::None => Ok(()),
             VehicleAhead::Recorded(number) => {
-                write!(about, " Vehicle {number}, ahead of it, is no part of the scenario.")
+                write!(
+                    about,
+                    " Vehicle {number}, ahead of it, is no part of the scenario."
+                )
             }
             VehicleAhead::NotRecorded(number) => {
-                write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.")
+                write!(
+                    about,
+                    " Vehicle {number}, ahead of it, was not recorded at the time."
+                )
             }
         };
         if let Some(number) = self.not_recorded_behind {
-            let _ = write!(about, " Gap or speed of vehicle {number} is missing, so the line ends before it.");
+            let _ = write!(
+                about,
+                " Gap or speed of vehicle {number} is missing, so the line ends before it."
+            );
         }
         if let Some(&end_s) = self.time_s.last()
             && end_s < self.duration_s
         {
-            let _ = write!(about, " The recording of its speed ends after {end_s:.1} s; it then holds the last one.");
+            let _ = write!(
+                about,
+                " The recording of its speed ends after {end_s:.1} s; it then holds the last one."
+            );
         }
         about
     }
@@ -167,5 +212,7 @@ impl std::fmt::Display for EpisodeVehicle {
 
 /// Returns the limit, rounded up to a tenth, if the recording exceeds the class.
 fn raise_limit(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
-    (recorded_mps2 > class_mps2).then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1).map(round_to_milli)
+    (recorded_mps2 > class_mps2)
+        .then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1)
+        .map(round_to_milli)
 }

@@ -35,7 +35,11 @@ impl MinBrake {
     /// [`RecordingError::MinBrake`] unless it is above 0 and at most 12 m/s², which no road vehicle exceeds.
     pub fn new(mps2: f64) -> Result<Self, RecordingError> {
         let possible = mps2 > 0.0 && mps2 <= MAX_PLAUSIBLE_ACCEL_MPS2;
-        if possible { Ok(Self(mps2)) } else { Err(RecordingError::MinBrake { found: mps2 }) }
+        if possible {
+            Ok(Self(mps2))
+        } else {
+            Err(RecordingError::MinBrake { found: mps2 })
+        }
     }
 
     /// Returns the threshold in m/s².
@@ -79,17 +83,30 @@ pub enum LeaderSelection {
 /// The braking vehicle leads the scenario. A growing braking wave thus makes an episode at each car. With
 /// [`LeaderSelection::First`], only vehicles without a recorded vehicle ahead at that time lead.
 #[must_use]
-pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: LeaderSelection) -> FoundEpisodes {
+pub fn find_episodes(
+    recording: &Recording,
+    min_brake: MinBrake,
+    leaders: LeaderSelection,
+) -> FoundEpisodes {
     let mut found = FoundEpisodes::default();
     for lead in recording.lead_vehicles() {
         for run in lead.segments() {
             let brakings = find_brakings(&run, min_brake.mps2());
-            let next_onsets = brakings.iter().skip(1).map(|next| Some(next.onset_ms)).chain([None]);
+            let next_onsets = brakings
+                .iter()
+                .skip(1)
+                .map(|next| Some(next.onset_ms))
+                .chain([None]);
             for (braking, next_onset_ms) in brakings.iter().zip(next_onsets) {
                 if !lead.core_ms().contains(&braking.onset_ms) {
                     continue;
                 }
-                let window = EpisodeWindow { lead: &*lead, run: &run, braking, next_onset_ms };
+                let window = EpisodeWindow {
+                    lead: &*lead,
+                    run: &run,
+                    braking,
+                    next_onset_ms,
+                };
                 window.extract(recording, leaders, &mut found);
             }
         }
@@ -107,26 +124,52 @@ struct EpisodeWindow<'a> {
 
 impl EpisodeWindow<'_> {
     fn extract(&self, recording: &Recording, leaders: LeaderSelection, found: &mut FoundEpisodes) {
-        let candidates = self.samples_between(self.braking.onset_ms - START_SEARCH_MS, self.braking.onset_ms);
-        let follows = |sample: &SpeedSample| matches!(self.lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
+        let candidates = self.samples_between(
+            self.braking.onset_ms - START_SEARCH_MS,
+            self.braking.onset_ms,
+        );
+        let follows = |sample: &SpeedSample| {
+            matches!(
+                self.lead.vehicle_ahead_at(sample),
+                VehicleAhead::Recorded(_)
+            )
+        };
         if leaders == LeaderSelection::First && candidates.iter().any(follows) {
             return;
         }
-        let nearness_ms = |sample: &SpeedSample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
-        let rank = |sample: &&SpeedSample| (self.lead.followers_at(sample).len(), Reverse(nearness_ms(sample)));
-        let Some(start) = candidates.iter().max_by_key(rank) else { return };
+        let nearness_ms =
+            |sample: &SpeedSample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
+        let rank = |sample: &&SpeedSample| {
+            (
+                self.lead.followers_at(sample).len(),
+                Reverse(nearness_ms(sample)),
+            )
+        };
+        let Some(start) = candidates.iter().max_by_key(rank) else {
+            return;
+        };
         let (number, onset_s) = (self.lead.number(), self.braking.onset_ms as f64 / 1000.0);
-        let item = |omission| DroppedItem { path: recording.path.clone(), line: self.lead.line_of(start), omission };
+        let item = |omission| DroppedItem {
+            path: recording.path.clone(),
+            line: self.lead.line_of(start),
+            omission,
+        };
         match self.build_episode(start) {
             Ok(episode) => {
                 if episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2 {
                     let found_mps2 = format_fixed(episode.largest_drop_mps, 1);
-                    let unusual = format!("vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}");
+                    let unusual = format!(
+                        "vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}"
+                    );
                     found.dropped.push(item(Omission::Note(unusual)));
                 }
                 found.episodes.push(episode);
             }
-            Err(reason) => found.dropped.push(item(Omission::Episode { number, onset_s, reason })),
+            Err(reason) => found.dropped.push(item(Omission::Episode {
+                number,
+                onset_s,
+                reason,
+            })),
         }
     }
 
@@ -151,9 +194,13 @@ impl EpisodeWindow<'_> {
         let mut hardest_accel_mps2: f64 = 0.0;
         for pair in samples.windows(2) {
             if let [a, b] = pair {
-                let found_mps2 = 1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
+                let found_mps2 =
+                    1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
                 if found_mps2.abs() > MAX_PLAUSIBLE_ACCEL_MPS2 {
-                    return Err(EpisodeProblem::SpeedJump { at_s: b.time_ms as f64 / 1000.0, found_mps2 });
+                    return Err(EpisodeProblem::SpeedJump {
+                        at_s: b.time_ms as f64 / 1000.0,
+                        found_mps2,
+                    });
                 }
                 hardest_brake_mps2 = hardest_brake_mps2.max(-found_mps2);
                 hardest_accel_mps2 = hardest_accel_mps2.max(found_mps2);
@@ -176,7 +223,10 @@ impl EpisodeWindow<'_> {
             vehicles: [vec![self.lead.episode_vehicle(start)], followers].concat(),
             ahead: self.lead.vehicle_ahead_at(start),
             not_recorded_behind,
-            time_s: samples.iter().map(|sample| since_start_s(sample.time_ms)).collect(),
+            time_s: samples
+                .iter()
+                .map(|sample| since_start_s(sample.time_ms))
+                .collect(),
             speed_mps: samples.iter().map(|sample| sample.speed_mps).collect(),
         })
     }

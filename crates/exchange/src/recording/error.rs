@@ -82,7 +82,11 @@ pub enum RecordingError {
 
 /// Returns a path with a line, which is 0 for the names of the columns of a file that is no text.
 pub(super) fn format_place(path: &Path, line: u64) -> String {
-    if line == 0 { path.display().to_string() } else { format!("{}:{line}", path.display()) }
+    if line == 0 {
+        path.display().to_string()
+    } else {
+        format!("{}:{line}", path.display())
+    }
 }
 
 /// A problem of a file that is no text.
@@ -107,10 +111,14 @@ pub enum BinaryProblem {
         format: &'static str,
     },
     /// A DBC file beside a file of text.
-    #[error("the map names a DBC file, which applies only to MDF files: remove `dbc`, or give an MDF file")]
+    #[error(
+        "the map names a DBC file, which applies only to MDF files: remove `dbc`, or give an MDF file"
+    )]
     NeedsMdf,
     /// An MDF file without map.
-    #[error("an MDF file needs a map that names its signals (--map); `crumple import --guess` drafts one")]
+    #[error(
+        "an MDF file needs a map that names its signals (--map); `crumple import --guess` drafts one"
+    )]
     NeedsMap,
     /// No column or signal of a name.
     #[error("{column}: there is no such column or signal; the file has {known}")]
@@ -188,7 +196,9 @@ pub enum ColumnProblem {
         known: String,
     },
     /// A unit in the file that crumple does not know.
-    #[error("the file states the unit `{unit}`, which crumple does not know: state the unit in the map")]
+    #[error(
+        "the file states the unit `{unit}`, which crumple does not know: state the unit in the map"
+    )]
     UnknownUnit {
         /// Name of the unit.
         unit: String,
@@ -205,7 +215,9 @@ pub enum ColumnProblem {
     #[error("named twice")]
     Repeated,
     /// No spacing between successive vehicles.
-    #[error("no such column is between two `Speed` columns of successive numbers, so no vehicle follows another")]
+    #[error(
+        "no such column is between two `Speed` columns of successive numbers, so no vehicle follows another"
+    )]
     NoFollower,
     /// A row whose number of fields differs from the number of columns: no field of this column, or more than the last.
     #[error("{found} fields in a row of {expected}")]

@@ -23,7 +23,11 @@ pub struct FollowingExposure {
 /// Counts times between samples at most half a second apart with known speeds and gaps. The last second of each segment
 /// does not count: braking is a loss of speed within one second, so none could have been detected in it.
 #[must_use]
-pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, followers: usize) -> FollowingExposure {
+pub fn following_exposure(
+    recording: &Recording,
+    leaders: LeaderSelection,
+    followers: usize,
+) -> FollowingExposure {
     let mut sum = FollowingExposure::default();
     for lead in recording.lead_vehicles() {
         for run in lead.segments() {
@@ -32,10 +36,13 @@ pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, follo
                 .map(|sample| {
                     let may_lead = leaders == LeaderSelection::Any
                         || !matches!(lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
-                    lead.follower_speed_at_mps(sample, followers).filter(|_| may_lead)
+                    lead.follower_speed_at_mps(sample, followers)
+                        .filter(|_| may_lead)
                 })
                 .collect();
-            let until_ms = run.last().map_or(0, |last| last.time_ms - BRAKING_WINDOW_MS);
+            let until_ms = run
+                .last()
+                .map_or(0, |last| last.time_ms - BRAKING_WINDOW_MS);
             for (samples, speeds) in run.windows(2).zip(speeds.windows(2)) {
                 if let ([from, to], [Some(a), Some(b)]) = (samples, speeds)
                     && to.time_ms <= until_ms
@@ -60,30 +67,45 @@ pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     for (index, episode) in episodes.iter().enumerate() {
         for (before, other) in episodes.iter().enumerate().take(index) {
             if is_same_cluster(episode, other) {
-                let (from, to) = (cluster[index].max(cluster[before]), cluster[index].min(cluster[before]));
+                let (from, to) = (
+                    cluster[index].max(cluster[before]),
+                    cluster[index].min(cluster[before]),
+                );
                 if from != to {
-                    cluster.iter_mut().filter(|cluster| **cluster == from).for_each(|cluster| *cluster = to);
+                    cluster
+                        .iter_mut()
+                        .filter(|cluster| **cluster == from)
+                        .for_each(|cluster| *cluster = to);
                 }
             }
         }
     }
     let mut known: Vec<usize> = Vec::new();
     let numbered = cluster.iter().map(|cluster| {
-        known.iter().position(|other| other == cluster).unwrap_or_else(|| {
-            known.push(*cluster);
-            known.len() - 1
-        }) as u32
+        known
+            .iter()
+            .position(|other| other == cluster)
+            .unwrap_or_else(|| {
+                known.push(*cluster);
+                known.len() - 1
+            }) as u32
     });
     numbered.collect()
 }
 
 fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
-    let braking =
-        |episode: &BrakingEpisode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
+    let braking = |episode: &BrakingEpisode| {
+        (
+            episode.start_s + episode.onset_s,
+            episode.start_s + episode.braking_end_s,
+        )
+    };
     let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
     let leads_in = |lead: &BrakingEpisode, line: &BrakingEpisode| {
         let number = lead.vehicles.first().map(|leader| leader.number);
-        line.vehicles.iter().any(|placed| Some(placed.number) == number)
+        line.vehicles
+            .iter()
+            .any(|placed| Some(placed.number) == number)
     };
     from_a <= to_b + MERGE_WITHIN_S
         && from_b <= to_a + MERGE_WITHIN_S
@@ -107,14 +129,26 @@ mod tests {
         for tenth in 0..600 {
             let at_s = f64::from(tenth) / 10.0;
             let speed = |car: f64| {
-                20.0 - 3.0 * (at_s - 5.0 - 0.5 * car).clamp(0.0, 2.0) + 6.0 * ((at_s - 20.0) / 10.0).clamp(0.0, 1.0)
+                20.0 - 3.0 * (at_s - 5.0 - 0.5 * car).clamp(0.0, 2.0)
+                    + 6.0 * ((at_s - 20.0) / 10.0).clamp(0.0, 1.0)
                     - 3.0 * (at_s - 45.0 - 0.5 * car).clamp(0.0, 2.0)
             };
-            let gap = if (100..110).contains(&tenth) { String::new() } else { "30.0".to_owned() };
-            let speeds: Vec<_> = (0..4).map(|car| format!("{:.3}", speed(f64::from(car)))).collect();
+            let gap = if (100..110).contains(&tenth) {
+                String::new()
+            } else {
+                "30.0".to_owned()
+            };
+            let speeds: Vec<_> = (0..4)
+                .map(|car| format!("{:.3}", speed(f64::from(car))))
+                .collect();
             writeln!(rows, "{at_s:.1},{},30.0,{gap},30.0", speeds.join(",")).unwrap();
         }
-        read(format!("{header}{names}{rows}").as_bytes(), Path::new("p.csv"), None).unwrap()
+        read(
+            format!("{header}{names}{rows}").as_bytes(),
+            Path::new("p.csv"),
+            None,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -122,7 +156,8 @@ mod tests {
         let recording = platoon();
         // 600 samples span 59.9 s; no braking can begin in the last second. Where the second spacing is missing, 1.1 s
         // of its pair and of those ahead do not count.
-        let seconds = |leaders, followers| following_exposure(&recording, leaders, followers).hours * 3600.0;
+        let seconds =
+            |leaders, followers| following_exposure(&recording, leaders, followers).hours * 3600.0;
         for (leaders, followers, wanted) in [
             (LeaderSelection::Any, 1, 3.0 * 58.9 - 1.1),
             (LeaderSelection::Any, 2, 2.0 * 57.8),
@@ -130,11 +165,22 @@ mod tests {
             (LeaderSelection::First, 3, 57.8),
         ] {
             let found = seconds(leaders, followers);
-            assert!((found - wanted).abs() < 1e-6, "{leaders:?} {followers}: {found}");
+            assert!(
+                (found - wanted).abs() < 1e-6,
+                "{leaders:?} {followers}: {found}"
+            );
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
-        assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
-        let found = crate::recording::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
-        assert_eq!((found.len(), braking_clusters(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
+        assert!(
+            driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2,
+            "{driven:?}"
+        );
+        let found =
+            crate::recording::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any)
+                .episodes;
+        assert_eq!(
+            (found.len(), braking_clusters(&found)),
+            (6, [0, 0, 0, 1, 1, 1].to_vec())
+        );
     }
 }

@@ -6,9 +6,9 @@ use super::dropped::{Omission, SPEEDS_LEFT_OUT};
 use super::error::RecordingError;
 use super::load::load_first_rows;
 use super::map::{
-    ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
-    RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
-    TimeUnit, TracksSpec, unit_in_name, words,
+    ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec,
+    RecordingMap, RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec,
+    SpeedSpec, SpeedUnit, TimeSpec, TimeUnit, TracksSpec, unit_in_name, words,
 };
 use super::series::NOT_LATER;
 use super::{LineProblem, RecordedTraffic, Recording, binary};
@@ -17,7 +17,8 @@ use super::{LineProblem, RecordedTraffic, Recording, binary};
 const TIMES: &str = "time timestamp t zeit sec seconds";
 const SPACINGS: &str = "gap spacing distance dist range clearance headway abstand d dx";
 const RELATIVE: &str = "rel relative relativ closing rangerate dv deltav vrel differenz";
-const SPEEDS: &str = "speed velocity vel v geschwindigkeit mps kmh kph mph xvelocity vego vl vf vlead vrel tempo";
+const SPEEDS: &str =
+    "speed velocity vel v geschwindigkeit mps kmh kph mph xvelocity vego vl vf vlead vrel tempo";
 const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus \
     vorausfahrend ziel objekt";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
@@ -49,8 +50,14 @@ impl Columns {
     fn find_both(&self, words: &str, others: &str, without: &[&str]) -> Option<&String> {
         let fits = |(_, found): &&(String, Vec<String>)| {
             // Long words are also found within compounds.
-            let is = |word: &str, wanted: &str| word == wanted || wanted.len() > 5 && word.contains(wanted);
-            let has = |words: &str| found.iter().any(|word| words.split(' ').any(|wanted| is(word, wanted)));
+            let is = |word: &str, wanted: &str| {
+                word == wanted || wanted.len() > 5 && word.contains(wanted)
+            };
+            let has = |words: &str| {
+                found
+                    .iter()
+                    .any(|word| words.split(' ').any(|wanted| is(word, wanted)))
+            };
             has(words) && has(others) && !without.iter().any(|not| has(not))
         };
         self.0.iter().find(fits).map(|(name, _)| name)
@@ -58,8 +65,17 @@ impl Columns {
 }
 
 /// Returns the unit in the name of a column, or `other`.
-fn unit_of<U: serde::de::DeserializeOwned>(all: &[(&'static str, f64)], column: &str, other: &str) -> Option<U> {
-    serde_json::from_value(unit_in_name(all, column).map_or(other, |(unit, _)| unit).into()).ok()
+fn unit_of<U: serde::de::DeserializeOwned>(
+    all: &[(&'static str, f64)],
+    column: &str,
+    other: &str,
+) -> Option<U> {
+    serde_json::from_value(
+        unit_in_name(all, column)
+            .map_or(other, |(unit, _)| unit)
+            .into(),
+    )
+    .ok()
 }
 
 /// Columns of a recording, as far as their names show them.
@@ -79,7 +95,9 @@ struct NamedColumns<'c> {
 impl<'c> NamedColumns<'c> {
     /// Finds the columns; `None` without times.
     fn find(columns: &'c Columns) -> Option<Self> {
-        let not_vehicle = [LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS, LEADERS, EVENTS];
+        let not_vehicle = [
+            LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS, LEADERS, EVENTS,
+        ];
         Some(Self {
             time: columns.find(TIMES, &[SPACINGS])?,
             spacing: columns.find(SPACINGS, &[RELATIVE, TIMES]),
@@ -97,7 +115,10 @@ impl<'c> NamedColumns<'c> {
     /// Returns the candidate layouts with default units, the likeliest first. A row of a recording of traffic, which
     /// has lanes, may also describe the leader.
     fn layouts(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
-        let (pairs, tracks) = (self.pairs(speed_unit, length_unit), self.tracks(speed_unit, length_unit));
+        let (pairs, tracks) = (
+            self.pairs(speed_unit, length_unit),
+            self.tracks(speed_unit, length_unit),
+        );
         if self.lane.is_some() {
             tracks.into_iter().chain(pairs).collect()
         } else {
@@ -106,8 +127,15 @@ impl<'c> NamedColumns<'c> {
     }
 
     fn pairs(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
-        let Self { relative, leader, own, .. } = *self;
-        let Some(spacing) = self.spacing else { return Vec::new() };
+        let Self {
+            relative,
+            leader,
+            own,
+            ..
+        } = *self;
+        let Some(spacing) = self.spacing else {
+            return Vec::new();
+        };
         let exchanges = [
             (own, leader, Sign::LeaderMinusFollower),
             (own, leader, Sign::FollowerMinusLeader),
@@ -123,7 +151,11 @@ impl<'c> NamedColumns<'c> {
             };
             LayoutSpec::Pairs(PairsSpec {
                 event: self.event.cloned(),
-                spacing: SpacingSpec { column: spacing.clone(), unit, from: Spacing::BumperToBumper },
+                spacing: SpacingSpec {
+                    column: spacing.clone(),
+                    unit,
+                    from: Spacing::BumperToBumper,
+                },
                 length_m: None,
                 follower_speed: own.map(|name| speed(name, speed_unit)),
                 leader_speed: leader.map(|name| speed(name, speed_unit)),
@@ -131,17 +163,28 @@ impl<'c> NamedColumns<'c> {
             })
         };
         let has_two = [relative, leader, own].into_iter().flatten().count() >= 2;
-        exchanges.into_iter().filter(|_| has_two).map(pair).collect()
+        exchanges
+            .into_iter()
+            .filter(|_| has_two)
+            .map(pair)
+            .collect()
     }
 
     fn tracks(&self, speed_unit: &str, length_unit: &str) -> Option<LayoutSpec> {
         let (vehicle, position, own) = (self.vehicle?, self.position?, self.own?);
         let unit = |name: &str| unit_of(LengthUnit::ALL, name, length_unit);
-        let length = self.length.map(|name| LengthColumnSpec { name: name.clone(), unit: unit(name) });
+        let length = self.length.map(|name| LengthColumnSpec {
+            name: name.clone(),
+            unit: unit(name),
+        });
         Some(LayoutSpec::Tracks(TracksSpec {
             vehicle: vehicle.clone(),
             lane: self.lane.cloned(),
-            position: PositionSpec { column: position.clone(), unit: unit(position), of: ReferencePoint::Front },
+            position: PositionSpec {
+                column: position.clone(),
+                unit: unit(position),
+                of: ReferencePoint::Front,
+            },
             speed: speed(own, speed_unit),
             length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
             lane_blip_s: 0.5,
@@ -150,16 +193,27 @@ impl<'c> NamedColumns<'c> {
 }
 
 fn speed(column: &str, unit: &str) -> SpeedSpec {
-    SpeedSpec { column: column.to_owned(), unit: unit_of(SpeedUnit::ALL, column, unit), acceleration: None }
+    SpeedSpec {
+        column: column.to_owned(),
+        unit: unit_of(SpeedUnit::ALL, column, unit),
+        acceleration: None,
+    }
 }
 
 /// Returns the candidate maps, the likeliest first: without units, if the file states them.
 fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
-    let Some(named) = NamedColumns::find(columns) else { return Vec::new() };
+    let Some(named) = NamedColumns::find(columns) else {
+        return Vec::new();
+    };
     // Epoch times need no name.
-    let time_unit = unit_of(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
+    let time_unit =
+        unit_of(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
     let with_stated = |units: &[(&'static str, f64)]| {
-        states_units.then_some("").into_iter().chain(units.iter().map(|(unit, _)| *unit)).collect::<Vec<_>>()
+        states_units
+            .then_some("")
+            .into_iter()
+            .chain(units.iter().map(|(unit, _)| *unit))
+            .collect::<Vec<_>>()
     };
     let mut layouts: Vec<LayoutSpec> = Vec::new();
     for speed_unit in with_stated(SpeedUnit::ALL) {
@@ -176,7 +230,10 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     let has_tracks_first = layouts.first().is_some_and(is_tracks);
     layouts.sort_by_key(|layout| is_tracks(layout) != has_tracks_first);
     let map = |layout| {
-        let time = TimeSpec::Clock(ClockSpec { column: named.time.clone(), unit: time_unit });
+        let time = TimeSpec::Clock(ClockSpec {
+            column: named.time.clone(),
+            unit: time_unit,
+        });
         RecordingMapSpec::new("draft".to_owned(), time, layout)
     };
     layouts.into_iter().map(map).collect()
@@ -185,16 +242,28 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
 /// Returns whether a recording fits its map: no columns contradict each other, the rows of pairs are in order of time,
 /// and in tracks one vehicle follows another.
 fn is_consistent(recording: &Recording) -> bool {
-    let samples: usize = recording.platoons.iter().map(|platoon| platoon.time_s.len()).sum();
+    let samples: usize = recording
+        .platoons
+        .iter()
+        .map(|platoon| platoon.time_s.len())
+        .sum();
     let contradicts = |what: &Omission| match what {
         Omission::ColumnsContradict(_) => true,
         Omission::Counted { count, after, .. } => {
-            after.ends_with(SPEEDS_LEFT_OUT) || after.starts_with(NOT_LATER) && *count > samples / 10
+            after.ends_with(SPEEDS_LEFT_OUT)
+                || after.starts_with(NOT_LATER) && *count > samples / 10
         }
         _ => false,
     };
-    let has_followers = recording.traffic.as_ref().is_none_or(RecordedTraffic::has_followers);
-    has_followers && !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission))
+    let has_followers = recording
+        .traffic
+        .as_ref()
+        .is_none_or(RecordedTraffic::has_followers);
+    has_followers
+        && !recording
+            .dropped
+            .iter()
+            .any(|dropped| contradicts(&dropped.omission))
 }
 
 /// Drafts a map of a recording: the first candidate whose columns do not contradict each other. Units in names of
@@ -211,22 +280,42 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     if let Some(Ok(map)) = built_in.and_then(RecordingMap::built_in)
         && let Ok(recording) = load_first_rows(path, &map)
     {
-        return Ok(Some(MapDraft { map: map.spec().clone(), built_in, recording }));
+        return Ok(Some(MapDraft {
+            map: map.spec().clone(),
+            built_in,
+            recording,
+        }));
     }
-    let columns = Columns(names.into_iter().map(|name| (name.clone(), words(&name))).collect());
+    let columns = Columns(
+        names
+            .into_iter()
+            .map(|name| (name.clone(), words(&name)))
+            .collect(),
+    );
     let (mut second_choice, mut contradiction) = (None, None);
     for map in candidates(&columns, states_units) {
-        let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
+        let Ok(checked) = RecordingMap::new(map.clone()) else {
+            continue;
+        };
         match load_first_rows(path, &checked) {
             Ok(recording) => {
                 let is_consistent = is_consistent(&recording);
-                let draft = MapDraft { map, built_in: None, recording };
+                let draft = MapDraft {
+                    map,
+                    built_in: None,
+                    recording,
+                };
                 if is_consistent {
                     return Ok(Some(draft));
                 }
                 second_choice.get_or_insert(draft);
             }
-            Err(error @ RecordingError::Line { problem: LineProblem::Column { .. }, .. }) => {
+            Err(
+                error @ RecordingError::Line {
+                    problem: LineProblem::Column { .. },
+                    ..
+                },
+            ) => {
                 contradiction.get_or_insert(error);
             }
             Err(error) => return Err(error),
@@ -251,7 +340,10 @@ mod tests {
         let row = |row: usize| format!("{:.1},1,1,{:.1},20\n", row as f64 / 10.0, row as f64 * 2.0);
         let rows: String = (0..PART_ROWS + 10).map(row).collect();
         std::fs::write(&path, format!("time,id,lane,x,v\n{rows}damaged\n")).unwrap();
-        assert!(matches!(guess(&path).unwrap().expect("a draft").map.layout, LayoutSpec::Tracks(_)));
+        assert!(matches!(
+            guess(&path).unwrap().expect("a draft").map.layout,
+            LayoutSpec::Tracks(_)
+        ));
     }
 
     /// Units and signs follow from the consistency of gaps and speeds, unless names state them; exchanged names do not.
@@ -260,16 +352,24 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (unit, mps) in SpeedUnit::ALL {
             for sign in [1.0, -1.0] {
-                let (time, per_second) = if sign > 0.0 { ("Zeit [s]", 1.0) } else { ("zeit_ms", 1000.0) };
+                let (time, per_second) = if sign > 0.0 {
+                    ("Zeit [s]", 1.0)
+                } else {
+                    ("zeit_ms", 1000.0)
+                };
                 // Units in names may differ. Without them, both speeds have one unit.
                 let own_name = format!("v_ego_{}", unit.replace('/', ""));
-                let (own_name, name, rel_mps) =
-                    if sign > 0.0 { ("v_ego", "v_rel", *mps) } else { (&*own_name, "v_rel_fps", 0.3048) };
+                let (own_name, name, rel_mps) = if sign > 0.0 {
+                    ("v_ego", "v_rel", *mps)
+                } else {
+                    (&*own_name, "v_rel_fps", 0.3048)
+                };
                 let mut text = format!("{time};Event;Abstand [m];{own_name};{name}\n");
                 let mut gap_m = 40.0;
                 for tenth in 0..400 {
                     let at_s = f64::from(tenth) / 10.0;
-                    let (own_mps, relative_mps) = (20.0 + (0.3 * at_s).sin(), 12.0 * (0.5 * at_s).cos());
+                    let (own_mps, relative_mps) =
+                        (20.0 + (0.3 * at_s).sin(), 12.0 * (0.5 * at_s).cos());
                     let (own, relative) = (own_mps / mps, sign * relative_mps / rel_mps);
                     text += &format!("{};a;{gap_m};{own};{relative}\n", at_s * per_second);
                     gap_m += 0.1 * relative_mps;
@@ -283,8 +383,14 @@ mod tests {
                     draft.map
                 );
                 let speed_mps = draft.recording.platoons[0].vehicles[1].speed_mps[50].unwrap();
-                assert!((speed_mps - 20.0 - 1.5_f64.sin()).abs() < 0.3, "{unit} {sign}: {speed_mps} {:?}", draft.map);
-                let again = RecordingMap::from_toml(&draft.map.to_toml().unwrap(), Path::new("draft.toml")).unwrap();
+                assert!(
+                    (speed_mps - 20.0 - 1.5_f64.sin()).abs() < 0.3,
+                    "{unit} {sign}: {speed_mps} {:?}",
+                    draft.map
+                );
+                let again =
+                    RecordingMap::from_toml(&draft.map.to_toml().unwrap(), Path::new("draft.toml"))
+                        .unwrap();
                 assert_eq!(*again.spec(), draft.map);
             }
         }
@@ -299,7 +405,12 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             guess(&path).unwrap().expect("a draft").map.layout
         };
-        let speeds = |at_s: f64| [20.0 + 2.0 * (0.4 * at_s).sin(), 20.0 + 2.0 * (0.4 * at_s - 0.8).sin()];
+        let speeds = |at_s: f64| {
+            [
+                20.0 + 2.0 * (0.4 * at_s).sin(),
+                20.0 + 2.0 * (0.4 * at_s - 0.8).sin(),
+            ]
+        };
         let position = |index: usize, tenth: usize| {
             let steps = (0..tenth).map(|step| 0.1 * speeds(step as f64 / 10.0)[index]);
             steps.sum::<f64>() - 30.0 * index as f64
@@ -311,14 +422,29 @@ mod tests {
         let pairs: String = (0..300)
             .map(row)
             .map(|(at_s, lead_m, own_m, lead, own)| {
-                format!("{at_s},7,8,{own_m},{lead_m},{own},{lead},{}\n", lead_m - own_m - 5.0)
+                format!(
+                    "{at_s},7,8,{own_m},{lead_m},{own},{lead},{}\n",
+                    lead_m - own_m - 5.0
+                )
             })
             .collect();
-        let layout = draft(format!("time,vehicle_id,leader_id,x,x_leader,speed,leader_speed,gap\n{pairs}"));
-        let LayoutSpec::Pairs(pairs) = layout else { panic!("{layout:?}") };
+        let layout = draft(format!(
+            "time,vehicle_id,leader_id,x,x_leader,speed,leader_speed,gap\n{pairs}"
+        ));
+        let LayoutSpec::Pairs(pairs) = layout else {
+            panic!("{layout:?}")
+        };
         assert_eq!(
-            (pairs.follower_speed.unwrap().column, pairs.leader_speed.unwrap().column, pairs.spacing.column),
-            ("speed".to_owned(), "leader_speed".to_owned(), "gap".to_owned())
+            (
+                pairs.follower_speed.unwrap().column,
+                pairs.leader_speed.unwrap().column,
+                pairs.spacing.column
+            ),
+            (
+                "speed".to_owned(),
+                "leader_speed".to_owned(),
+                "gap".to_owned()
+            )
         );
         let tracks: String = (0..300)
             .map(row)
@@ -327,7 +453,9 @@ mod tests {
                 format!("{at_s},7,1,{lead_m},{lead},,\n{at_s},8,1,{own_m},{own},{lead},{gap_m}\n")
             })
             .collect();
-        let layout = draft(format!("time,vehicle_id,lane,x,speed,leader_speed,gap\n{tracks}"));
+        let layout = draft(format!(
+            "time,vehicle_id,lane,x,speed,leader_speed,gap\n{tracks}"
+        ));
         assert!(matches!(layout, LayoutSpec::Tracks(_)), "{layout:?}");
     }
 }

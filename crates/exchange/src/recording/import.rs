@@ -101,7 +101,9 @@ pub fn import(
         })?;
         imported.dropped.extend(dropped.into_iter().chain(left_out));
         let hardest = hardest.finish();
-        imported.sources.extend(source.map(|source| ImportedRecording { hardest, ..source }));
+        imported
+            .sources
+            .extend(source.map(|source| ImportedRecording { hardest, ..source }));
         if !goes_on {
             break;
         }
@@ -116,8 +118,15 @@ fn import_part(
     number: &mut usize,
     take: &mut dyn FnMut(ImportedScenario) -> bool,
 ) -> Result<Vec<DroppedItem>, RecordingError> {
-    let FoundEpisodes { episodes, mut dropped } = find_episodes(recording, options.min_brake, options.leaders);
-    let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
+    let FoundEpisodes {
+        episodes,
+        mut dropped,
+    } = find_episodes(recording, options.min_brake, options.leaders);
+    let file = recording
+        .path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     for episode in &episodes {
         let name = format!("{}-{:02}", prefix(recording), *number + 1);
         match episode.scenario(name.clone(), &file) {
@@ -125,17 +134,32 @@ fn import_part(
                 *number += 1;
                 let file_name = format!("{name}.toml");
                 let path = || recording.path.clone();
-                let toml =
-                    to_toml(&scenario).map_err(|source| RecordingError::Render { path: path(), name, source })?;
-                if !take(ImportedScenario { file_name, toml, scenario }) {
+                let toml = to_toml(&scenario).map_err(|source| RecordingError::Render {
+                    path: path(),
+                    name,
+                    source,
+                })?;
+                if !take(ImportedScenario {
+                    file_name,
+                    toml,
+                    scenario,
+                }) {
                     break;
                 }
             }
             Err(invalid) => {
                 let number = episode.vehicles.first().map_or(0, |leader| leader.number);
                 let onset_s = episode.start_s + episode.onset_s;
-                let what = Omission::Episode { number, onset_s, reason: EpisodeProblem::Invalid(invalid) };
-                dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
+                let what = Omission::Episode {
+                    number,
+                    onset_s,
+                    reason: EpisodeProblem::Invalid(invalid),
+                };
+                dropped.push(DroppedItem {
+                    path: recording.path.clone(),
+                    line: episode.line,
+                    omission: what,
+                });
             }
         }
     }
@@ -145,7 +169,13 @@ fn import_part(
 /// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.
 fn prefix(recording: &Recording) -> String {
     let format = &recording.format;
-    let stem = slug(recording.path.file_stem().map(Path::new).unwrap_or(Path::new("")));
+    let stem = slug(
+        recording
+            .path
+            .file_stem()
+            .map(Path::new)
+            .unwrap_or(Path::new("")),
+    );
     if stem.is_empty() {
         format.to_owned()
     } else if stem == *format || stem.starts_with(&format!("{format}-")) {
@@ -157,7 +187,9 @@ fn prefix(recording: &Recording) -> String {
 
 fn slug(stem: &Path) -> String {
     let lower = stem.to_string_lossy().to_ascii_lowercase();
-    let words = lower.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    let words = lower
+        .split(|c: char| !c.is_ascii_alphanumeric())
+        .filter(|word| !word.is_empty());
     let mut slug = words.collect::<Vec<_>>().join("-");
     slug.truncate(MAX_FILE_STEM_CHARS);
     slug

@@ -47,12 +47,25 @@ pub(super) struct PlatoonLead<'a> {
 
 impl PlatoonLead<'_> {
     fn number_of(&self, index: usize) -> Option<usize> {
-        self.platoon.vehicles.get(index).map(|vehicle| vehicle.number)
+        self.platoon
+            .vehicles
+            .get(index)
+            .map(|vehicle| vehicle.number)
     }
 
     fn episode_vehicle_at(&self, index: usize, gap_ahead_m: f64, speed_mps: f64) -> EpisodeVehicle {
-        let name = self.platoon.vehicles.get(index).and_then(|vehicle| vehicle.name.clone());
-        EpisodeVehicle { number: self.number_of(index).unwrap_or(0), name, gap_ahead_m, speed_mps, length_m: None }
+        let name = self
+            .platoon
+            .vehicles
+            .get(index)
+            .and_then(|vehicle| vehicle.name.clone());
+        EpisodeVehicle {
+            number: self.number_of(index).unwrap_or(0),
+            name,
+            gap_ahead_m,
+            speed_mps,
+            length_m: None,
+        }
     }
 }
 
@@ -71,7 +84,8 @@ impl LeadVehicle for PlatoonLead<'_> {
 
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {
         let behind = self.index + 1..self.platoon.vehicles.len();
-        let known = behind.map_while(|index| Some((index, self.platoon.gap_and_speed(index, sample.index)?)));
+        let known = behind
+            .map_while(|index| Some((index, self.platoon.gap_and_speed(index, sample.index)?)));
         known
             .map(|(index, (gap_m, speed_mps))| {
                 self.episode_vehicle_at(index, round_to_milli(gap_m), round_to_milli(speed_mps))
@@ -81,8 +95,13 @@ impl LeadVehicle for PlatoonLead<'_> {
 
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {
         let mut behind = self.index + 1..=self.index + followers;
-        let are_known = behind.clone().all(|index| self.platoon.gap_and_speed(index, sample.index).is_some());
-        behind.next().filter(|_| are_known).and_then(|next| Some(self.platoon.gap_and_speed(next, sample.index)?.1))
+        let are_known = behind
+            .clone()
+            .all(|index| self.platoon.gap_and_speed(index, sample.index).is_some());
+        behind
+            .next()
+            .filter(|_| are_known)
+            .and_then(|next| Some(self.platoon.gap_and_speed(next, sample.index)?.1))
     }
 
     fn next_behind(&self, followers: usize) -> Option<usize> {
@@ -90,11 +109,25 @@ impl LeadVehicle for PlatoonLead<'_> {
     }
 
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead {
-        let Some(index) = self.index.checked_sub(1) else { return VehicleAhead::None };
+        let Some(index) = self.index.checked_sub(1) else {
+            return VehicleAhead::None;
+        };
         let number = self.number_of(index).unwrap_or(0);
-        let drives = self.platoon.vehicles.get(index).is_some_and(|ahead| ahead.speed_at_mps(sample.index).is_some());
-        let is_known = drives && self.platoon.gap_and_speed(self.index, sample.index).is_some();
-        if is_known { VehicleAhead::Recorded(number) } else { VehicleAhead::NotRecorded(number) }
+        let drives = self
+            .platoon
+            .vehicles
+            .get(index)
+            .is_some_and(|ahead| ahead.speed_at_mps(sample.index).is_some());
+        let is_known = drives
+            && self
+                .platoon
+                .gap_and_speed(self.index, sample.index)
+                .is_some();
+        if is_known {
+            VehicleAhead::Recorded(number)
+        } else {
+            VehicleAhead::NotRecorded(number)
+        }
     }
 
     fn line_of(&self, sample: &SpeedSample) -> u64 {

@@ -28,7 +28,10 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 ///
 /// # Errors
 /// Those of [`load`].
-pub fn load_first_part(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+pub fn load_first_part(
+    path: &Path,
+    map: Option<&RecordingMap>,
+) -> Result<Recording, RecordingError> {
     first_part(path, |each| load_parts(path, map, None, each))
 }
 
@@ -41,14 +44,19 @@ fn first_part(
         first = Some(part);
         Ok(false)
     })?;
-    first.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+    first.ok_or_else(|| RecordingError::Empty {
+        path: path.to_owned(),
+    })
 }
 
 /// Number of rows that show whether a map fits; tests use few.
 const SAMPLE_ROWS: usize = PART_ROWS / 5;
 
 /// Reads the first rows of a recording file, in the order of the file.
-pub(super) fn load_first_rows(path: &Path, map: &RecordingMap) -> Result<Recording, RecordingError> {
+pub(super) fn load_first_rows(
+    path: &Path,
+    map: &RecordingMap,
+) -> Result<Recording, RecordingError> {
     let mut table = open(path, Some(map), None)?;
     table.rows_left = SAMPLE_ROWS;
     first_part(path, |each| read_rows(table, path, Some(map), each))
@@ -74,10 +82,16 @@ fn open<'p>(
     map: Option<&RecordingMap>,
     progress: Option<&ReadProgress>,
 ) -> Result<RowReader<'p>, RecordingError> {
-    let error = |source| RecordingError::Read { path: path.to_owned(), source };
+    let error = |source| RecordingError::Read {
+        path: path.to_owned(),
+        source,
+    };
     let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
     let mut start = Vec::new();
-    file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
+    file.by_ref()
+        .take(binary::START_BYTES)
+        .read_to_end(&mut start)
+        .map_err(error)?;
     let spec = map.map(RecordingMap::spec);
     match binary::BinaryFormat::detect(&start) {
         Some(format) => binary::open(format, binary::Input::File(file), path, spec),
@@ -93,9 +107,13 @@ fn only_part(
     let mut only = None;
     read(&mut |part| match only.replace(part) {
         None => Ok(true),
-        Some(_) => Err(RecordingError::TooLong { path: path.to_owned() }),
+        Some(_) => Err(RecordingError::TooLong {
+            path: path.to_owned(),
+        }),
     })?;
-    only.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+    only.ok_or_else(|| RecordingError::Empty {
+        path: path.to_owned(),
+    })
 }
 
 /// Reads the bytes of a recording file; `path` only names it.
@@ -105,7 +123,11 @@ fn only_part(
 ///
 /// # Errors
 /// Those of [`load`], except for reading the file.
-pub fn read(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+pub fn read(
+    bytes: &[u8],
+    path: &Path,
+    map: Option<&RecordingMap>,
+) -> Result<Recording, RecordingError> {
     let spec = map.map(RecordingMap::spec);
     let table = match binary::BinaryFormat::detect(bytes) {
         Some(format) => binary::open(format, binary::Input::Bytes(bytes.to_vec()), path, spec)?,
@@ -121,7 +143,9 @@ fn read_rows(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let Some(first) = table.next_header()? else {
-        return Err(RecordingError::Empty { path: path.to_owned() });
+        return Err(RecordingError::Empty {
+            path: path.to_owned(),
+        });
     };
     let built_in;
     let map = match map {
@@ -132,7 +156,11 @@ fn read_rows(
                 "event" => "car-following",
                 other => match RecordingMap::recognise(first.fields.iter()) {
                     Some(map) => return first.reject_line(LineProblem::NeedsMap { map }),
-                    None => return first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
+                    None => {
+                        return first.reject_line(LineProblem::UnknownFormat {
+                            found: table::excerpt(other),
+                        });
+                    }
                 },
             };
             let map = RecordingMap::built_in(name).transpose();
@@ -160,7 +188,9 @@ fn read_with_map(
         } else {
             "the names of its columns"
         };
-        let Some(next) = table.next_header()? else { return table.reject_cut_short(expected) };
+        let Some(next) = table.next_header()? else {
+            return table.reject_cut_short(expected);
+        };
         names = next;
     }
     match &map.layout {

@@ -43,7 +43,9 @@ pub(super) fn map(text: &str) -> RecordingMap {
 }
 
 fn map_error(text: &str) -> String {
-    RecordingMap::from_toml(text, Path::new("m.toml")).expect_err("wrong").to_string()
+    RecordingMap::from_toml(text, Path::new("m.toml"))
+        .expect_err("wrong")
+        .to_string()
 }
 
 pub(super) fn read_with(text: &str, by: &str) -> Recording {
@@ -56,8 +58,17 @@ fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     let mut rows: Vec<_> = found
         .into_iter()
         .map(|one| {
-            let placed = one.vehicles.iter().flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps]).collect();
-            [vec![one.start_s, one.duration_s], one.time_s, one.speed_mps, placed]
+            let placed = one
+                .vehicles
+                .iter()
+                .flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps])
+                .collect();
+            [
+                vec![one.start_s, one.duration_s],
+                one.time_s,
+                one.speed_mps,
+                placed,
+            ]
         })
         .collect();
     rows.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
@@ -66,17 +77,33 @@ fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
 
 /// Returns the mean speed of a vehicle between two rows, in m/s.
 fn mean_mps(rows: &[Vec<Option<f64>>], index: usize) -> f64 {
-    rows.iter().map(|row| row[index].expect("known")).sum::<f64>() / rows.len() as f64
+    rows.iter()
+        .map(|row| row[index].expect("known"))
+        .sum::<f64>()
+        / rows.len() as f64
 }
 
 fn as_tracks(motion: &PlatoonMotion) -> String {
     let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
     for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
-        let mut front_m: f64 = motion.speeds[..=k].windows(2).map(|rows| 0.1 * mean_mps(rows, 0)).sum();
+        let mut front_m: f64 = motion.speeds[..=k]
+            .windows(2)
+            .map(|rows| 0.1 * mean_mps(rows, 0))
+            .sum();
         for (index, speed) in speeds.iter().enumerate() {
-            front_m -= if index == 0 { 0.0 } else { gaps[index - 1].expect("known") + 4.5 };
+            front_m -= if index == 0 {
+                0.0
+            } else {
+                gaps[index - 1].expect("known") + 4.5
+            };
             let (centre_ft, kmh) = (-(front_m - 2.25) / 0.3048, speed.expect("known") * 3.6);
-            let _ = writeln!(text, "{};{};2;{centre_ft};{};450", 4800 + k, motion.first + index, -kmh);
+            let _ = writeln!(
+                text,
+                "{};{};2;{centre_ft};{};450",
+                4800 + k,
+                motion.first + index,
+                -kmh
+            );
         }
     }
     text
@@ -87,7 +114,12 @@ fn as_pairs(motion: &PlatoonMotion) -> String {
     for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
         let [leader, follower] = [0, 1].map(|index| speeds[index].expect("known") / 0.447_04);
         let range_ft = (gaps[0].expect("known") + 4.5) / 0.3048;
-        let _ = writeln!(text, "{}\t{follower}\t{}\t{range_ft}", 480_000 + 100 * k, follower - leader);
+        let _ = writeln!(
+            text,
+            "{}\t{follower}\t{}\t{range_ft}",
+            480_000 + 100 * k,
+            follower - leader
+        );
     }
     text
 }
@@ -128,8 +160,14 @@ proptest! {
 #[test]
 fn absent_braking_is_reported_only_where_observed() {
     let pair = |step_ms: u32, count: u32, ego: &str| {
-        let rows: String = (0..count).map(|k| format!("{}\t{ego}\t0\t100\n", step_ms * k)).collect();
-        hardest_braking(&read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS)).to_string()
+        let rows: String = (0..count)
+            .map(|k| format!("{}\t{ego}\t0\t100\n", step_ms * k))
+            .collect();
+        hardest_braking(&read_with(
+            &format!("ms\tego\tclosing\trange\n{rows}"),
+            PAIRS,
+        ))
+        .to_string()
     };
     assert_eq!(pair(100, 50, "20"), "no vehicle brakes");
     assert_eq!(
@@ -141,50 +179,133 @@ fn absent_braking_is_reported_only_where_observed() {
         "no vehicle has a known speed for a whole second without a gap in the data, 0.800 s at most: crumple cannot \
             find braking"
     );
-    assert_eq!(pair(100, 50, ""), "no vehicle that can be a leader has a known speed, so crumple cannot find braking");
-    let slow = read_with("ms\tego\tclosing\trange\n0\t20\t0\t100\n1000\t20\t0\t100\n2000\t20\t0\t100\n", PAIRS);
+    assert_eq!(
+        pair(100, 50, ""),
+        "no vehicle that can be a leader has a known speed, so crumple cannot find braking"
+    );
+    let slow = read_with(
+        "ms\tego\tclosing\trange\n0\t20\t0\t100\n1000\t20\t0\t100\n2000\t20\t0\t100\n",
+        PAIRS,
+    );
     assert_eq!(preview(&slow).expect("speeds are known").step_s, Some(1.0));
 }
 
 #[test]
 fn gaps_are_filled_up_to_the_length_in_the_map() {
     let values = |by: &str| {
-        let rows = "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
+        let rows =
+            "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
         let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), by);
         let follower = recording.platoons[0].vehicles[1].speed_mps.clone();
-        follower.into_iter().map(|mps| mps.map(|mps| (mps / 0.447_04 * 1e6).round() / 1e6)).collect::<Vec<_>>()
+        follower
+            .into_iter()
+            .map(|mps| mps.map(|mps| (mps / 0.447_04 * 1e6).round() / 1e6))
+            .collect::<Vec<_>>()
     };
     let holes = [Some(10.0), None, Some(14.0), None, None, Some(20.0)];
     assert_eq!(values(PAIRS), holes);
-    let filled = |seconds: &str| values(&PAIRS.replace("time.", &format!("interpolate_s = {seconds}\ntime.")));
-    assert_eq!(filled("0.2"), [Some(10.0), Some(12.0), Some(14.0), None, None, Some(20.0)]);
-    assert_eq!(filled("0.3"), [10.0, 12.0, 14.0, 16.0, 18.0, 20.0].map(Some));
+    let filled = |seconds: &str| {
+        values(&PAIRS.replace("time.", &format!("interpolate_s = {seconds}\ntime.")))
+    };
+    assert_eq!(
+        filled("0.2"),
+        [Some(10.0), Some(12.0), Some(14.0), None, None, Some(20.0)]
+    );
+    assert_eq!(
+        filled("0.3"),
+        [10.0, 12.0, 14.0, 16.0, 18.0, 20.0].map(Some)
+    );
 }
 
 #[test]
 fn errors_of_a_map_name_their_place() {
     let length = "length_m = 4.5\n";
     let cases = [
-        (PAIRS, "version = 1", "version = 2", "1: version: version 2 is not supported: this release reads version 1"),
-        (PAIRS, "\"pairs\"", "\"My pairs\"", "2: name: must be 1 to 40 lower-case letters, digits and hyphens"),
-        (PAIRS, "\"tab\"", "\"blank\"", "3: delimiter: unknown variant `blank`, expected"),
-        (PAIRS, "unit = \"ms\"", "unit = \"h\"", "4: time.clock.unit: unknown variant `h`, expected"),
-        (PAIRS, "\"range\"", "\"\"", "7: layout.pairs.spacing.column: must be 1 to 200 letters"),
-        (PAIRS, length, "", "6: layout.pairs: length_m: is needed for spacings from front to front"),
+        (
+            PAIRS,
+            "version = 1",
+            "version = 2",
+            "1: version: version 2 is not supported: this release reads version 1",
+        ),
+        (
+            PAIRS,
+            "\"pairs\"",
+            "\"My pairs\"",
+            "2: name: must be 1 to 40 lower-case letters, digits and hyphens",
+        ),
+        (
+            PAIRS,
+            "\"tab\"",
+            "\"blank\"",
+            "3: delimiter: unknown variant `blank`, expected",
+        ),
+        (
+            PAIRS,
+            "unit = \"ms\"",
+            "unit = \"h\"",
+            "4: time.clock.unit: unknown variant `h`, expected",
+        ),
+        (
+            PAIRS,
+            "\"range\"",
+            "\"\"",
+            "7: layout.pairs.spacing.column: must be 1 to 200 letters",
+        ),
+        (
+            PAIRS,
+            length,
+            "",
+            "6: layout.pairs: length_m: is needed for spacings from front to front",
+        ),
         (
             PAIRS,
             ", from = \"front-to-front\"",
             "",
             "8: layout.pairs.length_m: is not used for spacings from bumper to bumper: remove it",
         ),
-        (PAIRS, length, "length_m = nan\n", "8: layout.pairs.length_m: must be from 0.1 to 100, found NaN"),
-        (PAIRS, "follower_speed", "leaders_speed", "9: layout.pairs.leaders_speed: unknown field `leaders_speed`"),
-        (TRACKS, "lines_before_names = 1", "lines_before_names = 1001", "4: lines_before_names: must be at most 1000"),
-        (TRACKS, "rate_hz = 10.0", "rate_hz = 0.0", "5: time.frames.rate_hz: must be from 0.5 to 1000, found 0"),
-        (TRACKS, "\"centre\"", "\"middle\"", "10: layout.tracks.position.of: unknown variant `middle`"),
+        (
+            PAIRS,
+            length,
+            "length_m = nan\n",
+            "8: layout.pairs.length_m: must be from 0.1 to 100, found NaN",
+        ),
+        (
+            PAIRS,
+            "follower_speed",
+            "leaders_speed",
+            "9: layout.pairs.leaders_speed: unknown field `leaders_speed`",
+        ),
+        (
+            TRACKS,
+            "lines_before_names = 1",
+            "lines_before_names = 1001",
+            "4: lines_before_names: must be at most 1000",
+        ),
+        (
+            TRACKS,
+            "rate_hz = 10.0",
+            "rate_hz = 0.0",
+            "5: time.frames.rate_hz: must be from 0.5 to 1000, found 0",
+        ),
+        (
+            TRACKS,
+            "\"centre\"",
+            "\"middle\"",
+            "10: layout.tracks.position.of: unknown variant `middle`",
+        ),
         (TRACKS, "[layout.tracks]", "[layout.traces]", "7: layout"),
-        (TRACKS, "vehicle = \"id\"\n", "", "7: layout.tracks: missing field `vehicle`"),
-        (TRACKS, "\"lane\"", "\"id\"", "9: layout.tracks.lane: `id` is already the column of `layout.tracks.vehicle`"),
+        (
+            TRACKS,
+            "vehicle = \"id\"\n",
+            "",
+            "7: layout.tracks: missing field `vehicle`",
+        ),
+        (
+            TRACKS,
+            "\"lane\"",
+            "\"id\"",
+            "9: layout.tracks.lane: `id` is already the column of `layout.tracks.vehicle`",
+        ),
         (
             TRACKS,
             "{ column = \"v\"",
@@ -204,13 +325,21 @@ fn errors_of_a_map_name_their_place() {
             "10: layout.pairs.relative_speed.column: `ego` is already the column of \
                 `layout.pairs.follower_speed.column`",
         ),
-        (TRACKS, "lines_before", "interpolate_s = 3.0\nlines_before", "4: interpolate_s: must be from 0 to 2, found 3"),
+        (
+            TRACKS,
+            "lines_before",
+            "interpolate_s = 3.0\nlines_before",
+            "4: interpolate_s: must be from 0 to 2, found 3",
+        ),
     ];
     for (text, good, bad, expected) in cases {
         let changed = text.replacen(good, bad, 1);
         assert_ne!(changed, text);
         let (message, expected) = (map_error(&changed), format!("m.toml:{expected}"));
-        assert!(message.starts_with(&expected), "{message}\n  should start with\n{expected}");
+        assert!(
+            message.starts_with(&expected),
+            "{message}\n  should start with\n{expected}"
+        );
     }
     let two = TRACKS.to_owned() + "[layout.pairs]\nspacing = { column = \"x\" }\n";
     assert!(map_error(&two).contains("several kinds are given"));
@@ -222,7 +351,10 @@ fn platoons_from_front_to_front_need_their_cars_length() {
     let by = "version = 1\nname = \"own\"\ntime.clock = { column = \"t\" }\n[layout.platoon]\nspeed = \
         { column = \"v{}\" }\n\
               spacing = { column = \"d{}\", from = \"front-to-front\" }\nlength_m = 5.0\n";
-    assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
+    assert_eq!(
+        read_with(text, by).platoons[0].gap_ahead_m(1),
+        [Some(15.0), None]
+    );
     for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {
         let expected = "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands";
         assert_eq!(map_error(&by.replace(good, bad)), expected);
@@ -231,13 +363,31 @@ fn platoons_from_front_to_front_need_their_cars_length() {
 
 #[test]
 fn the_hardest_braking_is_found_at_any_threshold() {
-    let rows: String =
-        (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
+    let rows: String = (0..60)
+        .map(|k| {
+            format!(
+                "{}\t20\t{}\t100\n",
+                100 * k,
+                0.05 * f64::from(k - 20).clamp(0.0, 15.0)
+            )
+        })
+        .collect();
     let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);
-    assert_eq!(find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes, []);
-    let HardestBrakingResult::Braking(hardest) = hardest_braking(&recording) else { panic!("it brakes") };
-    assert!((hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s), "{hardest:?}");
+    assert_eq!(
+        find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes,
+        []
+    );
+    let HardestBrakingResult::Braking(hardest) = hardest_braking(&recording) else {
+        panic!("it brakes")
+    };
+    assert!(
+        (hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s),
+        "{hardest:?}"
+    );
     let seen = preview(&recording).expect("speeds are known");
-    assert_eq!((seen.lead_vehicles, seen.samples, seen.step_s), (1, 60, Some(0.1)));
+    assert_eq!(
+        (seen.lead_vehicles, seen.samples, seen.step_s),
+        (1, 60, Some(0.1))
+    );
     assert_eq!((seen.time_s, seen.lines.len()), ([0.0, 5.9], 1));
 }

@@ -79,7 +79,10 @@ pub use load::{ReadProgress, load, load_first_part, load_parts, read};
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
 pub use parts::{PartSink, merge_dropped};
-pub use preview::{HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking, preview};
+pub use preview::{
+    HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking,
+    preview,
+};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
 
@@ -116,7 +119,9 @@ impl Recording {
             let leads = 0..platoon.vehicles.len().saturating_sub(1);
             leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
         });
-        in_platoons.chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles)).collect()
+        in_platoons
+            .chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles))
+            .collect()
     }
 }
 
@@ -143,7 +148,10 @@ impl RecordedPlatoon {
     /// unknown. Empty for the first vehicle and for one that does not exist.
     #[must_use]
     pub fn gap_ahead_m(&self, index: usize) -> &[Option<f64>] {
-        index.checked_sub(1).and_then(|pair| self.gaps_m.get(pair)).map_or(&[], Vec::as_slice)
+        index
+            .checked_sub(1)
+            .and_then(|pair| self.gaps_m.get(pair))
+            .map_or(&[], Vec::as_slice)
     }
 
     /// Returns gap ahead and speed of vehicle `index` at one sample, if both are known.

@@ -39,10 +39,16 @@ pub(super) struct BrakingEvent {
 
 /// Returns the segments of the motion of a vehicle of a platoon.
 pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec<Vec<SpeedSample>> {
-    let Some(vehicle) = platoon.vehicles.get(vehicle) else { return Vec::new() };
+    let Some(vehicle) = platoon.vehicles.get(vehicle) else {
+        return Vec::new();
+    };
     let known = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
     split_at_holes(known.filter_map(|(index, (&time_s, &speed_mps))| {
-        Some(SpeedSample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: round_to_milli(speed_mps?) })
+        Some(SpeedSample {
+            index,
+            time_ms: (time_s * 1000.0).round() as i64,
+            speed_mps: round_to_milli(speed_mps?),
+        })
     }))
 }
 
@@ -51,7 +57,11 @@ pub(super) fn split_at_holes(samples: impl Iterator<Item = SpeedSample>) -> Vec<
     let mut runs: Vec<Vec<SpeedSample>> = Vec::new();
     for sample in samples {
         match runs.last_mut() {
-            Some(run) if run.last().is_some_and(|last| sample.time_ms - last.time_ms <= MAX_HOLE_MS) => {
+            Some(run)
+                if run
+                    .last()
+                    .is_some_and(|last| sample.time_ms - last.time_ms <= MAX_HOLE_MS) =>
+            {
                 run.push(sample);
             }
             _ => runs.push(vec![sample]),
@@ -66,10 +76,16 @@ pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<Bra
     let mut ahead = run.windows(2).peekable();
     for sample in run {
         let end_ms = sample.time_ms + BRAKING_WINDOW_MS;
-        while ahead.next_if(|pair| matches!(**pair, [_, next] if next.time_ms < end_ms)).is_some() {}
-        let Some([before, after]) = ahead.peek().copied() else { break };
+        while ahead
+            .next_if(|pair| matches!(**pair, [_, next] if next.time_ms < end_ms))
+            .is_some()
+        {}
+        let Some([before, after]) = ahead.peek().copied() else {
+            break;
+        };
         let share = (end_ms - before.time_ms) as f64 / (after.time_ms - before.time_ms) as f64;
-        let drop_mps = sample.speed_mps - (before.speed_mps + (after.speed_mps - before.speed_mps) * share);
+        let drop_mps =
+            sample.speed_mps - (before.speed_mps + (after.speed_mps - before.speed_mps) * share);
         if drop_mps <= min_brake_mps2 + ROUNDING_MARGIN_MPS {
             continue;
         }
@@ -82,7 +98,12 @@ pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<Bra
             }
             _ => {
                 let hardest_ms = sample.time_ms;
-                found.push(BrakingEvent { onset_ms: hardest_ms, end_ms, largest_drop_mps: drop_mps, hardest_ms });
+                found.push(BrakingEvent {
+                    onset_ms: hardest_ms,
+                    end_ms,
+                    largest_drop_mps: drop_mps,
+                    hardest_ms,
+                });
             }
         }
     }

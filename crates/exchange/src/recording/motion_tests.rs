@@ -28,17 +28,32 @@ pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = PlatoonMot
             .collect();
         let rows = lead.len();
         let cells = |range: std::ops::Range<f64>, columns: usize| {
-            let cell = (0.0..1.0, range).prop_map(move |(draw, value)| (draw >= share_missing).then_some(value));
+            let cell = (0.0..1.0, range)
+                .prop_map(move |(draw, value)| (draw >= share_missing).then_some(value));
             prop::collection::vec(prop::collection::vec(cell, columns), rows)
         };
-        let lead_known = prop::collection::vec((0.0..1.0).prop_map(move |draw| draw >= share_missing), rows);
-        (lead_known, cells(0.0..50.0, vehicles - 1), cells(0.5..200.0, vehicles - 1)).prop_map(
-            move |(known, followers, gaps)| {
-                let leads = lead.iter().zip(known).map(|(&speed, known)| known.then_some(speed));
-                let speeds = leads.zip(followers).map(|(lead, rest)| [vec![lead], rest].concat()).collect();
-                PlatoonMotion { first, speeds, gaps }
-            },
+        let lead_known =
+            prop::collection::vec((0.0..1.0).prop_map(move |draw| draw >= share_missing), rows);
+        (
+            lead_known,
+            cells(0.0..50.0, vehicles - 1),
+            cells(0.5..200.0, vehicles - 1),
         )
+            .prop_map(move |(known, followers, gaps)| {
+                let leads = lead
+                    .iter()
+                    .zip(known)
+                    .map(|(&speed, known)| known.then_some(speed));
+                let speeds = leads
+                    .zip(followers)
+                    .map(|(lead, rest)| [vec![lead], rest].concat())
+                    .collect();
+                PlatoonMotion {
+                    first,
+                    speeds,
+                    gaps,
+                }
+            })
     })
 }
 
@@ -48,14 +63,22 @@ impl PlatoonMotion {
         let vehicles = self.speeds[0].len();
         let numbers = self.first..self.first + vehicles;
         let mut text = format!("{HEADER}Time");
-        numbers.clone().for_each(|k| text += &format!(",Speed{k},E{k}"));
-        numbers.take(vehicles - 1).for_each(|k| text += &format!(",IVS{k}"));
-        let field = |value: &Option<f64>| value.map(|value| format!("{value:?}")).unwrap_or_default();
+        numbers
+            .clone()
+            .for_each(|k| text += &format!(",Speed{k},E{k}"));
+        numbers
+            .take(vehicles - 1)
+            .for_each(|k| text += &format!(",IVS{k}"));
+        let field =
+            |value: &Option<f64>| value.map(|value| format!("{value:?}")).unwrap_or_default();
         text += "\r\n";
         for (k, (speeds, gaps)) in self.speeds.iter().zip(&self.gaps).enumerate() {
             text += &format!("\r\n{:?}", 480.0 + 0.1 * k as f64);
-            speeds.iter().for_each(|speed| text += &format!(",{},1.5", field(speed)));
-            gaps.iter().for_each(|gap| text += &format!(",{}", field(gap)));
+            speeds
+                .iter()
+                .for_each(|speed| text += &format!(",{},1.5", field(speed)));
+            gaps.iter()
+                .for_each(|gap| text += &format!(",{}", field(gap)));
         }
         // Without a line end, a last row with fewer decimals than all others would count as cut off.
         text + "\r\n"
@@ -65,7 +88,10 @@ impl PlatoonMotion {
 /// Returns the largest loss of speed over one second that starts at a sample.
 fn largest_drop_mps(lead: &RecordedSpeeds) -> f64 {
     let drop = |&t: &f64| lead.speed_at_mps(t) - lead.speed_at_mps(t + 1.0);
-    lead.time_s.iter().map(drop).fold(f64::NEG_INFINITY, f64::max)
+    lead.time_s
+        .iter()
+        .map(drop)
+        .fold(f64::NEG_INFINITY, f64::max)
 }
 
 proptest! {

@@ -43,7 +43,10 @@ pub(super) fn parse_number(text: &str, decimal: DecimalMark) -> Option<f64> {
             }
             _ if letter == other || BLANKS.contains(&letter) => {
                 let is_placed = match separator {
-                    None => (1..=3).contains(&digits) && !whole.trim_start_matches(['+', '-']).starts_with('0'),
+                    None => {
+                        (1..=3).contains(&digits)
+                            && !whole.trim_start_matches(['+', '-']).starts_with('0')
+                    }
                     Some(_) => digits == 3,
                 };
                 if !is_placed || separator.is_some_and(|known| known != letter) {
@@ -80,7 +83,9 @@ pub(super) struct NumberMarks {
 impl NumberMarks {
     /// Counts the mark of a field, if it is a number.
     pub(super) fn add(&mut self, field: &str) {
-        let Some(last) = field.rfind(['.', ',']) else { return };
+        let Some(last) = field.rfind(['.', ',']) else {
+            return;
+        };
         let is_number = |decimal| parse_number(field, decimal).is_some();
         let count = match (is_number(DecimalMark::Comma), is_number(DecimalMark::Point)) {
             (false, false) => return,
@@ -94,9 +99,16 @@ impl NumberMarks {
 
     pub(super) fn decimal(&self, delimiter: Delimiter) -> DecimalMark {
         let only_unclear = self.commas == 0 && self.points == 0 && delimiter != Delimiter::Comma;
-        let is_comma =
-            if only_unclear { self.unclear_commas > 0 && self.unclear_points == 0 } else { self.commas > self.points };
-        if is_comma { DecimalMark::Comma } else { DecimalMark::Point }
+        let is_comma = if only_unclear {
+            self.unclear_commas > 0 && self.unclear_points == 0
+        } else {
+            self.commas > self.points
+        };
+        if is_comma {
+            DecimalMark::Comma
+        } else {
+            DecimalMark::Point
+        }
     }
 }
 
@@ -118,30 +130,45 @@ pub(super) fn parse_iso_s(text: &str) -> Option<f64> {
         Some(seconds) => {
             let (whole, fraction) = seconds.split_once(['.', ',']).unwrap_or((seconds, "0"));
             let places = fraction.len().min(MAX_FRACTION_DIGITS);
-            (digits(whole, 2)?, digits(fraction, places)? as f64 / 10_f64.powi(places as i32))
+            (
+                digits(whole, 2)?,
+                digits(fraction, places)? as f64 / 10_f64.powi(places as i32),
+            )
         }
     };
     let offset_minutes = match zone.strip_prefix(['+', '-']) {
         Some(offset) => {
             let (hours, minutes) = offset.split_at_checked(2)?;
             let minutes = minutes.strip_prefix(':').unwrap_or(minutes);
-            let size = 60 * digits(hours, 2)? + if minutes.is_empty() { 0 } else { digits(minutes, 2)? };
+            let size = 60 * digits(hours, 2)?
+                + if minutes.is_empty() {
+                    0
+                } else {
+                    digits(minutes, 2)?
+                };
             if zone.starts_with('+') { size } else { -size }
         }
         None => 0,
     };
     let is_valid = hours <= 24 && minutes < 60 && whole <= 60 && parts.next().is_none();
-    is_valid.then(|| (86_400 * days + 3600 * hours + 60 * (minutes - offset_minutes) + whole) as f64 + fraction)
+    is_valid.then(|| {
+        (86_400 * days + 3600 * hours + 60 * (minutes - offset_minutes) + whole) as f64 + fraction
+    })
 }
 
 fn digits(text: &str, count: usize) -> Option<i64> {
-    (text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit())).then(|| text.parse().ok())?
+    (text.len() == count && text.bytes().all(|byte| byte.is_ascii_digit()))
+        .then(|| text.parse().ok())?
 }
 
 /// Returns the days of a date (Hinnant, "chrono-compatible low-level date algorithms").
 fn days_since_1970(date: &str) -> Option<i64> {
     let mut parts = date.split('-');
-    let (year, month, day) = (digits(parts.next()?, 4)?, digits(parts.next()?, 2)?, digits(parts.next()?, 2)?);
+    let (year, month, day) = (
+        digits(parts.next()?, 4)?,
+        digits(parts.next()?, 2)?,
+        digits(parts.next()?, 2)?,
+    );
     let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     let days = match month {
         2 => 28 + i64::from(is_leap),
@@ -153,5 +180,8 @@ fn days_since_1970(date: &str) -> Option<i64> {
     }
     let year = if month <= 2 { year - 1 } else { year };
     let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
-    Some(365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + of_year - 719_468)
+    Some(
+        365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + of_year
+            - 719_468,
+    )
 }

@@ -46,8 +46,14 @@ pub(super) fn read(
     let mut dropped = Vec::new();
     table.check_samples(&mut dropped)?;
     events.finish_event();
-    let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
-    let accelerations = events.accelerations.iter().flatten().map(|acceleration| &acceleration.series);
+    let speeds = [&events.follower, &events.relative, &events.leader]
+        .into_iter()
+        .flatten();
+    let accelerations = events
+        .accelerations
+        .iter()
+        .flatten()
+        .map(|acceleration| &acceleration.series);
     for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
         series.report(table.path(), table.samples, &mut dropped);
     }
@@ -89,34 +95,67 @@ pub(super) struct EventReader<'m> {
 }
 
 impl<'m> EventReader<'m> {
-    fn new(spec: (&'m RecordingMapSpec, &'m PairsSpec), names: &CsvRow<'_>) -> Result<Self, RecordingError> {
+    fn new(
+        spec: (&'m RecordingMapSpec, &'m PairsSpec),
+        names: &CsvRow<'_>,
+    ) -> Result<Self, RecordingError> {
         let (map, pairs) = spec;
-        let series = |name: &str, unit, quantity| Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity));
+        let series = |name: &str, unit, quantity| {
+            Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity))
+        };
         let speed = |speed: &Option<SpeedSpec>| {
             speed
                 .as_ref()
-                .map(|one| series(&one.column, SpeedUnit::of_column(one.unit), ColumnQuantity::Speed))
+                .map(|one| {
+                    series(
+                        &one.column,
+                        SpeedUnit::of_column(one.unit),
+                        ColumnQuantity::Speed,
+                    )
+                })
                 .transpose()
         };
         let relative = pairs.relative_speed.as_ref().map(|one| {
-            let mut relative = series(&one.column, SpeedUnit::of_column(one.unit), ColumnQuantity::Signed)?;
-            relative.column.factor *= if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
+            let mut relative = series(
+                &one.column,
+                SpeedUnit::of_column(one.unit),
+                ColumnQuantity::Signed,
+            )?;
+            relative.column.factor *= if one.sign == Sign::LeaderMinusFollower {
+                1.0
+            } else {
+                -1.0
+            };
             Ok(relative)
         });
-        let acceleration =
-            |speed: &Option<SpeedSpec>| speed.as_ref().map_or(Ok(None), |speed| AccelerationCheck::find(names, speed));
+        let acceleration = |speed: &Option<SpeedSpec>| {
+            speed
+                .as_ref()
+                .map_or(Ok(None), |speed| AccelerationCheck::find(names, speed))
+        };
         Ok(Self {
             spec,
-            accelerations: [acceleration(&pairs.follower_speed)?, acceleration(&pairs.leader_speed)?],
+            accelerations: [
+                acceleration(&pairs.follower_speed)?,
+                acceleration(&pairs.leader_speed)?,
+            ],
             platoons: Vec::new(),
             finished_rows: 0,
             bounds: PartBounds::new(3),
-            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, ColumnUnit::None)).transpose()?,
+            column: pairs
+                .event
+                .as_ref()
+                .map(|name| CsvColumn::find(names, name, ColumnUnit::None))
+                .transpose()?,
             event: None,
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
             samples: PairSamples::default(),
-            gap: series(&pairs.spacing.column, LengthUnit::of_column(pairs.spacing.unit), ColumnQuantity::Gap)?,
+            gap: series(
+                &pairs.spacing.column,
+                LengthUnit::of_column(pairs.spacing.unit),
+                ColumnQuantity::Gap,
+            )?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
@@ -129,7 +168,10 @@ impl<'m> EventReader<'m> {
     }
 
     fn read_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
-        let event = self.column.as_ref().map_or("", |column| row.text(column.index));
+        let event = self
+            .column
+            .as_ref()
+            .map_or("", |column| row.text(column.index));
         if event.is_empty()
             && let Some(column) = &self.column
         {
@@ -137,7 +179,10 @@ impl<'m> EventReader<'m> {
         }
         let now_s = self.clock.read(row)?;
         // Without a column, names are not compared: comparisons of empty texts are slow on some processors.
-        if self.event.as_deref().is_none_or(|known| self.column.is_some() && known != event)
+        if self
+            .event
+            .as_deref()
+            .is_none_or(|known| self.column.is_some() && known != event)
             || self.clock.starts_anew(row, now_s)
         {
             self.finish_event();
@@ -153,19 +198,34 @@ impl<'m> EventReader<'m> {
         if self.bounds.ends_before((now_s * 1000.0).round() as i64) {
             self.end_part();
         }
-        let gap_m = self.gap.read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
-        let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
-        let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
+        let gap_m = self
+            .gap
+            .read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
+        let read = |series: &mut Option<Series>| {
+            series.as_mut().map_or(Ok(None), |series| series.read(row))
+        };
+        let speeds = (
+            read(&mut self.follower)?,
+            read(&mut self.relative)?,
+            read(&mut self.leader)?,
+        );
         let (follower_mps, leader_mps) = self.reconcile_speeds(row, speeds);
         let rates_mps = match speeds {
             (_, Some(relative), _) => Some([relative, 0.0]),
-            (follower, None, leader) => leader.zip(follower).map(|(leader, follower)| [leader, -follower]),
+            (follower, None, leader) => leader
+                .zip(follower)
+                .map(|(leader, follower)| [leader, -follower]),
         };
         self.gap_change.add((now_s, row.line), gap_m, rates_mps);
         if let (Some(follower), Some(relative), Some(leader)) = speeds {
-            self.closing.add_instant((now_s, row.line), [relative, leader, -follower]);
+            self.closing
+                .add_instant((now_s, row.line), [relative, leader, -follower]);
         }
-        for (acceleration, speed_mps) in self.accelerations.iter_mut().zip([follower_mps, leader_mps]) {
+        for (acceleration, speed_mps) in self
+            .accelerations
+            .iter_mut()
+            .zip([follower_mps, leader_mps])
+        {
             if let Some(acceleration) = acceleration {
                 let value = acceleration.series.read(row)?;
                 acceleration.add((now_s, row.line), speed_mps, value);
@@ -181,11 +241,20 @@ impl<'m> EventReader<'m> {
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
-    fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str, now_s: f64) -> Result<(), RecordingError> {
+    fn check_not_interleaved(
+        &self,
+        row: &CsvRow<'_>,
+        event: &str,
+        now_s: f64,
+    ) -> Result<(), RecordingError> {
         match (&self.column, self.finished.get(&hash_of(event))) {
-            (Some(column), Some(&(last_s, last_line))) if now_s > last_s => {
-                row.reject(&column.name, ColumnProblem::Interleaved { event: excerpt(event), last_line })
-            }
+            (Some(column), Some(&(last_s, last_line))) if now_s > last_s => row.reject(
+                &column.name,
+                ColumnProblem::Interleaved {
+                    event: excerpt(event),
+                    last_line,
+                },
+            ),
             _ => Ok(()),
         }
     }
@@ -197,20 +266,34 @@ impl<'m> EventReader<'m> {
         row: &CsvRow<'_>,
         (follower, relative, leader): (Option<f64>, Option<f64>, Option<f64>),
     ) -> (Option<f64>, Option<f64>) {
-        let possible = |speed_mps: f64| ColumnQuantity::Speed.allows(speed_mps).then_some(speed_mps);
+        let possible =
+            |speed_mps: f64| ColumnQuantity::Speed.allows(speed_mps).then_some(speed_mps);
         match (follower, relative, leader) {
-            (Some(follower), Some(relative), None) => (Some(follower), possible(follower + relative)),
+            (Some(follower), Some(relative), None) => {
+                (Some(follower), possible(follower + relative))
+            }
             (None, Some(relative), Some(leader)) => (possible(leader - relative), Some(leader)),
             (Some(follower), Some(relative), Some(leader)) => {
                 let first_error_mps = (relative - (leader - follower)).abs();
                 if first_error_mps <= SPEED_TOLERANCE_MPS {
                     return (Some(follower), Some(leader));
                 }
-                let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
+                let name = |series: &Option<Series>| {
+                    series
+                        .as_ref()
+                        .map_or("", |one| &one.column.name)
+                        .to_owned()
+                };
                 let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
-                let (relative, error_mps) = (name(&self.relative), format_fixed(first_error_mps, 3));
-                let after = format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}");
-                let what = Omission::counted(format!("{relative}: differs from {difference} in "), 0, after);
+                let (relative, error_mps) =
+                    (name(&self.relative), format_fixed(first_error_mps, 3));
+                let after =
+                    format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}");
+                let what = Omission::counted(
+                    format!("{relative}: differs from {difference} in "),
+                    0,
+                    after,
+                );
                 row.count(&mut self.contradictions, || what);
                 (None, None)
             }
@@ -223,8 +306,13 @@ impl<'m> EventReader<'m> {
     fn finish_event(&mut self) {
         self.clock.restart();
         self.gap_change.restart();
-        self.accelerations.iter_mut().flatten().for_each(AccelerationCheck::restart);
-        let Some(event) = self.event.take() else { return };
+        self.accelerations
+            .iter_mut()
+            .flatten()
+            .for_each(AccelerationCheck::restart);
+        let Some(event) = self.event.take() else {
+            return;
+        };
         let samples = mem::take(&mut self.samples);
         if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
             self.finished.insert(hash_of(&event), (last_s, last_line));
@@ -236,7 +324,10 @@ impl<'m> EventReader<'m> {
     /// Converts the first part of a long event to a platoon, and keeps its end for the next part.
     fn end_part(&mut self) {
         let (core_ms, next_ms) = self.bounds.next();
-        let end = self.samples.time_s.partition_point(|time_s| time_s * 1000.0 < next_ms as f64);
+        let end = self
+            .samples
+            .time_s
+            .partition_point(|time_s| time_s * 1000.0 < next_ms as f64);
         let part = mem::take(&mut self.samples);
         self.samples = part.clone().split_off(end);
         let event = self.event.clone().unwrap_or_default();
@@ -245,38 +336,91 @@ impl<'m> EventReader<'m> {
 
     fn add_platoons(&mut self, event: &str, core_ms: Range<i64>, mut samples: PairSamples) {
         self.finished_rows += EVENT_ROWS + samples.time_s.len();
-        let PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } = &mut samples;
-        for (values, interpolated) in [gaps_m, followers_mps, leaders_mps].into_iter().zip(&mut self.interpolated) {
-            if let Some((count, first)) = interpolate_holes(values, time_s, self.spec.0.interpolate_s) {
-                interpolated.get_or_insert((line.get(first).copied().unwrap_or(0), 0)).1 += count;
+        let PairSamples {
+            time_s,
+            line,
+            gaps_m,
+            followers_mps,
+            leaders_mps,
+        } = &mut samples;
+        for (values, interpolated) in [gaps_m, followers_mps, leaders_mps]
+            .into_iter()
+            .zip(&mut self.interpolated)
+        {
+            if let Some((count, first)) =
+                interpolate_holes(values, time_s, self.spec.0.interpolate_s)
+            {
+                interpolated
+                    .get_or_insert((line.get(first).copied().unwrap_or(0), 0))
+                    .1 += count;
             }
         }
         let event = self.column.is_some().then(|| excerpt(event));
-        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in samples.split(&mut self.switches) {
-            let vehicle =
-                |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
-            let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
+        for PairSamples {
+            time_s,
+            line,
+            gaps_m,
+            followers_mps,
+            leaders_mps,
+        } in samples.split(&mut self.switches)
+        {
+            let vehicle = |number, role: &str, speed_mps| RecordedVehicle {
+                number,
+                name: Some(role.to_owned()),
+                speed_mps,
+            };
+            let vehicles = vec![
+                vehicle(1, "leader", leaders_mps),
+                vehicle(2, "follower", followers_mps),
+            ];
             let (event, core_ms) = (event.clone(), core_ms.clone());
-            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m], core_ms });
+            self.platoons.push(RecordedPlatoon {
+                event,
+                time_s,
+                line,
+                vehicles,
+                gaps_m: vec![gaps_m],
+                core_ms,
+            });
         }
     }
 
     /// Converts the finished platoons to a part of the recording.
-    fn part(&mut self, table: &RowReader<'_>, mut dropped: Vec<DroppedItem>) -> Result<Recording, RecordingError> {
-        let item = |line, omission| DroppedItem { path: table.path().to_owned(), line, omission };
+    fn part(
+        &mut self,
+        table: &RowReader<'_>,
+        mut dropped: Vec<DroppedItem>,
+    ) -> Result<Recording, RecordingError> {
+        let item = |line, omission| DroppedItem {
+            path: table.path().to_owned(),
+            line,
+            omission,
+        };
         let columns = ["spacings", "the follower's speed", "the leader's speed"];
         for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
-            dropped.extend(found.map(|(line, count)| item(line, Omission::interpolated(column, count))));
+            dropped.extend(
+                found.map(|(line, count)| item(line, Omission::interpolated(column, count))),
+            );
         }
         self.check(table, &mut dropped)?;
         let accelerations = self.accelerations.iter_mut().flatten();
-        accelerations.into_iter().try_for_each(|acceleration| acceleration.check(table, &mut dropped))?;
-        (self.gap_change, self.closing, self.finished_rows) = (Comparison::default(), Comparison::default(), 0);
-        dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
+        accelerations
+            .into_iter()
+            .try_for_each(|acceleration| acceleration.check(table, &mut dropped))?;
+        (self.gap_change, self.closing, self.finished_rows) =
+            (Comparison::default(), Comparison::default(), 0);
+        dropped.extend(
+            self.switches
+                .take()
+                .map(|(line, omission)| item(line, omission)),
+        );
         Ok(Recording {
             path: table.path().to_owned(),
             format: self.spec.0.name.clone(),
-            text: TextFormat { time: self.clock.detected(), ..table.format() },
+            text: TextFormat {
+                time: self.clock.detected(),
+                ..table.format()
+            },
             platoons: mem::take(&mut self.platoons),
             traffic: None,
             dropped,

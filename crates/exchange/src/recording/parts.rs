@@ -35,13 +35,19 @@ pub(super) struct PartBounds {
 
 impl PartBounds {
     pub(super) fn new(values_per_row: usize) -> Self {
-        Self { core_ms: ALL_TIMES, values_per_row, rows: 0 }
+        Self {
+            core_ms: ALL_TIMES,
+            values_per_row,
+            rows: 0,
+        }
     }
 
     /// Counts a sample. Returns true if the part must end before it.
     pub(super) fn ends_before(&mut self, time_ms: i64) -> bool {
         self.rows += 1;
-        if self.core_ms.end == i64::MAX && (self.rows > PART_ROWS || self.rows * self.values_per_row > PART_VALUES) {
+        if self.core_ms.end == i64::MAX
+            && (self.rows > PART_ROWS || self.rows * self.values_per_row > PART_VALUES)
+        {
             self.core_ms.end = time_ms;
         }
         time_ms >= self.core_ms.end.saturating_add(MARGIN_MS) || self.rows > 2 * PART_ROWS
@@ -51,14 +57,20 @@ impl PartBounds {
     pub(super) fn next(&mut self) -> (Range<i64>, i64) {
         let from_ms = self.core_ms.end;
         self.rows = 0;
-        (std::mem::replace(&mut self.core_ms, from_ms..i64::MAX), from_ms.saturating_sub(MARGIN_MS))
+        (
+            std::mem::replace(&mut self.core_ms, from_ms..i64::MAX),
+            from_ms.saturating_sub(MARGIN_MS),
+        )
     }
 }
 
 /// Adds the omissions of another part.
 pub fn merge_dropped(all: &mut Vec<DroppedItem>, more: Vec<DroppedItem>) {
     for item in more {
-        if !all.iter_mut().any(|known| known.omission.absorb(&item.omission)) {
+        if !all
+            .iter_mut()
+            .any(|known| known.omission.absorb(&item.omission))
+        {
             all.push(item);
         }
     }

@@ -12,7 +12,9 @@ fn leader_mps(at_s: f64) -> f64 {
 }
 
 fn position_m(at_s: f64) -> f64 {
-    (0..(at_s * 10.0) as usize).map(|tenth| 0.1 * leader_mps(tenth as f64 / 10.0)).sum()
+    (0..(at_s * 10.0) as usize)
+        .map(|tenth| 0.1 * leader_mps(tenth as f64 / 10.0))
+        .sum()
 }
 
 /// Returns tracks of two vehicles, one behind the other by 0.8 s, as rows of one second at 10 Hz; in order of time, or
@@ -34,18 +36,29 @@ fn tracks(minutes: usize, by_vehicle: bool) -> String {
         rows.sort_by_key(|(tenth, vehicle, ..)| (*tenth, *vehicle));
     }
     for (tenth, vehicle, at_m, speed_mps) in rows {
-        writeln!(text, "{:.1},{vehicle},1,{at_m:.3},{speed_mps:.4}", tenth as f64 / 10.0).unwrap();
+        writeln!(
+            text,
+            "{:.1},{vehicle},1,{at_m:.3},{speed_mps:.4}",
+            tenth as f64 / 10.0
+        )
+        .unwrap();
     }
     text
 }
 
 fn pairs(minutes: usize) -> String {
-    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let mut text =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     let mut gap_m = 30.0;
     for tenth in 0..600 * minutes {
         let at_s = tenth as f64 / 10.0;
         let [lead, own] = [0.8, 0.0].map(|ahead_s| leader_mps(at_s + ahead_s));
-        writeln!(text, "a,{at_s:.1},{gap_m:.3},{own:.4},{:.4},{lead:.4}", lead - own).unwrap();
+        writeln!(
+            text,
+            "a,{at_s:.1},{gap_m:.3},{own:.4},{:.4},{lead:.4}",
+            lead - own
+        )
+        .unwrap();
         gap_m += 0.1 * (lead - own);
     }
     text
@@ -71,7 +84,10 @@ fn tracks_map() -> RecordingMap {
     RecordingMap::from_toml(map, Path::new("t.toml")).unwrap()
 }
 
-fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, Vec<ImportedScenario>, ImportResult) {
+fn imported(
+    text: &str,
+    map: Option<&RecordingMap>,
+) -> (usize, Vec<ImportedScenario>, ImportResult) {
     let folder = tempfile::tempdir().unwrap();
     let path: PathBuf = folder.path().join("long.csv");
     std::fs::write(&path, text).unwrap();
@@ -105,12 +121,31 @@ fn episodes_of_long_recordings_are_those_of_short_ones() {
         let (parts, scenarios, result) = imported(&text, map);
         let rows = text.lines().count();
         assert!((2..=4).contains(&parts), "{parts} parts of {rows} rows");
-        let periods = if text.starts_with("time") { minutes / 2 } else { minutes } / 2;
-        assert_eq!(scenarios.len(), per_period * periods, "{:?}", result.dropped);
-        let duration_s: Vec<f64> = scenarios.iter().map(|one| one.scenario.spec().duration_s).collect();
-        assert!(duration_s.iter().all(|one| (one - duration_s[0]).abs() < 0.2), "{duration_s:?}");
+        let periods = if text.starts_with("time") {
+            minutes / 2
+        } else {
+            minutes
+        } / 2;
+        assert_eq!(
+            scenarios.len(),
+            per_period * periods,
+            "{:?}",
+            result.dropped
+        );
+        let duration_s: Vec<f64> = scenarios
+            .iter()
+            .map(|one| one.scenario.spec().duration_s)
+            .collect();
+        assert!(
+            duration_s
+                .iter()
+                .all(|one| (one - duration_s[0]).abs() < 0.2),
+            "{duration_s:?}"
+        );
         let dropped = result.dropped.iter().map(DroppedItem::to_string);
-        let dropped: Vec<_> = dropped.filter(|text| !text.contains("no vehicle is recorded behind it")).collect();
+        let dropped: Vec<_> = dropped
+            .filter(|text| !text.contains("no vehicle is recorded behind it"))
+            .collect();
         assert!(dropped.is_empty(), "{dropped:?}");
     }
 }
@@ -129,7 +164,11 @@ fn memory_is_bounded_for_dense_traffic() {
         std::fs::write(&path, text).unwrap();
         let mut sizes = Vec::new();
         load_parts(&path, Some(&tracks_map()), None, &mut |part| {
-            let samples = part.lead_vehicles().into_iter().flat_map(|lead| lead.segments()).map(|one| one.len());
+            let samples = part
+                .lead_vehicles()
+                .into_iter()
+                .flat_map(|lead| lead.segments())
+                .map(|one| one.len());
             sizes.push(samples.sum::<usize>());
             Ok(true)
         })
@@ -137,11 +176,23 @@ fn memory_is_bounded_for_dense_traffic() {
         .map_err(|error| error.to_string())
     };
     let sizes = parts(&|row| row % 500, 0.5, 8 * PART_ROWS).unwrap();
-    assert!(sizes.len() > 3 && sizes.iter().all(|&rows| rows > PART_ROWS && rows <= MAX_POINTS), "{sizes:?}");
+    assert!(
+        sizes.len() > 3
+            && sizes
+                .iter()
+                .all(|&rows| rows > PART_ROWS && rows <= MAX_POINTS),
+        "{sizes:?}"
+    );
     let refusals = [
         parts(&|row| row % 500, 0.0, MAX_POINTS + PART_ROWS).unwrap_err(),
         parts(&|row| row, 0.5, 3 * PART_ROWS).unwrap_err(),
     ];
-    assert!(refusals[0].contains("more than 40000 rows at one time"), "{refusals:?}");
-    assert!(refusals[1].contains("dense.csv:40002: more than 40000 vehicles"), "{refusals:?}");
+    assert!(
+        refusals[0].contains("more than 40000 rows at one time"),
+        "{refusals:?}"
+    );
+    assert!(
+        refusals[1].contains("dense.csv:40002: more than 40000 vehicles"),
+        "{refusals:?}"
+    );
 }

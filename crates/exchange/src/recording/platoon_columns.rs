@@ -31,7 +31,11 @@ impl PlatoonHeader {
 
     /// Returns the name of a vehicle. Names count from vehicle 1 if there are enough, or from the first recorded
     /// vehicle if each has one; otherwise they are ambiguous.
-    pub(super) fn name_of(&self, number: usize, recorded: &BTreeMap<usize, CsvColumn>) -> Option<String> {
+    pub(super) fn name_of(
+        &self,
+        number: usize,
+        recorded: &BTreeMap<usize, CsvColumn>,
+    ) -> Option<String> {
         let last = *recorded.keys().next_back()?;
         let place = if self.order.len() >= last {
             number.checked_sub(1)?
@@ -61,7 +65,12 @@ impl PlatoonColumns {
     ) -> Result<Self, RecordingError> {
         let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
-        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
+        for (index, name) in names
+            .fields
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| *index != time.column.index)
+        {
             let column = |unit| names.column(index, unit);
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
                 speeds.insert(number, column(SpeedUnit::of_column(platoon.speed.unit))?)
@@ -77,7 +86,12 @@ impl PlatoonColumns {
         if speeds.len().max(gaps.len()) > MAX_VEHICLES {
             return names.reject_too_large(MAX_VEHICLES, "vehicles");
         }
-        Ok(Self { time, speeds, gaps, spacing: platoon.spacing.column.clone() })
+        Ok(Self {
+            time,
+            speeds,
+            gaps,
+            spacing: platoon.spacing.column.clone(),
+        })
     }
 
     /// Splits the platoon into lines of two or more vehicles without holes; returns their numbers.
@@ -103,7 +117,9 @@ impl PlatoonColumns {
                 report(missing(ahead + 1, number - 1, consequence));
             }
             match lines.last_mut() {
-                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
+                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => {
+                    line.push(number)
+                }
                 _ => {
                     if number == ahead + 1 && ahead > 0 {
                         let column = self.spacing.replace("{}", &ahead.to_string());
@@ -118,11 +134,18 @@ impl PlatoonColumns {
         }
         // A count far beyond the columns is a typing error.
         if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
-            report(missing(ahead + 1, header.number_of_vehicles, "the platoon ends before"));
+            report(missing(
+                ahead + 1,
+                header.number_of_vehicles,
+                "the platoon ends before",
+            ));
         }
         for (number, column) in &self.gaps {
             if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
-                report(format!("{}: ignored, because one of its two vehicles has no speed column", column.name));
+                report(format!(
+                    "{}: ignored, because one of its two vehicles has no speed column",
+                    column.name
+                ));
             }
         }
         for line in &lines {
@@ -133,7 +156,10 @@ impl PlatoonColumns {
         }
         lines.retain(|line| line.len() > 1);
         if lines.is_empty() {
-            return names.reject(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+            return names.reject(
+                &excerpt(&self.spacing.replace("{}", "1")),
+                ColumnProblem::NoFollower,
+            );
         }
         Ok(lines)
     }
@@ -142,6 +168,10 @@ impl PlatoonColumns {
 /// Returns the number, from 1, of a column such as `Speed2`, for the pattern `Speed{}`.
 pub(super) fn column_number(name: &str, called: &str) -> Option<usize> {
     let (before, after) = called.split_once("{}")?;
-    let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;
+    let number = name
+        .strip_prefix(before)?
+        .strip_suffix(after)?
+        .parse::<u16>()
+        .ok()?;
     (number > 0).then_some(usize::from(number))
 }

@@ -33,7 +33,9 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut header = PlatoonHeader::default();
-    lines.iter().for_each(|fields| header.read_line(platoon, fields));
+    lines
+        .iter()
+        .for_each(|fields| header.read_line(platoon, fields));
     let layout = PlatoonColumns::from_names((map, platoon), names)?;
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
@@ -58,10 +60,17 @@ pub(super) fn read(
         }
         if bounds.ends_before((now_s * 1000.0).round() as i64) {
             let (core_ms, next_ms) = bounds.next();
-            let text = TextFormat { time: clock.detected(), ..table.format() };
+            let text = TextFormat {
+                time: clock.detected(),
+                ..table.format()
+            };
             let time = clock.column.factor;
-            let part =
-                samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time, text), mem::take(&mut dropped))?;
+            let part = samples.part(
+                table,
+                (&lines_of_vehicles, speeds),
+                (core_ms, time, text),
+                mem::take(&mut dropped),
+            )?;
             if !each(part)? {
                 return Ok(());
             }
@@ -80,14 +89,22 @@ pub(super) fn read(
         }
     }
     table.check_samples(&mut dropped)?;
-    let text = TextFormat { time: clock.detected(), ..table.format() };
+    let text = TextFormat {
+        time: clock.detected(),
+        ..table.format()
+    };
     let time_factor = clock.column.factor;
     clock.report(&mut dropped);
     for series in samples.speeds.values().chain(samples.gaps.values()) {
         series.report(table.path(), table.samples, &mut dropped);
     }
     let core_ms = bounds.next().0;
-    each(samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time_factor, text), dropped)?)?;
+    each(samples.part(
+        table,
+        (&lines_of_vehicles, speeds),
+        (core_ms, time_factor, text),
+        dropped,
+    )?)?;
     Ok(())
 }
 
@@ -118,20 +135,41 @@ impl PlatoonSamples<'_> {
         (core_ms, time_factor, text): (Range<i64>, f64, TextFormat),
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
-        let Self { map, header, speeds, gaps, time_s, line, .. } = self;
+        let Self {
+            map,
+            header,
+            speeds,
+            gaps,
+            time_s,
+            line,
+            ..
+        } = self;
         for (ahead, gap) in gaps {
-            let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
+            let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1)))
+            else {
+                continue;
+            };
             let mut comparison = Comparison::default();
-            let samples = time_s.iter().zip(line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
+            let samples = time_s
+                .iter()
+                .zip(line)
+                .zip(&gap.values)
+                .zip(leader.values.iter().zip(&follower.values));
             for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
-                let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
+                let rates_mps = leader
+                    .zip(*follower)
+                    .map(|(leader, follower)| [leader, -follower]);
                 comparison.add((at_s, line), gap_m, rates_mps);
             }
             let [leader, follower, gap] = [leader, follower, gap].map(|series| &series.column);
             let difference = format!("{} - {}", leader.name, follower.name);
             let speeds = [leader, follower].map(|column| (column.name.as_str(), column.factor));
             let hypotheses: Vec<_> = Hypothesis::speeds(speeds, &difference)
-                .chain(Hypothesis::units(&gap.name, (LengthUnit::ALL, gap.factor), [true, false, false]))
+                .chain(Hypothesis::units(
+                    &gap.name,
+                    (LengthUnit::ALL, gap.factor),
+                    [true, false, false],
+                ))
                 .chain(Hypothesis::times(&map.time, time_factor))
                 .collect();
             let columns = [&format!("the change of {}", gap.name), &*difference];
@@ -140,20 +178,36 @@ impl PlatoonSamples<'_> {
 
         let mut filled = |series: &Series| {
             let mut values = series.values.clone();
-            if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s) {
-                let (path, line) = (table.path().to_owned(), line.get(first).copied().unwrap_or(0));
+            if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s)
+            {
+                let (path, line) = (
+                    table.path().to_owned(),
+                    line.get(first).copied().unwrap_or(0),
+                );
                 let omission = Omission::interpolated(&series.column.name, count);
-                dropped.push(DroppedItem { path, line, omission });
+                dropped.push(DroppedItem {
+                    path,
+                    line,
+                    omission,
+                });
             }
             values
         };
-        let mut speeds_mps: BTreeMap<_, _> = speeds.iter().map(|(&number, one)| (number, filled(one))).collect();
-        let mut gaps_by_number: BTreeMap<_, _> = gaps.iter().map(|(&number, one)| (number, filled(one))).collect();
+        let mut speeds_mps: BTreeMap<_, _> = speeds
+            .iter()
+            .map(|(&number, one)| (number, filled(one)))
+            .collect();
+        let mut gaps_by_number: BTreeMap<_, _> = gaps
+            .iter()
+            .map(|(&number, one)| (number, filled(one)))
+            .collect();
 
         let mut platoons = Vec::new();
         for numbers in lines_of_vehicles {
             let gaps_m = numbers.iter().rev().skip(1).rev();
-            let gaps_m = gaps_m.map(|number| gaps_by_number.remove(number).unwrap_or_default()).collect();
+            let gaps_m = gaps_m
+                .map(|number| gaps_by_number.remove(number).unwrap_or_default())
+                .collect();
             let vehicle = |&number: &usize| RecordedVehicle {
                 number,
                 name: header.name_of(number, recorded),
@@ -161,7 +215,14 @@ impl PlatoonSamples<'_> {
             };
             let (vehicles, core_ms) = (numbers.iter().map(vehicle).collect(), core_ms.clone());
             let (time_s, line) = (time_s.clone(), line.clone());
-            platoons.push(RecordedPlatoon { event: None, time_s, line, vehicles, gaps_m, core_ms });
+            platoons.push(RecordedPlatoon {
+                event: None,
+                time_s,
+                line,
+                vehicles,
+                gaps_m,
+                core_ms,
+            });
         }
         Ok(Recording {
             path: table.path().to_owned(),

@@ -48,8 +48,16 @@ pub enum HardestBrakingResult {
 impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Braking(HardestBraking { event, number, from_s, drop_mps }) => {
-                let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
+            Self::Braking(HardestBraking {
+                event,
+                number,
+                from_s,
+                drop_mps,
+            }) => {
+                let event = event
+                    .as_ref()
+                    .map(|event| format!(" of event {event}"))
+                    .unwrap_or_default();
                 write!(
                     out,
                     "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from \
@@ -57,9 +65,9 @@ impl fmt::Display for HardestBrakingResult {
                 )
             }
             Self::NoBraking => out.write_str("no vehicle brakes"),
-            Self::NoSpeed => {
-                out.write_str("no vehicle that can be a leader has a known speed, so crumple cannot find braking")
-            }
+            Self::NoSpeed => out.write_str(
+                "no vehicle that can be a leader has a known speed, so crumple cannot find braking",
+            ),
             Self::SamplesTooFarApart { step_s } => write!(
                 out,
                 "the speeds of a vehicle are {step_s:.3} s apart, more than the limit of {} s: crumple cannot find \
@@ -116,11 +124,16 @@ pub struct SpeedLine {
 /// Summarises a recording; `None` if no speed is known.
 #[must_use]
 pub fn preview(recording: &Recording) -> Option<Preview> {
-    let (mut speeds_mps, mut gaps_m, mut steps_s, mut lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut speeds_mps, mut gaps_m, mut steps_s, mut lines) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut time_s = [f64::INFINITY, f64::NEG_INFINITY];
     let leads = recording.lead_vehicles();
     for lead in &leads {
-        let mut line = SpeedLine { number: lead.number(), speed_mps: Vec::new(), gap_behind_m: Vec::new() };
+        let mut line = SpeedLine {
+            number: lead.number(),
+            speed_mps: Vec::new(),
+            gap_behind_m: Vec::new(),
+        };
         steps_s.extend(sample_intervals(&**lead));
         for run in lead.segments() {
             for sample in &run {
@@ -176,18 +189,33 @@ impl HardestSearch {
                 steps_s.extend(sample_intervals(&*lead));
             }
             for run in lead.segments() {
-                let lasts_ms = run.first().zip(run.last()).map(|(first, last)| last.time_ms - first.time_ms);
+                let lasts_ms = run
+                    .first()
+                    .zip(run.last())
+                    .map(|(first, last)| last.time_ms - first.time_ms);
                 self.longest_ms = self.longest_ms.max(lasts_ms);
                 for braking in find_brakings(&run, 0.0) {
-                    if self.hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
+                    if self
+                        .hardest
+                        .as_ref()
+                        .is_none_or(|known| braking.largest_drop_mps > known.drop_mps)
+                    {
                         let (event, number) = (lead.event().map(str::to_owned), lead.number());
-                        let (from_s, drop_mps) = (braking.hardest_ms as f64 / 1000.0, braking.largest_drop_mps);
-                        self.hardest = Some(HardestBraking { event, number, from_s, drop_mps });
+                        let (from_s, drop_mps) =
+                            (braking.hardest_ms as f64 / 1000.0, braking.largest_drop_mps);
+                        self.hardest = Some(HardestBraking {
+                            event,
+                            number,
+                            from_s,
+                            drop_mps,
+                        });
                     }
                 }
             }
         }
-        self.step_s = self.step_s.or(min_median_max(&mut steps_s).map(|[_, median, _]| median));
+        self.step_s = self
+            .step_s
+            .or(min_median_max(&mut steps_s).map(|[_, median, _]| median));
     }
 
     /// Returns the result.
@@ -196,12 +224,16 @@ impl HardestSearch {
         match (self.hardest, self.longest_ms) {
             (Some(hardest), _) => HardestBrakingResult::Braking(hardest),
             (None, None) => HardestBrakingResult::NoSpeed,
-            (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => HardestBrakingResult::NoBraking,
+            (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => {
+                HardestBrakingResult::NoBraking
+            }
             (None, Some(longest_ms)) => match self.step_s {
                 Some(step_s) if step_s * 1000.0 > MAX_HOLE_MS as f64 => {
                     HardestBrakingResult::SamplesTooFarApart { step_s }
                 }
-                _ => HardestBrakingResult::TooShort { longest_s: longest_ms as f64 / 1000.0 },
+                _ => HardestBrakingResult::TooShort {
+                    longest_s: longest_ms as f64 / 1000.0,
+                },
             },
         }
     }
@@ -209,7 +241,10 @@ impl HardestSearch {
 
 fn sample_intervals(lead: &dyn LeadVehicle) -> Vec<f64> {
     let times: Vec<f64> = lead.segments().iter().flatten().map(seconds).collect();
-    times.windows(2).filter_map(|pair| Some(pair.last()? - pair.first()?)).collect()
+    times
+        .windows(2)
+        .filter_map(|pair| Some(pair.last()? - pair.first()?))
+        .collect()
 }
 
 fn seconds(sample: &SpeedSample) -> f64 {
@@ -218,5 +253,9 @@ fn seconds(sample: &SpeedSample) -> f64 {
 
 fn min_median_max(values: &mut [f64]) -> Option<[f64; 3]> {
     values.sort_by(f64::total_cmp);
-    Some([*values.first()?, *values.get(values.len() / 2)?, *values.last()?])
+    Some([
+        *values.first()?,
+        *values.get(values.len() / 2)?,
+        *values.last()?,
+    ])
 }

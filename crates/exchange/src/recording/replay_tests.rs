@@ -13,7 +13,16 @@ struct BrakesWithLeader(f64);
 
 impl Controller for BrakesWithLeader {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(if seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -1.5) { -self.0 } else { 0.0 })
+        Ok(
+            if seen
+                .ahead
+                .is_some_and(|ahead| ahead.acceleration_mps2 < -1.5)
+            {
+                -self.0
+            } else {
+                0.0
+            },
+        )
     }
 }
 
@@ -29,25 +38,48 @@ impl ControllerSource for BrakesWithLeader {
 
 #[test]
 fn brakings_stand_beside_those_of_the_driver() {
-    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let mut text =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     let mut gap_m = 40.0;
     for tenth in 0..200 {
         let at_s = f64::from(tenth) / 10.0;
         let speed_mps = |from_s: f64| 20.0 - 2.0 * (at_s - from_s).clamp(0.0, 3.0);
         let (leader_mps, own_mps) = (speed_mps(8.0), speed_mps(9.0));
-        text += &format!("a,{at_s:.1},{gap_m:.3},{own_mps:.3},{:.3},{leader_mps:.3}\n", leader_mps - own_mps);
+        text += &format!(
+            "a,{at_s:.1},{gap_m:.3},{own_mps:.3},{:.3},{leader_mps:.3}\n",
+            leader_mps - own_mps
+        );
         gap_m += 0.1 * (leader_mps - own_mps);
     }
     let recording = read(text.as_bytes(), Path::new("a.csv"), None).unwrap();
     for (brake_mps2, unnecessary) in [(3.0, 0), (7.0, 1)] {
-        let options = RunOptions::new(ControllerKind::Custom(Arc::new(BrakesWithLeader(brake_mps2))));
+        let options = RunOptions::new(ControllerKind::Custom(Arc::new(BrakesWithLeader(
+            brake_mps2,
+        ))));
         let drives = replay(&recording, &options, 1.3, &|_, _| {}).unwrap();
-        let [drive] = &drives[..] else { panic!("{drives:?}") };
-        let [braking] = drive.brakings[..] else { panic!("{drive:?}") };
-        assert!((drive.duration_s - 19.9).abs() < 0.06 && (drive.distance_m - 341.75).abs() < 1.0, "{drive:?}");
-        assert!((braking.from_s - 8.5).abs() < 0.3 && braking.brake_mps2 == brake_mps2, "{braking:?}");
-        assert!((braking.driver_brake_mps2 - 2.0).abs() < 0.05, "{braking:?}");
-        assert_eq!(drive.unnecessary.map(|found| found.count), [unnecessary, 0], "{drive:?}");
+        let [drive] = &drives[..] else {
+            panic!("{drives:?}")
+        };
+        let [braking] = drive.brakings[..] else {
+            panic!("{drive:?}")
+        };
+        assert!(
+            (drive.duration_s - 19.9).abs() < 0.06 && (drive.distance_m - 341.75).abs() < 1.0,
+            "{drive:?}"
+        );
+        assert!(
+            (braking.from_s - 8.5).abs() < 0.3 && braking.brake_mps2 == brake_mps2,
+            "{braking:?}"
+        );
+        assert!(
+            (braking.driver_brake_mps2 - 2.0).abs() < 0.05,
+            "{braking:?}"
+        );
+        assert_eq!(
+            drive.unnecessary.map(|found| found.count),
+            [unnecessary, 0],
+            "{drive:?}"
+        );
     }
 }
 
@@ -79,14 +111,25 @@ impl ControllerSource for ExecutedLog {
 /// A controller that estimates friction from its commands would otherwise find ice.
 #[test]
 fn the_controller_learns_that_the_recorded_acceleration_was_executed() {
-    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let mut text =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     for tenth in 0..100 {
         let at_s = f64::from(tenth) / 10.0;
-        text += &format!("a,{at_s:.1},40.0,{:.3},0.0,{:.3}\n", 20.0 - 0.5 * at_s, 20.0 - 0.5 * at_s);
+        text += &format!(
+            "a,{at_s:.1},40.0,{:.3},0.0,{:.3}\n",
+            20.0 - 0.5 * at_s,
+            20.0 - 0.5 * at_s
+        );
     }
     let recording = read(text.as_bytes(), Path::new("a.csv"), None).unwrap();
     let log = ExecutedLog::default();
-    replay(&recording, &RunOptions::new(ControllerKind::Custom(Arc::new(log.clone()))), 1.3, &|_, _| {}).unwrap();
+    replay(
+        &recording,
+        &RunOptions::new(ControllerKind::Custom(Arc::new(log.clone()))),
+        1.3,
+        &|_, _| {},
+    )
+    .unwrap();
     let [observed, executed] = &*log.0.lock().unwrap();
     assert!(observed.len() > 100 && executed.len() + 1 == observed.len());
     assert_eq!(executed[..], observed[1..]);

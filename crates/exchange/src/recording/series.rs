@@ -21,7 +21,8 @@ const MAX_SPEED_MPS: f64 = 100.0;
 /// Speeds above are reported, because their unit may be wrong, in m/s.
 const MAX_USUAL_SPEED_MPS: f64 = 50.0;
 /// Part of the sentence about rows that are not in the order of time.
-pub(super) const NOT_LATER: &str = " rows are not later than the row before and were left out, the first one here";
+pub(super) const NOT_LATER: &str =
+    " rows are not later than the row before and were left out, the first one here";
 /// Shortest and longest vehicle of a scenario, in metres.
 const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
@@ -62,12 +63,21 @@ impl Clock {
         let column = CsvColumn::find(names, column, unit)?;
         let format = match time {
             // Times in seconds may count from 1970, in a smaller unit.
-            TimeSpec::Clock(ClockSpec { unit: None, .. }) if column.unit_in_name.is_none_or(|unit| unit == "s") => {
+            TimeSpec::Clock(ClockSpec { unit: None, .. })
+                if column.unit_in_name.is_none_or(|unit| unit == "s") =>
+            {
                 ClockFormat::Unit("s")
             }
             _ => ClockFormat::Stated,
         };
-        Ok(Self { column, last_s: None, not_later: None, restarts: None, format, is_first: true })
+        Ok(Self {
+            column,
+            last_s: None,
+            not_later: None,
+            restarts: None,
+            format,
+            is_first: true,
+        })
     }
 
     /// Returns the format that the first row shows, unless the map states the unit.
@@ -110,23 +120,44 @@ impl Clock {
         }
         let text = row.text(self.column.index);
         if self.format == ClockFormat::Iso && !text.is_empty() {
-            let wrong = || row.reject(&self.column.name, ColumnProblem::NotATime { found: excerpt(text) });
+            let wrong = || {
+                row.reject(
+                    &self.column.name,
+                    ColumnProblem::NotATime {
+                        found: excerpt(text),
+                    },
+                )
+            };
             return parse_iso_s(text).map_or_else(wrong, Ok);
         }
         match row.number(&self.column)? {
             None => row.reject(&self.column.name, ColumnProblem::Empty),
-            Some(found) if found.abs() > MAX_TIME_S => {
-                row.reject(&self.column.name, ColumnProblem::OutOfRange { limit: MAX_TIME_S, found })
-            }
+            Some(found) if found.abs() > MAX_TIME_S => row.reject(
+                &self.column.name,
+                ColumnProblem::OutOfRange {
+                    limit: MAX_TIME_S,
+                    found,
+                },
+            ),
             Some(found_s) => Ok(found_s),
         }
     }
 
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
     pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
-        let Some(before_s) = self.last_s.filter(|last_s| found_s < last_s - MIN_RESTART_S) else { return false };
-        let before = format!("{}: the time starts anew here ({found_s} s after {before_s} s); of ", self.column.name);
-        row.count(&mut self.restarts, || Omission::counted(before, 0, " such places each begins another recording"));
+        let Some(before_s) = self
+            .last_s
+            .filter(|last_s| found_s < last_s - MIN_RESTART_S)
+        else {
+            return false;
+        };
+        let before = format!(
+            "{}: the time starts anew here ({found_s} s after {before_s} s); of ",
+            self.column.name
+        );
+        row.count(&mut self.restarts, || {
+            Omission::counted(before, 0, " such places each begins another recording")
+        });
         true
     }
 
@@ -177,7 +208,9 @@ impl ColumnQuantity {
             // A gap that rounds to 0 would be a collision in the scenario.
             Self::Gap if round_to_milli(value) <= 0.0 => 1e-3 - value,
             Self::Gap => (value - MAX_GAP_M).max(0.0),
-            Self::Length => (LENGTH_RANGE_M[0] - value).max(value - LENGTH_RANGE_M[1]).max(0.0),
+            Self::Length => (LENGTH_RANGE_M[0] - value)
+                .max(value - LENGTH_RANGE_M[1])
+                .max(0.0),
             Self::Signed => 0.0,
         }
     }
@@ -204,7 +237,14 @@ struct ImpossibleValues {
 
 impl Series {
     pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
-        Self { column, quantity, values: Vec::new(), missing: None, impossible: None, unusual: None }
+        Self {
+            column,
+            quantity,
+            values: Vec::new(),
+            missing: None,
+            impossible: None,
+            unusual: None,
+        }
     }
 
     /// Returns the row's value, if there is a possible one.
@@ -213,20 +253,32 @@ impl Series {
     }
 
     /// Returns the row's value minus `less`, such as a vehicle's length.
-    pub(super) fn read_minus(&mut self, row: &CsvRow<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
+    pub(super) fn read_minus(
+        &mut self,
+        row: &CsvRow<'_>,
+        less: f64,
+    ) -> Result<Option<f64>, RecordingError> {
         let Some(value) = row.number(&self.column)?.map(|value| value - less) else {
             self.missing.get_or_insert((row.line, 0)).1 += 1;
             return Ok(None);
         };
         if self.quantity.allows(value) {
-            let is_speed = matches!(self.quantity, ColumnQuantity::Speed | ColumnQuantity::SignedSpeed);
+            let is_speed = matches!(
+                self.quantity,
+                ColumnQuantity::Speed | ColumnQuantity::SignedSpeed
+            );
             if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
                 let (_, largest_mps) = self.unusual.get_or_insert((row.line, 0.0));
                 *largest_mps = largest_mps.max(value.abs());
             }
             return Ok(Some(value));
         }
-        let first = ImpossibleValues { first_line: row.line, last_line: row.line, count: 0, worst: value };
+        let first = ImpossibleValues {
+            first_line: row.line,
+            last_line: row.line,
+            count: 0,
+            worst: value,
+        };
         let found = self.impossible.get_or_insert(first);
         found.last_line = row.line;
         found.count += 1;
@@ -241,39 +293,75 @@ impl Series {
         let column = &self.column.name;
         let mut report = |line, note: String| {
             let omission = Omission::Note(format!("{column}: {note}"));
-            dropped.push(DroppedItem { path: path.to_owned(), line, omission });
+            dropped.push(DroppedItem {
+                path: path.to_owned(),
+                line,
+                omission,
+            });
         };
         if let Some((line, count)) = self.missing {
-            report(line, format!("{count} of {rows} values are missing, the first one here"));
+            report(
+                line,
+                format!("{count} of {rows} values are missing, the first one here"),
+            );
         }
         if let Some((line, found_mps)) = self.unusual {
-            report(line, format!("speeds up to {} m/s, {CHECK_UNIT}", format_fixed(found_mps, 1)));
+            report(
+                line,
+                format!(
+                    "speeds up to {} m/s, {CHECK_UNIT}",
+                    format_fixed(found_mps, 1)
+                ),
+            );
         }
-        if let Some(ImpossibleValues { first_line, last_line, count, worst }) = self.impossible {
+        if let Some(ImpossibleValues {
+            first_line,
+            last_line,
+            count,
+            worst,
+        }) = self.impossible
+        {
             let (what, unit) = match self.quantity {
                 ColumnQuantity::Gap => ("spacings", "m"),
                 ColumnQuantity::Length => ("lengths", "m"),
                 _ => ("speeds", "m/s"),
             };
             let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
-            let all = if is_all { ", and no possible one: its sign or unit is probably wrong" } else { "" };
+            let all = if is_all {
+                ", and no possible one: its sign or unit is probably wrong"
+            } else {
+                ""
+            };
             let worst = format_compact(worst);
-            let place = format!("the first one here, the last one on line {last_line}, the worst {worst} {unit}");
-            report(first_line, format!("{count} impossible {what}, {place}{all}"));
+            let place = format!(
+                "the first one here, the last one on line {last_line}, the worst {worst} {unit}"
+            );
+            report(
+                first_line,
+                format!("{count} impossible {what}, {place}{all}"),
+            );
         }
     }
 }
 
 /// Interpolates holes of at most `longest_s` seconds. Returns the number of new values and the first such sample.
-pub(super) fn interpolate_holes(values: &mut [Option<f64>], time_s: &[f64], longest_s: f64) -> Option<(usize, usize)> {
+pub(super) fn interpolate_holes(
+    values: &mut [Option<f64>],
+    time_s: &[f64],
+    longest_s: f64,
+) -> Option<(usize, usize)> {
     let (mut before, mut filled) = (None, None);
     for after in 0..values.len() {
-        let (Some(&to_s), Some(&Some(to))) = (time_s.get(after), values.get(after)) else { continue };
+        let (Some(&to_s), Some(&Some(to))) = (time_s.get(after), values.get(after)) else {
+            continue;
+        };
         if let Some((from, from_s, value)) = before.replace((after, to_s, to))
             && to_s - from_s <= longest_s + 1e-9
         {
             for hole in from + 1..after {
-                let share = time_s.get(hole).map_or(0.0, |at_s| (at_s - from_s) / (to_s - from_s));
+                let share = time_s
+                    .get(hole)
+                    .map_or(0.0, |at_s| (at_s - from_s) / (to_s - from_s));
                 if let Some(missing) = values.get_mut(hole) {
                     *missing = Some(value + (to - value) * share);
                     filled.get_or_insert((0, hole)).0 += 1;

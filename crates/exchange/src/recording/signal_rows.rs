@@ -31,31 +31,70 @@ impl ResampledSignals {
     /// Returns the rows, and names and units of the columns. The time of the map stands for the clocks of the groups.
     pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields, Fields) {
         let signals = &stream.set;
-        let is_base = |signal: &&Signal| map.column_role(&signal.name).is_some_and(|role| role.is_spacing);
-        let base = signals.signals.iter().find(is_base).map_or(0, |signal| signal.clock);
-        let is_id =
-            signals.signals.iter().map(|one| map.column_role(&one.name).is_some_and(|role| role.is_id)).collect();
+        let is_base = |signal: &&Signal| {
+            map.column_role(&signal.name)
+                .is_some_and(|role| role.is_spacing)
+        };
+        let base = signals
+            .signals
+            .iter()
+            .find(is_base)
+            .map_or(0, |signal| signal.clock);
+        let is_id = signals
+            .signals
+            .iter()
+            .map(|one| map.column_role(&one.name).is_some_and(|role| role.is_id))
+            .collect();
         let (time, time_unit_s) = match &map.time {
-            TimeSpec::Clock(clock) => {
-                (Some(clock.column.as_str()), Some(clock.unit.map_or(1.0, |unit| unit.seconds())))
-            }
+            TimeSpec::Clock(clock) => (
+                Some(clock.column.as_str()),
+                Some(clock.unit.map_or(1.0, |unit| unit.seconds())),
+            ),
             TimeSpec::Frames(_) => (None, None),
         };
-        let names = time.into_iter().chain(signals.signals.iter().map(|signal| signal.name.as_str())).collect();
-        let units = time.map(|_| "").into_iter().chain(signals.signals.iter().map(|one| one.unit.as_str())).collect();
+        let names = time
+            .into_iter()
+            .chain(signals.signals.iter().map(|signal| signal.name.as_str()))
+            .collect();
+        let units = time
+            .map(|_| "")
+            .into_iter()
+            .chain(signals.signals.iter().map(|one| one.unit.as_str()))
+            .collect();
         let last = vec![0; signals.clocks_s.len()];
         let rows_left = limits::max_rows(stream.file_bytes());
-        (Self { stream, base, row: 0, rows_left, row_s: None, last, is_id, time_unit_s }, names, units)
+        (
+            Self {
+                stream,
+                base,
+                row: 0,
+                rows_left,
+                row_s: None,
+                last,
+                is_id,
+                time_unit_s,
+            },
+            names,
+            units,
+        )
     }
 
     /// Returns the value of a signal at a time, between the last time of its clock that is not later and the next.
     fn value(&self, signal: &Signal, is_id: bool, at_s: f64) -> f64 {
         let last = self.last.get(signal.clock).copied().unwrap_or(0);
-        let sample =
-            |index: usize| Some((*self.stream.set.clocks_s.get(signal.clock)?.get(index)?, *signal.values.get(index)?));
+        let sample = |index: usize| {
+            Some((
+                *self.stream.set.clocks_s.get(signal.clock)?.get(index)?,
+                *signal.values.get(index)?,
+            ))
+        };
         match (sample(last), sample(last + 1)) {
             (Some((time_s, value)), _) if time_s == at_s => value,
-            (Some((time_s, value)), _) if is_id && (0.0..=MAX_INTERVAL_S).contains(&(at_s - time_s)) => value,
+            (Some((time_s, value)), _)
+                if is_id && (0.0..=MAX_INTERVAL_S).contains(&(at_s - time_s)) =>
+            {
+                value
+            }
             (Some((from_s, from)), Some((to_s, to))) if (from_s..to_s).contains(&at_s) => {
                 let interval_s = to_s - from_s;
                 if is_id || interval_s > MAX_INTERVAL_S {
@@ -73,8 +112,18 @@ impl ResampledSignals {
     /// Returns the time of the next row, and reads all values until then and [`MAX_INTERVAL_S`] longer.
     fn next_time_s(&mut self) -> Result<Option<f64>, BinaryProblem> {
         loop {
-            let at_s = self.stream.set.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)).copied();
-            let is_read = |at_s: f64| self.stream.read_until_s().is_none_or(|until_s| until_s > at_s + MAX_INTERVAL_S);
+            let at_s = self
+                .stream
+                .set
+                .clocks_s
+                .get(self.base)
+                .and_then(|clock| clock.get(self.row))
+                .copied();
+            let is_read = |at_s: f64| {
+                self.stream
+                    .read_until_s()
+                    .is_none_or(|until_s| until_s > at_s + MAX_INTERVAL_S)
+            };
             if at_s.is_some_and(is_read) {
                 self.row_s = at_s;
                 return Ok(at_s);
@@ -91,12 +140,21 @@ impl ResampledSignals {
                 }
                 self.row -= counts.get(self.base).copied().unwrap_or(0);
                 self.stream.set.forget(&counts, self.row_s);
-                self.last.iter_mut().zip(counts).for_each(|(last, count)| *last -= count);
+                self.last
+                    .iter_mut()
+                    .zip(counts)
+                    .for_each(|(last, count)| *last -= count);
             }
             loop {
                 if !self.stream.advance()? {
                     self.stream.check_frames()?;
-                    return Ok(self.stream.set.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)).copied());
+                    return Ok(self
+                        .stream
+                        .set
+                        .clocks_s
+                        .get(self.base)
+                        .and_then(|clock| clock.get(self.row))
+                        .copied());
                 }
                 if self.stream.is_full() {
                     break;
@@ -107,11 +165,20 @@ impl ResampledSignals {
 }
 
 impl BinaryRows for ResampledSignals {
-    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
-        let Some(at_s) = self.next_time_s()? else { return Ok(false) };
+    fn next_row(
+        &mut self,
+        texts: &mut Fields,
+        numbers: &mut Vec<f64>,
+    ) -> Result<bool, BinaryProblem> {
+        let Some(at_s) = self.next_time_s()? else {
+            return Ok(false);
+        };
         self.row += 1;
         let limit = limits::max_rows(self.stream.file_bytes());
-        let too_large = MdfError::TooLarge { limit, what: "rows, one for each spacing or position" };
+        let too_large = MdfError::TooLarge {
+            limit,
+            what: "rows, one for each spacing or position",
+        };
         self.rows_left = self.rows_left.checked_sub(1).ok_or(too_large)?;
         for (last, times_s) in self.last.iter_mut().zip(&self.stream.set.clocks_s) {
             while times_s.get(*last + 1).is_some_and(|next_s| *next_s <= at_s) {
@@ -128,7 +195,11 @@ impl BinaryRows for ResampledSignals {
         }
         for (signal, &is_id) in self.stream.set.signals.iter().zip(&self.is_id) {
             let value = self.value(signal, is_id, at_s);
-            texts.push_field(&if is_id && value.is_finite() { value.to_string() } else { String::new() });
+            texts.push_field(&if is_id && value.is_finite() {
+                value.to_string()
+            } else {
+                String::new()
+            });
             numbers.push(value);
         }
         Ok(true)

@@ -30,8 +30,13 @@ impl TemporaryFile {
     fn create() -> io::Result<Self> {
         static NUMBER: AtomicUsize = AtomicUsize::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("crumple-{}-{number}.points", std::process::id()));
-        let file = File::options().read(true).write(true).create_new(true).open(&path)?;
+        let path =
+            std::env::temp_dir().join(format!("crumple-{}-{number}.points", std::process::id()));
+        let file = File::options()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(&path)?;
         // Windows removes no open file.
         let path = Some(path).filter(|path| fs::remove_file(path).is_err());
         Ok(Self { file, path })
@@ -54,11 +59,14 @@ impl SpilledPoints {
     /// Sorts points by time, writes them to a file, and clears them.
     pub(super) fn write(&mut self, points: &mut Vec<TrackPoint>) -> io::Result<()> {
         // Points are in order of their lines. A stable sort merges the sorted rows of each vehicle.
-        let mut order: Vec<(i64, usize)> = points.iter().map(|point| point.time_ms).zip(0..).collect();
+        let mut order: Vec<(i64, usize)> =
+            points.iter().map(|point| point.time_ms).zip(0..).collect();
         order.sort_by_key(|&(time_ms, _)| time_ms);
         let mut run = TemporaryFile::create()?;
         let mut out = BufWriter::new(&run.file);
-        order.into_iter().try_for_each(|(_, index)| out.write_all(&encode(&points[index])))?;
+        order
+            .into_iter()
+            .try_for_each(|(_, index)| out.write_all(&encode(&points[index])))?;
         points.clear();
         out.flush()?;
         drop(out);
@@ -69,11 +77,20 @@ impl SpilledPoints {
 
     /// Returns all points in order of time.
     pub(super) fn read(&mut self) -> io::Result<SortedPoints<'_>> {
-        let runs = self.runs.iter_mut().map(|run| BufReader::with_capacity(1 << 16, &mut run.file));
-        let mut sorted = SortedPoints { runs: runs.collect(), heads: Vec::new(), order: BinaryHeap::new() };
+        let runs = self
+            .runs
+            .iter_mut()
+            .map(|run| BufReader::with_capacity(1 << 16, &mut run.file));
+        let mut sorted = SortedPoints {
+            runs: runs.collect(),
+            heads: Vec::new(),
+            order: BinaryHeap::new(),
+        };
         for (run, file) in sorted.runs.iter_mut().enumerate() {
             let head = read_point(file)?;
-            sorted.order.extend(head.map(|head| Reverse((head.time_ms, head.line, run))));
+            sorted
+                .order
+                .extend(head.map(|head| Reverse((head.time_ms, head.line, run))));
             sorted.heads.push(head.unwrap_or_default());
         }
         Ok(sorted)
@@ -100,7 +117,9 @@ pub(super) struct SortedPoints<'s> {
 
 impl SortedPoints<'_> {
     pub(super) fn next(&mut self) -> io::Result<Option<TrackPoint>> {
-        let Some(mut first) = self.order.peek_mut() else { return Ok(None) };
+        let Some(mut first) = self.order.peek_mut() else {
+            return Ok(None);
+        };
         let Reverse((_, _, run)) = *first;
         let Some(next) = read_point(&mut self.runs[run])? else {
             PeekMut::pop(first);
@@ -117,7 +136,15 @@ fn encode(point: &TrackPoint) -> [u8; POINT_BYTES] {
     let ids = u64::from(point.vehicle) | u64::from(point.lane) << 32;
     let [position, speed, length] = [point.position_m, point.speed_mps, point.length_m].map(number);
     let acceleration = number(point.acceleration_mps2.map(f64::from));
-    let words = [ids, point.time_ms as u64, point.line, position, speed, length, acceleration];
+    let words = [
+        ids,
+        point.time_ms as u64,
+        point.line,
+        position,
+        speed,
+        length,
+        acceleration,
+    ];
     let mut bytes = [0; POINT_BYTES];
     for (place, word) in bytes.chunks_exact_mut(8).zip(words) {
         place.copy_from_slice(&word.to_le_bytes());
@@ -128,7 +155,10 @@ fn encode(point: &TrackPoint) -> [u8; POINT_BYTES] {
 fn decode(bytes: &[u8; POINT_BYTES]) -> TrackPoint {
     let mut words = [0; POINT_BYTES / 8];
     for (word, place) in words.iter_mut().zip(bytes.chunks_exact(8)) {
-        *word = place.iter().rev().fold(0, |all: u64, byte| all << 8 | u64::from(*byte));
+        *word = place
+            .iter()
+            .rev()
+            .fold(0, |all: u64, byte| all << 8 | u64::from(*byte));
     }
     let [ids, time, line, position, speed, length, acceleration] = words;
     let number = |bits| Some(f64::from_bits(bits)).filter(|value| !value.is_nan());

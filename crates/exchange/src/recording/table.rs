@@ -6,7 +6,8 @@ use std::path::Path;
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 use super::map::{
-    ColumnUnit, DecimalMark, RecordingMapSpec, factor_by_name, is_same_name, other_unit_in_name, unit_in_name,
+    ColumnUnit, DecimalMark, RecordingMapSpec, factor_by_name, is_same_name, other_unit_in_name,
+    unit_in_name,
 };
 use super::number::parse_number;
 use super::text::TextFormat;
@@ -36,15 +37,33 @@ enum RowSource<'a> {
 /// Rows of a file that is no text.
 pub(super) trait BinaryRows {
     /// Reads the next row: texts of ids and whole numbers, and numbers, NaN if missing. Returns false at the end.
-    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem>;
+    fn next_row(
+        &mut self,
+        texts: &mut Fields,
+        numbers: &mut Vec<f64>,
+    ) -> Result<bool, BinaryProblem>;
 }
 
 impl<'a> RowReader<'a> {
     /// Reads rows whose columns have names and units.
-    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: (Fields, Fields), path: &'a Path) -> Self {
-        let rows = RowSource::Binary { rows, names: Some(names) };
+    pub(super) fn from_binary(
+        rows: Box<dyn BinaryRows + 'a>,
+        names: (Fields, Fields),
+        path: &'a Path,
+    ) -> Self {
+        let rows = RowSource::Binary {
+            rows,
+            names: Some(names),
+        };
         let row = CsvRow::new(path, DecimalMark::Point);
-        Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 }
+        Self {
+            path,
+            rows,
+            row,
+            decimals: None,
+            rows_left: usize::MAX,
+            samples: 0,
+        }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -54,21 +73,37 @@ impl<'a> RowReader<'a> {
         map: Option<&RecordingMapSpec>,
     ) -> Result<Self, RecordingError> {
         if map.is_some_and(|map| map.dbc.is_some()) {
-            return Err(RecordingError::Binary { path: path.to_owned(), problem: BinaryProblem::NeedsMdf });
+            return Err(RecordingError::Binary {
+                path: path.to_owned(),
+                problem: BinaryProblem::NeedsMdf,
+            });
         }
-        let start = CsvRow { line: 1, ..CsvRow::new(path, DecimalMark::Point) };
+        let start = CsvRow {
+            line: 1,
+            ..CsvRow::new(path, DecimalMark::Point)
+        };
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
         let (rows, row) = (RowSource::Text(Box::new(rows)), CsvRow::new(path, decimal));
-        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 })
+        Ok(Self {
+            path,
+            rows,
+            row,
+            decimals: None,
+            rows_left: usize::MAX,
+            samples: 0,
+        })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
     pub(super) fn format(&self) -> TextFormat {
         match &self.rows {
             RowSource::Text(rows) => rows.format(),
-            RowSource::Binary { .. } => TextFormat { encoding: "UTF-8", ..TextFormat::default() },
+            RowSource::Binary { .. } => TextFormat {
+                encoding: "UTF-8",
+                ..TextFormat::default()
+            },
         }
     }
 
@@ -85,20 +120,32 @@ impl<'a> RowReader<'a> {
 
     /// Returns the next row that is not blank; `None` at the end of the file.
     pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
-        let Some(rows_left) = self.rows_left.checked_sub(1) else { return Ok(None) };
+        let Some(rows_left) = self.rows_left.checked_sub(1) else {
+            return Ok(None);
+        };
         self.rows_left = rows_left;
-        let Self { rows, row, path, .. } = self;
+        let Self {
+            rows, row, path, ..
+        } = self;
         match rows {
             RowSource::Text(rows) => match rows.next_row(&mut row.fields) {
                 Ok(Some(line)) => {
                     row.line = line;
-                    let last = row.fields.get(row.fields.len() - 1).unwrap_or_default().trim();
+                    let last = row
+                        .fields
+                        .get(row.fields.len() - 1)
+                        .unwrap_or_default()
+                        .trim();
                     let decimals = last.rfind(['.', ',']).map_or(0, |mark| last.len() - mark);
                     // The end of the file may have cut off decimals, if each row has equally many.
-                    row.is_cut =
-                        rows.is_cut && self.decimals.is_some_and(|(count, is_fixed)| is_fixed && decimals < count);
+                    row.is_cut = rows.is_cut
+                        && self
+                            .decimals
+                            .is_some_and(|(count, is_fixed)| is_fixed && decimals < count);
                     if decimals > 0 {
-                        let is_fixed = self.decimals.is_none_or(|(count, is_fixed)| is_fixed && count == decimals);
+                        let is_fixed = self
+                            .decimals
+                            .is_none_or(|(count, is_fixed)| is_fixed && count == decimals);
                         self.decimals = Some((decimals, is_fixed));
                     }
                     Ok((!row.is_cut).then_some(row))
@@ -118,21 +165,33 @@ impl<'a> RowReader<'a> {
                 row.fields.clear();
                 row.numbers.clear();
                 let is_row = rows.next_row(&mut row.fields, &mut row.numbers);
-                let problem = |problem| RecordingError::Binary { path: path.to_path_buf(), problem };
+                let problem = |problem| RecordingError::Binary {
+                    path: path.to_path_buf(),
+                    problem,
+                };
                 Ok(is_row.map_err(problem)?.then_some(row))
             }
         }
     }
 
     /// Returns the next row, which must have a field for each column; `None` at the end of the file.
-    pub(super) fn next_sample(&mut self, names: &Fields) -> Result<Option<&CsvRow<'a>>, RecordingError> {
+    pub(super) fn next_sample(
+        &mut self,
+        names: &Fields,
+    ) -> Result<Option<&CsvRow<'a>>, RecordingError> {
         if self.next_row()?.is_none() {
             return Ok(None);
         }
         let (expected, found) = (names.len(), self.row.fields.len());
         if found != expected {
-            let column = excerpt(names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
-            return self.row.reject(&column, ColumnProblem::FieldCount { expected, found });
+            let column = excerpt(
+                names
+                    .get(found.min(expected.saturating_sub(1)))
+                    .unwrap_or_default(),
+            );
+            return self
+                .row
+                .reject(&column, ColumnProblem::FieldCount { expected, found });
         }
         self.samples += 1;
         Ok(Some(&self.row))
@@ -144,11 +203,20 @@ impl<'a> RowReader<'a> {
     }
 
     /// Rejects a recording without samples, and reports a row that the end of the file cuts off.
-    pub(super) fn check_samples(&self, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+    pub(super) fn check_samples(
+        &self,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
         dropped.extend(self.row.is_cut.then(|| {
-            self.row.dropped_item(Omission::Note("the file ends within this line, so it was left out".to_owned()))
+            self.row.dropped_item(Omission::Note(
+                "the file ends within this line, so it was left out".to_owned(),
+            ))
         }));
-        if self.samples == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
+        if self.samples == 0 {
+            self.reject_cut_short("its first sample")
+        } else {
+            Ok(())
+        }
     }
 
     pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
@@ -174,7 +242,15 @@ pub(super) struct CsvRow<'a> {
 impl<'a> CsvRow<'a> {
     fn new(path: &'a Path, decimal: DecimalMark) -> Self {
         let (fields, units) = Default::default();
-        Self { path, decimal, line: 0, fields, units, numbers: Vec::new(), is_cut: false }
+        Self {
+            path,
+            decimal,
+            line: 0,
+            fields,
+            units,
+            numbers: Vec::new(),
+            is_cut: false,
+        }
     }
 
     pub(super) fn text(&self, index: usize) -> &str {
@@ -187,13 +263,20 @@ impl<'a> CsvRow<'a> {
         if source.kind() != io::ErrorKind::InvalidData {
             return RecordingError::Read { path, source };
         }
-        RecordingError::Line { path, line: self.line, problem: LineProblem::Malformed(source.to_string()) }
+        RecordingError::Line {
+            path,
+            line: self.line,
+            problem: LineProblem::Malformed(source.to_string()),
+        }
     }
 
     /// Returns the number of a field; `None` for an empty field or NaN, which many tools write for missing values.
     pub(super) fn number(&self, column: &CsvColumn) -> Result<Option<f64>, RecordingError> {
         let text = self.text(column.index);
-        let number = self.numbers.get(column.index).map(|number| number * column.factor);
+        let number = self
+            .numbers
+            .get(column.index)
+            .map(|number| number * column.factor);
         if let Some(number) = number.filter(|number| number.is_finite()) {
             return Ok(Some(number));
         }
@@ -201,7 +284,9 @@ impl<'a> CsvRow<'a> {
             return Ok(None);
         }
         match parse_number(text, self.decimal) {
-            Some(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
+            Some(number) if (number * column.factor).is_finite() => {
+                Ok(Some(number * column.factor))
+            }
             Some(number) if number.is_nan() => Ok(None),
             _ => {
                 let hint = match self.decimal {
@@ -214,17 +299,32 @@ impl<'a> CsvRow<'a> {
                     }
                     _ => "",
                 };
-                self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text), hint })
+                self.reject(
+                    &column.name,
+                    ColumnProblem::NotANumber {
+                        found: excerpt(text),
+                        hint,
+                    },
+                )
             }
         }
     }
 
     /// Returns the column at a place of a row of names. If the map states no unit, it has that of the file, or that in
     /// its name.
-    pub(super) fn column(&self, index: usize, unit: ColumnUnit) -> Result<CsvColumn, RecordingError> {
+    pub(super) fn column(
+        &self,
+        index: usize,
+        unit: ColumnUnit,
+    ) -> Result<CsvColumn, RecordingError> {
         let full_name = self.fields.get(index).unwrap_or_default();
         let name = excerpt(full_name);
-        let column = |factor, unit_in_name| CsvColumn { name: name.clone(), index, factor, unit_in_name };
+        let column = |factor, unit_in_name| CsvColumn {
+            name: name.clone(),
+            index,
+            factor,
+            unit_in_name,
+        };
         let (units, stated) = match unit {
             ColumnUnit::None => return Ok(column(1.0, None)),
             ColumnUnit::Frames(interval_s) => return Ok(column(interval_s, None)),
@@ -243,25 +343,51 @@ impl<'a> CsvRow<'a> {
             (Some((_, factor)), ..) => Ok(column(factor, None)),
             (None, Some(unit), ..) => match factor_by_name(unit) {
                 Some(factor) => Ok(column(factor, None)),
-                None => self.reject(&name, ColumnProblem::UnknownUnit { unit: excerpt(unit) }),
+                None => self.reject(
+                    &name,
+                    ColumnProblem::UnknownUnit {
+                        unit: excerpt(unit),
+                    },
+                ),
             },
-            (None, None, _, Some(unit)) => self.reject(&name, ColumnProblem::UnknownUnit { unit: unit.to_owned() }),
-            (None, None, named, None) => {
-                Ok(column(named.map_or(1.0, |(_, factor)| factor), named.map(|(unit, _)| unit)))
-            }
+            (None, None, _, Some(unit)) => self.reject(
+                &name,
+                ColumnProblem::UnknownUnit {
+                    unit: unit.to_owned(),
+                },
+            ),
+            (None, None, named, None) => Ok(column(
+                named.map_or(1.0, |(_, factor)| factor),
+                named.map(|(unit, _)| unit),
+            )),
         }
     }
 
-    pub(super) fn reject<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
-        self.reject_line(LineProblem::Column { column: column.to_owned(), problem })
+    pub(super) fn reject<T>(
+        &self,
+        column: &str,
+        problem: ColumnProblem,
+    ) -> Result<T, RecordingError> {
+        self.reject_line(LineProblem::Column {
+            column: column.to_owned(),
+            problem,
+        })
     }
 
-    pub(super) fn reject_too_large<T>(&self, limit: usize, what: &'static str) -> Result<T, RecordingError> {
+    pub(super) fn reject_too_large<T>(
+        &self,
+        limit: usize,
+        what: &'static str,
+    ) -> Result<T, RecordingError> {
         self.reject_line(LineProblem::TooLarge { limit, what })
     }
 
     pub(super) fn reject_line<T>(&self, problem: LineProblem) -> Result<T, RecordingError> {
-        Err(RecordingError::Line { path: self.path.to_owned(), line: self.line, problem })
+        Err(RecordingError::Line {
+            path: self.path.to_owned(),
+            line: self.line,
+            problem,
+        })
     }
 
     /// Counts an omission whose first occurrence, with count 0, is `first`.
@@ -271,7 +397,11 @@ impl<'a> CsvRow<'a> {
     }
 
     pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
-        DroppedItem { path: self.path.to_owned(), line: self.line, omission: what }
+        DroppedItem {
+            path: self.path.to_owned(),
+            line: self.line,
+            omission: what,
+        }
     }
 }
 
@@ -284,7 +414,13 @@ pub(super) fn is_missing(text: &str) -> bool {
 /// Returns the beginning of a text, on one line.
 pub(super) fn excerpt(text: &str) -> String {
     const MAX_LENGTH: usize = 40;
-    let visible = |letter: char| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter };
+    let visible = |letter: char| {
+        if letter.is_control() {
+            char::REPLACEMENT_CHARACTER
+        } else {
+            letter
+        }
+    };
     let mut excerpt: String = text.chars().take(MAX_LENGTH).map(visible).collect();
     if text.chars().nth(MAX_LENGTH).is_some() {
         excerpt += "...";
@@ -304,9 +440,18 @@ pub(super) struct CsvColumn {
 
 impl CsvColumn {
     /// Finds a column by its name. Capital letters matter only if two names differ by nothing else.
-    pub(super) fn find(names: &CsvRow<'_>, name: &str, unit: ColumnUnit) -> Result<Self, RecordingError> {
+    pub(super) fn find(
+        names: &CsvRow<'_>,
+        name: &str,
+        unit: ColumnUnit,
+    ) -> Result<Self, RecordingError> {
         let find_by = |is: &dyn Fn(&str) -> bool| {
-            let mut found = names.fields.iter().enumerate().filter(|(_, known)| is(known)).map(|(index, _)| index);
+            let mut found = names
+                .fields
+                .iter()
+                .enumerate()
+                .filter(|(_, known)| is(known))
+                .map(|(index, _)| index);
             (found.next(), found.next())
         };
         let found = match find_by(&|known| known == name) {

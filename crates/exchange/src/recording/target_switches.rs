@@ -40,15 +40,23 @@ impl PairSamples {
     /// places, with the line of the first one.
     pub(super) fn split(mut self, switches: &mut Option<(u64, Omission)>) -> Vec<Self> {
         let found = self.switches();
-        for &GapChange { to, seconds, change_m, driven_m } in &found {
+        for &GapChange {
+            to,
+            seconds,
+            change_m,
+            driven_m,
+        } in &found
+        {
             let first = || {
-                let [change_m, driven_m] = [change_m, driven_m].map(|metres| format_fixed(metres, 1));
+                let [change_m, driven_m] =
+                    [change_m, driven_m].map(|metres| format_fixed(metres, 1));
                 let before = format!(
                     "the gap changes by {change_m} m within {} s here, but the speeds by {driven_m} m: the sensor \
                      switched to another target; of ",
                     format_fixed(seconds, 2)
                 );
-                let omission = Omission::counted(before, 0, " such places each begins another pair");
+                let omission =
+                    Omission::counted(before, 0, " such places each begins another pair");
                 (self.line.get(to).copied().unwrap_or(0), omission)
             };
             switches.get_or_insert_with(first).1.add(1);
@@ -75,22 +83,39 @@ impl PairSamples {
 
     fn switches(&self) -> Vec<GapChange> {
         let speeds = self.leaders_mps.iter().zip(&self.followers_mps);
-        let closing_mps = speeds.map(|(leader, follower)| leader.zip(*follower).map(|(a, b)| a - b));
-        let samples = self.time_s.iter().zip(&self.gaps_m).zip(closing_mps).enumerate();
-        let mut known =
-            samples.filter_map(|(to, ((&at_s, gap_m), closing_mps))| Some((to, at_s, (*gap_m)?, closing_mps?)));
-        let Some(mut before) = known.next() else { return Vec::new() };
+        let closing_mps =
+            speeds.map(|(leader, follower)| leader.zip(*follower).map(|(a, b)| a - b));
+        let samples = self
+            .time_s
+            .iter()
+            .zip(&self.gaps_m)
+            .zip(closing_mps)
+            .enumerate();
+        let mut known = samples.filter_map(|(to, ((&at_s, gap_m), closing_mps))| {
+            Some((to, at_s, (*gap_m)?, closing_mps?))
+        });
+        let Some(mut before) = known.next() else {
+            return Vec::new();
+        };
         let changes = known.map(|now| {
             let ((_, from_s, from_m, from_mps), (to, to_s, to_m, to_mps)) = (before, now);
             before = now;
             let seconds = to_s - from_s;
-            GapChange { to, seconds, change_m: to_m - from_m, driven_m: 0.5 * (from_mps + to_mps) * seconds }
+            GapChange {
+                to,
+                seconds,
+                change_m: to_m - from_m,
+                driven_m: 0.5 * (from_mps + to_mps) * seconds,
+            }
         });
         let mut changes: Vec<GapChange> = changes.collect();
         let mut errors_m: Vec<f64> = changes.iter().map(GapChange::error_m).collect();
         errors_m.sort_unstable_by(f64::total_cmp);
         let noise_m = MIN_SWITCH_ERRORS * errors_m.get(errors_m.len() / 2).copied().unwrap_or(0.0);
-        changes.retain(|one| one.error_m() > MIN_SWITCH_M.max(noise_m) + SPEED_CHANGE_MPS2 * one.seconds * one.seconds);
+        changes.retain(|one| {
+            one.error_m()
+                > MIN_SWITCH_M.max(noise_m) + SPEED_CHANGE_MPS2 * one.seconds * one.seconds
+        });
         changes
     }
 }

@@ -44,12 +44,20 @@ impl fmt::Display for TextFormat {
             Delimiter::Comma => None,
         };
         let parts = [
-            Some(self.encoding).filter(|encoding| *encoding != "UTF-8").map(str::to_owned),
-            delimiter.filter(|_| !self.stated[0]).map(|name| format!("columns separated by {name}")),
-            (self.decimal == DecimalMark::Comma && !self.stated[1]).then(|| "decimal commas".to_owned()),
+            Some(self.encoding)
+                .filter(|encoding| *encoding != "UTF-8")
+                .map(str::to_owned),
+            delimiter
+                .filter(|_| !self.stated[0])
+                .map(|name| format!("columns separated by {name}")),
+            (self.decimal == DecimalMark::Comma && !self.stated[1])
+                .then(|| "decimal commas".to_owned()),
             self.has_quotes.then(|| "quotation marks".to_owned()),
-            self.comment.map(|first| format!("comment lines with {first}")),
-            self.time.filter(|time| *time != "s").map(|time| format!("time in {time}")),
+            self.comment
+                .map(|first| format!("comment lines with {first}")),
+            self.time
+                .filter(|time| *time != "s")
+                .map(|time| format!("time in {time}")),
         ];
         out.write_str(&parts.into_iter().flatten().collect::<Vec<_>>().join(", "))
     }
@@ -64,30 +72,50 @@ impl TextFormat {
         let in_file = stated_separator(sample);
         let delimiter = delimiter.or(in_file);
         let skipped = usize::from(in_file.is_some());
-        let lines = || sample.lines().filter(|line| !line.trim().is_empty()).skip(skipped);
+        let lines = || {
+            sample
+                .lines()
+                .filter(|line| !line.trim().is_empty())
+                .skip(skipped)
+        };
         let is_comment = |letter: char| {
             let is_marked = |line: &str| line.starts_with(letter);
             let rows = lines().skip(before_names);
             // Ids may begin with the letter, too.
-            !lines().take(before_names).any(is_marked) && rows.clone().any(is_marked) && !rows.skip(1).all(is_marked)
+            !lines().take(before_names).any(is_marked)
+                && rows.clone().any(is_marked)
+                && !rows.skip(1).all(is_marked)
         };
         let comment = ['#', '%'].into_iter().find(|&letter| is_comment(letter));
-        let mut rows = lines().filter(|line| comment.is_none_or(|letter| !line.starts_with(letter))).skip(before_names);
+        let mut rows = lines()
+            .filter(|line| comment.is_none_or(|letter| !line.starts_with(letter)))
+            .skip(before_names);
         let (names, first) = (rows.next().unwrap_or(""), rows.clone().next().unwrap_or(""));
         let count = |line, of: Delimiter| fields(line, of).count() - 1;
         let known = [Delimiter::Tab, Delimiter::Semicolon, Delimiter::Comma];
-        let splits_both = |of: &Delimiter| count(names, *of) > 0 && count(names, *of) == count(first, *of);
+        let splits_both =
+            |of: &Delimiter| count(names, *of) > 0 && count(names, *of) == count(first, *of);
         let splits = |of: &Delimiter| count(names, *of) > 0;
-        let found = known.into_iter().find(splits_both).or_else(|| known.into_iter().find(splits));
+        let found = known
+            .into_iter()
+            .find(splits_both)
+            .or_else(|| known.into_iter().find(splits));
         let separator = delimiter.or(found).unwrap_or_default();
         let is_quoted = |field: &str| field.trim_start().starts_with('"');
         let has_quoted = |is: &dyn Fn(&str) -> bool| {
-            [names].into_iter().chain(rows.clone()).any(|line| fields(line, separator).any(is))
+            [names]
+                .into_iter()
+                .chain(rows.clone())
+                .any(|line| fields(line, separator).any(is))
         };
         let has_quotes = has_quoted(&is_quoted);
-        let has_blanks_before_quotes = has_quotes && has_quoted(&|field| field.starts_with(' ') && is_quoted(field));
+        let has_blanks_before_quotes =
+            has_quotes && has_quoted(&|field| field.starts_with(' ') && is_quoted(field));
         let mut marks = NumberMarks::default();
-        for field in rows.take(MAX_SAMPLE_ROWS).flat_map(|line| fields(line, separator)) {
+        for field in rows
+            .take(MAX_SAMPLE_ROWS)
+            .flat_map(|line| fields(line, separator))
+        {
             marks.add(field.trim().trim_matches('"'));
         }
         Self {
@@ -110,7 +138,10 @@ fn stated_separator(sample: &str) -> Option<Delimiter> {
     let (key, separator) = line.split_at_checked(4)?;
     let known = [Delimiter::Comma, Delimiter::Semicolon, Delimiter::Tab];
     let is_stated = |known: &Delimiter| separator.as_bytes() == [known.byte()];
-    known.into_iter().find(is_stated).filter(|_| key.eq_ignore_ascii_case("sep="))
+    known
+        .into_iter()
+        .find(is_stated)
+        .filter(|_| key.eq_ignore_ascii_case("sep="))
 }
 
 /// Splits a line at separators outside of quotation marks.
@@ -202,7 +233,9 @@ impl<R: Read> Utf8Reader<R> {
         }
         if let Some(decoder) = &mut self.decoder {
             let rest = &bytes[valid..];
-            let capacity = decoder.max_utf8_buffer_length_without_replacement(rest.len()).unwrap_or(4 * CHUNK_BYTES);
+            let capacity = decoder
+                .max_utf8_buffer_length_without_replacement(rest.len())
+                .unwrap_or(4 * CHUNK_BYTES);
             let from = self.output.len();
             self.output.resize(from + capacity, 0);
             let (result, _, written) =
@@ -240,7 +273,14 @@ impl<R: Read> Read for Utf8Reader<R> {
 
 /// Recognises UTF-16 by its byte order mark, or by the zero bytes of Latin letters.
 fn utf_16(bytes: &[u8]) -> Option<&'static encoding_rs::Encoding> {
-    let zeros = |from: usize| bytes.iter().skip(from).step_by(2).filter(|byte| **byte == 0).count();
+    let zeros = |from: usize| {
+        bytes
+            .iter()
+            .skip(from)
+            .step_by(2)
+            .filter(|byte| **byte == 0)
+            .count()
+    };
     let most = bytes.len() * 3 / 8;
     match bytes {
         [0xff, 0xfe, ..] => Some(UTF_16LE),

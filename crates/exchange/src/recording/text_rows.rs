@@ -24,15 +24,24 @@ pub(super) struct TextRows<'a> {
 
 impl<'a> TextRows<'a> {
     /// Detects the format of a text with a function of its beginning.
-    pub(super) fn new(from: impl Read + 'a, detect: impl FnOnce(&str) -> TextFormat) -> Result<Self, io::Error> {
+    pub(super) fn new(
+        from: impl Read + 'a,
+        detect: impl FnOnce(&str) -> TextFormat,
+    ) -> Result<Self, io::Error> {
         let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
         let sample = String::from_utf8_lossy(text.fill_buf()?);
         let has_only_carriage_returns = sample.contains('\r') && !sample.contains('\n');
-        let format = if has_only_carriage_returns { detect(&sample.replace('\r', "\n")) } else { detect(&sample) };
+        let format = if has_only_carriage_returns {
+            detect(&sample.replace('\r', "\n"))
+        } else {
+            detect(&sample)
+        };
         let source = LineSource {
             text,
             has_only_carriage_returns,
-            blanks: format.has_blanks_before_quotes.then(|| BlankFilter::new(&format)),
+            blanks: format
+                .has_blanks_before_quotes
+                .then(|| BlankFilter::new(&format)),
             passed: 0,
             row_at: 0,
             line_at: 0,
@@ -40,24 +49,43 @@ impl<'a> TextRows<'a> {
             end: SourceEnd::NotReached,
         };
         let mut options = ReaderBuilder::new();
-        options.has_headers(false).flexible(true).buffer_capacity(BUFFER_BYTES);
-        options.delimiter(format.delimiter.byte()).terminator(Terminator::Any(b'\n'));
+        options
+            .has_headers(false)
+            .flexible(true)
+            .buffer_capacity(BUFFER_BYTES);
+        options
+            .delimiter(format.delimiter.byte())
+            .terminator(Terminator::Any(b'\n'));
         options.comment(format.comment.and_then(|letter| u8::try_from(letter).ok()));
         let rows = options.from_reader(source);
-        Ok(Self { rows, skips_line: format.has_separator_line, format, is_cut: false })
+        Ok(Self {
+            rows,
+            skips_line: format.has_separator_line,
+            format,
+            is_cut: false,
+        })
     }
 
     /// Returns the format, with the encoding of what was read so far.
     pub(super) fn format(&self) -> TextFormat {
-        TextFormat { encoding: self.rows.get_ref().text.encoding(), ..self.format.clone() }
+        TextFormat {
+            encoding: self.rows.get_ref().text.encoding(),
+            ..self.format.clone()
+        }
     }
 
     /// Reads the next row that is neither blank nor a comment. Returns its first line; `None` at the end. An error has
     /// the line at which the row begins.
-    pub(super) fn next_row(&mut self, fields: &mut Fields) -> Result<Option<u64>, (u64, io::Error)> {
+    pub(super) fn next_row(
+        &mut self,
+        fields: &mut Fields,
+    ) -> Result<Option<u64>, (u64, io::Error)> {
         loop {
             let before = self.rows.position().line();
-            let is_row = self.rows.read_record(fields).map_err(|error| (before, into_io_error(error)))?;
+            let is_row = self
+                .rows
+                .read_record(fields)
+                .map_err(|error| (before, into_io_error(error)))?;
             if !is_row {
                 return Ok(None);
             }
@@ -70,20 +98,29 @@ impl<'a> TextRows<'a> {
                 let problem = "a quotation mark in this row is not closed";
                 return Err((first, io::Error::new(io::ErrorKind::InvalidData, problem)));
             }
-            self.is_cut = source.end == SourceEnd::LineEndAdded && source.last != b'\n' && byte == source.passed;
+            self.is_cut = source.end == SourceEnd::LineEndAdded
+                && source.last != b'\n'
+                && byte == source.passed;
             let is_blank = fields.len() <= 1 && fields.iter().all(|only| only.trim().is_empty());
             if std::mem::take(&mut self.skips_line) || is_blank {
                 continue;
             }
             // Blank lines and comments before the row, and line ends in its fields, count as lines, too.
-            let first = if line == before + 1 { before } else { line - 1 - count_line_ends(fields) };
+            let first = if line == before + 1 {
+                before
+            } else {
+                line - 1 - count_line_ends(fields)
+            };
             return Ok(Some(first));
         }
     }
 }
 
 fn count_line_ends(fields: &Fields) -> u64 {
-    fields.iter().map(|field| field.bytes().filter(|byte| *byte == b'\n').count() as u64).sum()
+    fields
+        .iter()
+        .map(|field| field.bytes().filter(|byte| *byte == b'\n').count() as u64)
+        .sum()
 }
 
 fn into_io_error(error: csv::Error) -> io::Error {
@@ -125,11 +162,19 @@ impl Read for LineSource<'_> {
                 return Ok(self.read_end(into));
             };
             if self.has_only_carriage_returns {
-                bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
+                bytes
+                    .iter_mut()
+                    .filter(|byte| **byte == b'\r')
+                    .for_each(|byte| *byte = b'\n');
             }
             self.last = bytes.last().copied().unwrap_or(self.last);
-            let count = self.blanks.as_mut().map_or(read, |filter| filter.apply(bytes));
-            let line_end = bytes.get(..count).and_then(|bytes| bytes.iter().rposition(|byte| *byte == b'\n'));
+            let count = self
+                .blanks
+                .as_mut()
+                .map_or(read, |filter| filter.apply(bytes));
+            let line_end = bytes
+                .get(..count)
+                .and_then(|bytes| bytes.iter().rposition(|byte| *byte == b'\n'));
             self.line_at = line_end.map_or(self.line_at, |at| self.passed + at as u64);
             self.passed += count as u64;
             if count > 0 {
@@ -144,7 +189,9 @@ impl LineSource<'_> {
         let problem = if self.passed - self.line_at > MAX_LINE_BYTES {
             format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers")
         } else if self.passed - self.row_at > MAX_ROW_BYTES {
-            format!("a row of more than {MAX_ROW_BYTES} bytes: a quotation mark is probably not closed")
+            format!(
+                "a row of more than {MAX_ROW_BYTES} bytes: a quotation mark is probably not closed"
+            )
         } else {
             return Ok(());
         };
@@ -189,7 +236,11 @@ enum TextPlace {
 impl BlankFilter {
     fn new(format: &TextFormat) -> Self {
         let comment = format.comment.and_then(|letter| u8::try_from(letter).ok());
-        Self { delimiter: format.delimiter.byte(), comment, place: TextPlace::LineStart }
+        Self {
+            delimiter: format.delimiter.byte(),
+            comment,
+            place: TextPlace::LineStart,
+        }
     }
 
     /// Removes blanks at the starts of fields, and returns the number of remaining bytes.

@@ -35,14 +35,41 @@ struct Writing {
 
 fn any_writing() -> impl Strategy<Value = Writing> {
     let marks = (prop::bool::ANY, 0..4_usize, prop::bool::ANY);
-    let lines = (prop::option::of(prop::sample::select(vec!['#', '%'])), prop::sample::select(vec!["\n", "\r\n"]));
-    (0..7_usize, prop::sample::select(vec![',', ';', '\t']), marks, lines, 0..5_usize).prop_map(
-        |(encoding, delimiter, (is_decimal_comma, thousands, has_quotes), (comment, line_end), time)| {
-            let thousands = ["", "'", "\u{a0}", if is_decimal_comma { "." } else { "," }][thousands];
-            let has_quotes = has_quotes || delimiter == ',' && (is_decimal_comma || thousands == ",");
-            Writing { encoding, delimiter, is_decimal_comma, thousands, has_quotes, comment, time, line_end }
-        },
+    let lines = (
+        prop::option::of(prop::sample::select(vec!['#', '%'])),
+        prop::sample::select(vec!["\n", "\r\n"]),
+    );
+    (
+        0..7_usize,
+        prop::sample::select(vec![',', ';', '\t']),
+        marks,
+        lines,
+        0..5_usize,
     )
+        .prop_map(
+            |(
+                encoding,
+                delimiter,
+                (is_decimal_comma, thousands, has_quotes),
+                (comment, line_end),
+                time,
+            )| {
+                let thousands =
+                    ["", "'", "\u{a0}", if is_decimal_comma { "." } else { "," }][thousands];
+                let has_quotes =
+                    has_quotes || delimiter == ',' && (is_decimal_comma || thousands == ",");
+                Writing {
+                    encoding,
+                    delimiter,
+                    is_decimal_comma,
+                    thousands,
+                    has_quotes,
+                    comment,
+                    time,
+                    line_end,
+                }
+            },
+        )
 }
 
 impl Writing {
@@ -51,17 +78,29 @@ impl Writing {
         let (whole, fraction) = plain.split_once('.').expect("decimals");
         let (front, back) = whole.split_at(whole.len().saturating_sub(3));
         let separator = if front.is_empty() { "" } else { self.thousands };
-        format!("{front}{separator}{back}{}{fraction}", if self.is_decimal_comma { ',' } else { '.' })
+        format!(
+            "{front}{separator}{back}{}{fraction}",
+            if self.is_decimal_comma { ',' } else { '.' }
+        )
     }
 
     fn write(&self, rows: &[[f64; 4]]) -> Vec<u8> {
         let mut text = String::new();
         let mut line = |fields: [String; 5]| {
-            let quoted = |field: String| if self.has_quotes { format!("\"{field}\"") } else { field };
+            let quoted = |field: String| {
+                if self.has_quotes {
+                    format!("\"{field}\"")
+                } else {
+                    field
+                }
+            };
             text += &fields.map(quoted).join(&self.delimiter.to_string());
             text += self.line_end;
             if let Some(letter) = self.comment {
-                text += &format!("{letter} \"measured\", with 1,5 {}{}", self.delimiter, self.line_end);
+                text += &format!(
+                    "{letter} \"measured\", with 1,5 {}{}",
+                    self.delimiter, self.line_end
+                );
             }
         };
         line(["Zeit", "Größe", "Abstand", "v", "v vorn"].map(str::to_owned));
@@ -73,9 +112,17 @@ impl Writing {
                 1 => ms.to_string(),
                 2 => format!("{ms}000"),
                 3 => format!("{ms}000000"),
-                _ => format!("2024-03-01T13:00:{:02}.{:03}+01:00", ms / 1000 % 60, ms % 1000),
+                _ => format!(
+                    "2024-03-01T13:00:{:02}.{:03}+01:00",
+                    ms / 1000 % 60,
+                    ms % 1000
+                ),
             };
-            let time = if self.is_decimal_comma && self.time == 0 { time.replace('.', ",") } else { time };
+            let time = if self.is_decimal_comma && self.time == 0 {
+                time.replace('.', ",")
+            } else {
+                time
+            };
             let [gap, follower, leader] = values;
             line([
                 time,
@@ -93,7 +140,10 @@ impl Writing {
             3 => marked.encode_utf16().flat_map(u16::to_be_bytes).collect(),
             4 => text.encode_utf16().flat_map(u16::to_le_bytes).collect(),
             5 => text.encode_utf16().flat_map(u16::to_be_bytes).collect(),
-            _ => text.chars().map(|letter| u8::try_from(u32::from(letter)).expect("Latin-1")).collect(),
+            _ => text
+                .chars()
+                .map(|letter| u8::try_from(u32::from(letter)).expect("Latin-1"))
+                .collect(),
         }
     }
 }
@@ -150,7 +200,8 @@ proptest! {
 
 #[test]
 fn numbers_and_times_are_read_as_written() {
-    let [point, comma] = [DecimalMark::Point, DecimalMark::Comma].map(|mark| move |text| parse_number(text, mark));
+    let [point, comma] =
+        [DecimalMark::Point, DecimalMark::Comma].map(|mark| move |text| parse_number(text, mark));
     assert_eq!(
         ["1,234.5", "1'234.5", "1,23", "0,123", "12,34,567"].map(&point),
         [Some(1234.5), Some(1234.5), None, None, None]
@@ -159,8 +210,21 @@ fn numbers_and_times_are_read_as_written() {
         ["1.234,5", "-0,5e-1", "1.5", "7", "1.234"].map(&comma),
         [Some(1234.5), Some(-0.05), None, Some(7.0), Some(1234.0)]
     );
-    let times = ["1970-01-01T00:00:00Z", "2024-02-29 12:00:00,25", "2000-03-01T00:00+01:00", "00:01:02.5"];
-    assert_eq!(times.map(parse_iso_s), [Some(0.0), Some(1_709_208_000.25), Some(951_865_200.0), Some(62.5)]);
+    let times = [
+        "1970-01-01T00:00:00Z",
+        "2024-02-29 12:00:00,25",
+        "2000-03-01T00:00+01:00",
+        "00:01:02.5",
+    ];
+    assert_eq!(
+        times.map(parse_iso_s),
+        [
+            Some(0.0),
+            Some(1_709_208_000.25),
+            Some(951_865_200.0),
+            Some(62.5)
+        ]
+    );
     for wrong in [
         "",
         "2024",
@@ -182,8 +246,13 @@ fn pairs_map() -> RecordingMap {
 }
 
 fn events_of(text: &str) -> Vec<String> {
-    let recording = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect("readable");
-    recording.platoons.into_iter().map(|platoon| platoon.event.expect("named")).collect()
+    let recording =
+        read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect("readable");
+    recording
+        .platoons
+        .into_iter()
+        .map(|platoon| platoon.event.expect("named"))
+        .collect()
 }
 
 /// RFC 4180: a quotation mark in a field is doubled. `a""b` and `a""""b` are two events.
@@ -196,7 +265,10 @@ fn doubled_quotation_marks_are_single_ones_and_no_row_is_lost() {
         rows("\"a\"\"b\""),
         rows("\"line\nend, and \"\"mark\"\"\"")
     );
-    assert_eq!(events_of(&text), ["a\"\"b", "a\"b", "line\u{fffd}end, and \"mark\""]);
+    assert_eq!(
+        events_of(&text),
+        ["a\"\"b", "a\"b", "line\u{fffd}end, and \"mark\""]
+    );
     // Blanks before quotation marks, as many programs write them.
     let text = "\"Zeit\", \"Größe\", \"Abstand\", \"v\", \"v vorn\"\n\"0\", \"a, b\", \"50\", \"20\", \"20\"\n";
     assert_eq!(events_of(text), ["a, b"]);
@@ -206,15 +278,35 @@ fn doubled_quotation_marks_are_single_ones_and_no_row_is_lost() {
 #[test]
 fn doubled_quotation_marks_need_linear_memory_and_time() {
     let field = format!("\"{}\"", "a\"\"".repeat(300_000));
-    let text = format!("Zeit,Größe,Abstand,v,v vorn,text\n0,e,50,20,20,{field}\n1,e,50,20,20,short\n");
+    let text =
+        format!("Zeit,Größe,Abstand,v,v vorn,text\n0,e,50,20,20,{field}\n1,e,50,20,20,short\n");
     assert_eq!(events_of(&text), ["e"]);
-    let open = format!("Zeit,Größe,Abstand,v,v vorn\n0,\"{}", "e,50,20,20\n".repeat(200_000));
-    let message = read(open.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("not closed").to_string();
-    assert!(message.starts_with("a.csv:2: a quotation mark in this row is not closed"), "{message}");
-    let long = format!("Zeit,Größe,Abstand,v,v vorn\n0,\"{}", "e,50,20,20\n".repeat(2_000_000));
-    let message = read(long.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("not closed").to_string();
-    assert!(message.starts_with("a.csv:2: a row of more than 16777216 bytes"), "{message}");
-    let blank = format!("Zeit,Größe,Abstand,v,v vorn\n{}0,e,50,20,20\n1,e,50,20,20\n", "\n".repeat(2 << 20));
+    let open = format!(
+        "Zeit,Größe,Abstand,v,v vorn\n0,\"{}",
+        "e,50,20,20\n".repeat(200_000)
+    );
+    let message = read(open.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
+        .expect_err("not closed")
+        .to_string();
+    assert!(
+        message.starts_with("a.csv:2: a quotation mark in this row is not closed"),
+        "{message}"
+    );
+    let long = format!(
+        "Zeit,Größe,Abstand,v,v vorn\n0,\"{}",
+        "e,50,20,20\n".repeat(2_000_000)
+    );
+    let message = read(long.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
+        .expect_err("not closed")
+        .to_string();
+    assert!(
+        message.starts_with("a.csv:2: a row of more than 16777216 bytes"),
+        "{message}"
+    );
+    let blank = format!(
+        "Zeit,Größe,Abstand,v,v vorn\n{}0,e,50,20,20\n1,e,50,20,20\n",
+        "\n".repeat(2 << 20)
+    );
     assert_eq!(events_of(&blank), ["e"]);
 }
 
@@ -222,11 +314,15 @@ fn doubled_quotation_marks_need_linear_memory_and_time() {
 #[test]
 fn errors_name_the_line_at_which_a_row_begins() {
     for line_end in ["\n", "\r\n", "\r"] {
-        let text =
-            "# comment\n\nZeit,Größe,Abstand,v,v vorn\n# \"comment\n0,\"a\nb\",50,20,20\n\n1,\"a\nb\",fast,20,20\n";
+        let text = "# comment\n\nZeit,Größe,Abstand,v,v vorn\n# \"comment\n0,\"a\nb\",50,20,20\n\n1,\"a\nb\",fast,20,20\n";
         let text = text.replace('\n', line_end);
-        let message = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("no number").to_string();
-        assert!(message.starts_with("a.csv:8: Abstand: must be a finite number"), "{line_end:?}: {message}");
+        let message = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
+            .expect_err("no number")
+            .to_string();
+        assert!(
+            message.starts_with("a.csv:8: Abstand: must be a finite number"),
+            "{line_end:?}: {message}"
+        );
     }
 }
 
@@ -238,10 +334,18 @@ fn a_first_line_may_state_the_separator() {
         let text = format!("{first}{rows}");
         assert_eq!(events_of(&text), ["e"], "{first:?}");
         let wrong = text.replace("1;e;50,5", "1;e;x");
-        let message = read(wrong.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("wrong").to_string();
+        let message = read(wrong.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
+            .expect_err("wrong")
+            .to_string();
         assert!(message.starts_with("a.csv:4: "), "{message}");
     }
-    assert_eq!(events_of(&format!("sep=,\n{}", "Zeit,Größe,Abstand,v,v vorn\n0,e,50,20,20\n")), ["e"]);
+    assert_eq!(
+        events_of(&format!(
+            "sep=,\n{}",
+            "Zeit,Größe,Abstand,v,v vorn\n0,e,50,20,20\n"
+        )),
+        ["e"]
+    );
 }
 
 /// The unit in a name holds unless the map states another one, which is an error.
@@ -255,7 +359,8 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         );
         let map = RecordingMap::from_toml(&text, Path::new("m.toml")).expect("a map");
         let rows = format!("t,{header},v,lead\n0,100,20,20\n1,100,20,20\n");
-        read(rows.as_bytes(), Path::new("a.csv"), Some(&map)).map(|found| found.platoons[0].gap_ahead_m(1)[0])
+        read(rows.as_bytes(), Path::new("a.csv"), Some(&map))
+            .map(|found| found.platoons[0].gap_ahead_m(1)[0])
     };
     for (header, unit, expected_m) in [
         ("gap [ft]", "", 30.48),
@@ -264,16 +369,36 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         ("gap", ", unit = \"ft\"", 30.48),
         ("abstand", "", 100.0),
     ] {
-        let found = read_with(header, unit).unwrap_or_else(|error| panic!("{header}: {error}")).expect("known");
+        let found = read_with(header, unit)
+            .unwrap_or_else(|error| panic!("{header}: {error}"))
+            .expect("known");
         assert!((found - expected_m).abs() < 1e-9, "{header}: {found}");
     }
     for (header, unit, expected) in [
-        ("gap [ft]", ", unit = \"m\"", "a.csv:1: gap [ft]: its name states the unit `ft`, but the map states `m`"),
-        ("gap_m", ", unit = \"cm\"", "a.csv:1: gap_m: its name states the unit `m`, but the map states `cm`"),
-        ("gap [mm]", ", unit = \"m\"", "a.csv:1: gap [mm]: its name states the unit `mm`, but the map states `m`"),
-        ("gap [mm]", "", "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know"),
+        (
+            "gap [ft]",
+            ", unit = \"m\"",
+            "a.csv:1: gap [ft]: its name states the unit `ft`, but the map states `m`",
+        ),
+        (
+            "gap_m",
+            ", unit = \"cm\"",
+            "a.csv:1: gap_m: its name states the unit `m`, but the map states `cm`",
+        ),
+        (
+            "gap [mm]",
+            ", unit = \"m\"",
+            "a.csv:1: gap [mm]: its name states the unit `mm`, but the map states `m`",
+        ),
+        (
+            "gap [mm]",
+            "",
+            "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know",
+        ),
     ] {
-        let message = read_with(header, unit).expect_err("contradicts").to_string();
+        let message = read_with(header, unit)
+            .expect_err("contradicts")
+            .to_string();
         assert!(message.starts_with(expected), "{message}");
     }
 }
@@ -283,15 +408,42 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
 fn capital_letters_of_columns_matter_only_between_two_equal_names() {
     let header = "Vehicle_ID,Global_Time,Local_Y,v_length,v_Width,v_Vel,Lane_ID\n";
     let rows = "1,1113433135300,100,14.5,6,30,1\n1,1113433135400,103,14.5,6,30,1\n";
-    let map = RecordingMap::built_in("ngsim").expect("built in").expect("a map");
-    let read_with = |header: &str| read(format!("{header}{rows}").as_bytes(), Path::new("a.csv"), Some(&map));
-    for header in [header.to_owned(), header.replace("v_length", "v_Length"), header.to_lowercase()] {
+    let map = RecordingMap::built_in("ngsim")
+        .expect("built in")
+        .expect("a map");
+    let read_with = |header: &str| {
+        read(
+            format!("{header}{rows}").as_bytes(),
+            Path::new("a.csv"),
+            Some(&map),
+        )
+    };
+    for header in [
+        header.to_owned(),
+        header.replace("v_length", "v_Length"),
+        header.to_lowercase(),
+    ] {
         assert!(read_with(&header).is_ok(), "{header}");
     }
     // The exact name counts where there are two.
-    assert!(read_with(&header.replace("v_Width", "V_LENGTH").replace("v_length", "v_Length")).is_ok());
-    let twice = read_with(&header.replace("v_Width", "V_LENGTH")).expect_err("two names").to_string();
+    assert!(
+        read_with(
+            &header
+                .replace("v_Width", "V_LENGTH")
+                .replace("v_length", "v_Length")
+        )
+        .is_ok()
+    );
+    let twice = read_with(&header.replace("v_Width", "V_LENGTH"))
+        .expect_err("two names")
+        .to_string();
     assert_eq!(twice, "a.csv:1: v_Length: named twice");
-    let unnamed = read(format!("{header}{rows}").as_bytes(), Path::new("a.csv"), None).expect_err("no map").to_string();
+    let unnamed = read(
+        format!("{header}{rows}").as_bytes(),
+        Path::new("a.csv"),
+        None,
+    )
+    .expect_err("no map")
+    .to_string();
     assert!(unnamed.contains("--map ngsim"), "{unnamed}");
 }

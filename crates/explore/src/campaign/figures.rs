@@ -1,8 +1,9 @@
 //! Figures of campaigns in the style of reports; their marks link to scenarios.
 
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, SMALL_TEXT_SIZE,
-    Stroke, Svg, draw_cells, draw_legend, draw_text, extent, format_number, pad_interval, text_width,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect,
+    SMALL_TEXT_SIZE, Stroke, Svg, draw_cells, draw_legend, draw_text, extent, format_number,
+    pad_interval, text_width,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
@@ -19,7 +20,12 @@ fn width(narrow: bool) -> f64 {
 
 fn panel_frame(narrow: bool) -> PixelRect {
     let (left, width) = (LEFT_MARGIN + 12.0, width(narrow) - LEFT_MARGIN - 24.0);
-    PixelRect { left, top: HEADING_HEIGHT, width, height: HEIGHT }
+    PixelRect {
+        left,
+        top: HEADING_HEIGHT,
+        width,
+        height: HEIGHT,
+    }
 }
 
 /// Draws the smallest robustness so far over the evaluations of each method.
@@ -27,18 +33,29 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
     let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for one in shown {
         for method in one.reader.methods() {
-            let name =
-                if shown.len() > 1 { format!("{}: {}", one.name, method.name()) } else { method.name().to_owned() };
+            let name = if shown.len() > 1 {
+                format!("{}: {}", one.name, method.name())
+            } else {
+                method.name().to_owned()
+            };
             lines.push((name, best_so_far(one, &method)));
         }
     }
     let all = || lines.iter().flat_map(|(_, line)| line);
     let most = all().map(|point| point.0).fold(1.0, f64::max);
     // The x-axis is logarithmic.
-    let marks =
-        (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
-    let x = Axis::with_ticks("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
-    let y = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
+    let marks = (0..=most.log10().ceil().max(1.0) as i32)
+        .map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
+    let x = Axis::with_ticks(
+        "evaluations of the method",
+        (0.0, most.log10().max(1.0)),
+        marks.collect(),
+    );
+    let y = Axis::numeric(
+        "",
+        pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.05),
+        6,
+    );
     let title = "Best robustness (below 0 a failure)";
     let mut panel = Panel::new(panel_frame(narrow), title, x, y);
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
@@ -48,22 +65,33 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         panel.add_line(&line, Stroke::series(index));
         entries.push((Stroke::series(index), name.as_str()));
     }
-    let description =
-        "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
+    let description = "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
     let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
     let top = panel_frame(narrow).bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {
         (panel.draw(&Svg::id("best", "frame")))
         g transform={ "translate(12 " (top) ")" } { (key) }
     };
-    Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
+    Svg::new(
+        "best",
+        (width(narrow), top + key_height),
+        title,
+        description,
+        content,
+    )
+    .inline()
 }
 
 /// Returns the points at which the smallest robustness of a method decreases, and its last point.
 fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let (mut least, mut last) = (f64::INFINITY, 0);
-    for (_, evaluated) in one.reader.evaluations().iter().filter(|(method, _)| method == wanted) {
+    for (_, evaluated) in one
+        .reader
+        .evaluations()
+        .iter()
+        .filter(|(method, _)| method == wanted)
+    {
         last = evaluated.number;
         let robustness = evaluated.verdict.robustness;
         if robustness.is_finite() && robustness < least {
@@ -81,13 +109,26 @@ fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
 }
 
 /// Draws the number of evaluations and failures in each cell.
-pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, narrow: bool) -> Markup {
-    let widest = map.y_axis.cell_bounds.iter().map(|(from, _)| text_width(from, SMALL_TEXT_SIZE)).fold(0.0, f64::max);
+pub(super) fn failure_grid_figure(
+    shown: &CampaignView<'_>,
+    map: &FailureGrid,
+    narrow: bool,
+) -> Markup {
+    let widest = map
+        .y_axis
+        .cell_bounds
+        .iter()
+        .map(|(from, _)| text_width(from, SMALL_TEXT_SIZE))
+        .fold(0.0, f64::max);
     let (columns, rows) = (map.x_axis.cell_bounds.len(), map.y_axis.cell_bounds.len());
     let left = widest + 16.0;
     let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL_HEIGHT);
-    let frame =
-        PixelRect { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
+    let frame = PixelRect {
+        left,
+        top: HEADING_HEIGHT + 4.0,
+        width: wide * columns as f64,
+        height: CELL_HEIGHT * rows as f64,
+    };
     let cell_frame = |index: usize| {
         let (row, column) = (index / columns, index % columns);
         // The smallest value is at the bottom.
@@ -99,7 +140,11 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
         }
     };
     let of = |wanted: fn(&GridCell) -> bool| {
-        map.cells.iter().enumerate().filter(move |(_, cell)| wanted(cell)).map(|(index, _)| cell_frame(index))
+        map.cells
+            .iter()
+            .enumerate()
+            .filter(move |(_, cell)| wanted(cell))
+            .map(|(index, _)| cell_frame(index))
     };
     let prefix = format!("map-{}", shown.index);
     let title = format!("{} over {}", map.y_axis.title(), map.x_axis.title());
@@ -146,7 +191,10 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
     };
     let description = "Green: no evaluation fails. Crossed: some fail. Red with a number: all fail. Blank: no \
     evaluation. Each cell links to its worst scenario.";
-    let size = ((frame.right() + 14.0).max(width(narrow).min(320.0)), frame.bottom() + 40.0);
+    let size = (
+        (frame.right() + 14.0).max(width(narrow).min(320.0)),
+        frame.bottom() + 40.0,
+    );
     html! { div.map { (Svg::new(&prefix, size, &title, description, content).with_links()) } }
 }
 

@@ -48,12 +48,21 @@ impl FailureGrid {
         let side = |name: &str| {
             let place = known.iter().position(|known| known == name)?;
             let parameter = parameters.get(place)?;
-            Some((place, GridAxis::new(name, parameter, look.space().observed_range(parameter.name()))))
+            Some((
+                place,
+                GridAxis::new(
+                    name,
+                    parameter,
+                    look.space().observed_range(parameter.name()),
+                ),
+            ))
         };
         let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
         let mut cells = vec![GridCell::default(); across.cell_bounds.len() * up.cell_bounds.len()];
         for (index, (method, evaluated)) in look.evaluations().iter().enumerate() {
-            let Some(fails) = chosen.classify(look, method, evaluated) else { continue };
+            let Some(fails) = chosen.classify(look, method, evaluated) else {
+                continue;
+            };
             let at = |side: &GridAxis, coordinate: usize| {
                 let share = evaluated.point.get(coordinate).copied().unwrap_or(0.0);
                 ((share * side.cell_bounds.len() as f64) as usize).min(side.cell_bounds.len() - 1)
@@ -68,7 +77,11 @@ impl FailureGrid {
                 }
             }
         }
-        Some(Self { x_axis: across, y_axis: up, cells })
+        Some(Self {
+            x_axis: across,
+            y_axis: up,
+            cells,
+        })
     }
 }
 
@@ -77,29 +90,58 @@ impl GridAxis {
         let [low, high] = parameter.range();
         let is_named = parameter.has_named_values();
         // Named values are equidistant in the unit cube, one cell each.
-        let count = if is_named { (high - low).round().clamp(1.0, 40.0) as usize + 1 } else { CELLS_PER_AXIS };
+        let count = if is_named {
+            (high - low).round().clamp(1.0, 40.0) as usize + 1
+        } else {
+            CELLS_PER_AXIS
+        };
         let value = |share: f64| match is_named {
             true => parameter.format_value(parameter.value(share)),
             false => format_3_digits(parameter.value(share)),
         };
         let cell = |index: usize| match is_named {
             true => (value((index as f64 + 0.5) / count as f64), String::new()),
-            false => (value(index as f64 / count as f64), value((index + 1) as f64 / count as f64)),
+            false => (
+                value(index as f64 / count as f64),
+                value((index + 1) as f64 / count as f64),
+            ),
         };
-        let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
-        Self { name: name.to_owned(), unit, observed, cell_bounds: (0..count).map(cell).collect(), is_named }
+        let unit = if parameter.unit() == "1" {
+            ""
+        } else {
+            parameter.unit()
+        };
+        Self {
+            name: name.to_owned(),
+            unit,
+            observed,
+            cell_bounds: (0..count).map(cell).collect(),
+            is_named,
+        }
     }
 
     pub(crate) fn title(&self) -> String {
-        let observed = self.observed.map(|range| range.map(format_3_digits).join(" to "));
+        let observed = self
+            .observed
+            .map(|range| range.map(format_3_digits).join(" to "));
         let observed = observed.map_or(String::new(), |range| format!(", observed {range}"));
-        let unit = if self.unit.is_empty() { String::new() } else { format!(" ({})", self.unit) };
+        let unit = if self.unit.is_empty() {
+            String::new()
+        } else {
+            format!(" ({})", self.unit)
+        };
         format!("{}{unit}{observed}", self.name)
     }
 
     pub(crate) fn cell_label(&self, cell: usize) -> String {
-        let Some((from, to)) = self.cell_bounds.get(cell) else { return String::new() };
-        let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
+        let Some((from, to)) = self.cell_bounds.get(cell) else {
+            return String::new();
+        };
+        let unit = if self.unit.is_empty() {
+            String::new()
+        } else {
+            format!(" {}", self.unit)
+        };
         match self.is_named {
             true => format!("{} {from}", self.name),
             false => format!("{} {from} to {to}{unit}", self.name),
@@ -108,7 +150,11 @@ impl GridAxis {
 }
 
 fn format_3_digits(value: f64) -> String {
-    let digits = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 6) };
+    let digits = if value == 0.0 {
+        0
+    } else {
+        (2 - value.abs().log10().floor() as i32).clamp(0, 6)
+    };
     let text = format!("{value:.*}", digits as usize);
     match text.contains('.') {
         true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),

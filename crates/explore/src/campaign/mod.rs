@@ -5,7 +5,9 @@ mod grid;
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{CampaignError, CampaignReader, EvaluatedPoint, MAX_READ_EVALUATIONS};
+use crumple_search::falsify::campaign::{
+    CampaignError, CampaignReader, EvaluatedPoint, MAX_READ_EVALUATIONS,
+};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
@@ -72,10 +74,20 @@ pub(crate) fn show_campaigns(
     let one = catalog::find(offered, request.campaign, "campaign", "campaigns")?;
     // A comparison with itself would deadlock.
     let against = request.against.filter(|index| *index != request.campaign);
-    let other = against.map(|index| catalog::find(offered, index, "against", "campaigns")).transpose()?;
-    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, reader: &one.reader }];
+    let other = against
+        .map(|index| catalog::find(offered, index, "against", "campaigns"))
+        .transpose()?;
+    let mut shown = vec![CampaignView {
+        index: request.campaign,
+        name: &one.name,
+        reader: &one.reader,
+    }];
     if let Some((index, other)) = against.zip(other) {
-        shown.push(CampaignView { index, name: &other.name, reader: &other.reader });
+        shown.push(CampaignView {
+            index,
+            name: &other.name,
+            reader: &other.reader,
+        });
     }
     let look = &one.reader;
     let coordinates = look.space().coordinate_names();
@@ -86,9 +98,20 @@ pub(crate) fn show_campaigns(
             .position(|known| known == name)
             .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
-    let (x, y) = (place("across", &request.x_parameter, 0)?, place("up", &request.y_parameter, 1)?);
-    let kinds = look.summary().failures.iter().map(|kind| kind.kind.clone()).collect();
-    let chosen = EvaluationFilter { method: request.method.as_deref(), kind: request.kind.as_deref() };
+    let (x, y) = (
+        place("across", &request.x_parameter, 0)?,
+        place("up", &request.y_parameter, 1)?,
+    );
+    let kinds = look
+        .summary()
+        .failures
+        .iter()
+        .map(|kind| kind.kind.clone())
+        .collect();
+    let chosen = EvaluationFilter {
+        method: request.method.as_deref(),
+        kind: request.kind.as_deref(),
+    };
     let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
         div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
@@ -108,7 +131,10 @@ pub(crate) fn show_campaigns(
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
         maps: escape_markup(maps),
         distinct: escape_markup(
-            shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) }),
+            shown
+                .iter()
+                .map(distinct_failures_table)
+                .fold(html! {}, |before, next| html! { (before) (next) }),
         ),
         failures: escape_markup(failures_table(&shown, &chosen)),
         coordinates,
@@ -128,30 +154,44 @@ pub(crate) struct EvaluationFilter<'a> {
 
 impl EvaluationFilter<'_> {
     /// Returns the failure state of an evaluation that passes the filter; none for others.
-    fn classify(&self, look: &CampaignReader, method: &Method, evaluated: &EvaluatedPoint) -> Option<bool> {
+    fn classify(
+        &self,
+        look: &CampaignReader,
+        method: &Method,
+        evaluated: &EvaluatedPoint,
+    ) -> Option<bool> {
         if self.method.is_some_and(|wanted| wanted != method.name()) {
             return None;
         }
         let fails = evaluated.verdict.is_violation();
         match self.kind {
-            Some(wanted) if fails => {
-                look.describe_failure(evaluated).is_some_and(|kind| kind == wanted).then_some(true)
-            }
+            Some(wanted) if fails => look
+                .describe_failure(evaluated)
+                .is_some_and(|kind| kind == wanted)
+                .then_some(true),
             _ => Some(fails),
         }
     }
 }
 
 fn summary_line(shown: &CampaignView<'_>) -> String {
-    let CampaignView { name, reader: look, .. } = shown;
+    let CampaignView {
+        name, reader: look, ..
+    } = shown;
     let (made, all) = (look.evaluations().len(), look.total_evaluations());
-    let failing = look.evaluations().iter().filter(|(_, evaluated)| evaluated.verdict.is_violation()).count();
+    let failing = look
+        .evaluations()
+        .iter()
+        .filter(|(_, evaluated)| evaluated.verdict.is_violation())
+        .count();
     let stage = match look.summary() {
         summary if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
             format!("complete, {all} evaluations, none of them logged")
         }
         _ if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
-            format!("complete; of {all} evaluations the first {made} are shown, {failing} of which fail")
+            format!(
+                "complete; of {all} evaluations the first {made} are shown, {failing} of which fail"
+            )
         }
         _ => format!("complete, {made} evaluations, {failing} fail"),
     };
@@ -195,9 +235,13 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
     let list = |one: &CampaignView<'_>| {
         let rows = one.reader.evaluations().iter().enumerate();
         let mut failing: Vec<_> = rows
-            .filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true))
+            .filter(|(_, (method, evaluated))| {
+                chosen.classify(one.reader, method, evaluated) == Some(true)
+            })
             .collect();
-        failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness));
+        failing.sort_by(|(_, (_, a)), (_, (_, b))| {
+            a.verdict.robustness.total_cmp(&b.verdict.robustness)
+        });
         let all = failing.len();
         failing.truncate(MAX_LISTED);
         html! { @if all > 0 { div.scroll tabindex="0" { table {
@@ -226,7 +270,11 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
 }
 
 fn list_changes(changed: &[ChangedParameter]) -> String {
-    changed.iter().map(ChangedParameter::to_string).collect::<Vec<_>>().join(", ")
+    changed
+        .iter()
+        .map(ChangedParameter::to_string)
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 fn avoidability_label(class: AvoidabilityClass) -> &'static str {
@@ -239,5 +287,7 @@ fn avoidability_label(class: AvoidabilityClass) -> &'static str {
 }
 
 fn format_number(value: Option<f64>, digits: usize) -> String {
-    value.map_or("–".to_owned(), |value| crumple_report::draw::format_number(value, digits))
+    value.map_or("–".to_owned(), |value| {
+        crumple_report::draw::format_number(value, digits)
+    })
 }

@@ -18,7 +18,9 @@ fn fmi3_description(definitions: &str, variables: &str) -> String {
 }
 
 fn input(attributes: &str) -> String {
-    format!("<ScalarVariable name=\"x\" valueReference=\"0\" causality=\"input\"><Real {attributes}/></ScalarVariable>")
+    format!(
+        "<ScalarVariable name=\"x\" valueReference=\"0\" causality=\"input\"><Real {attributes}/></ScalarVariable>"
+    )
 }
 
 const UNITS: &str = r#"<UnitDefinitions>
@@ -29,17 +31,30 @@ const UNITS: &str = r#"<UnitDefinitions>
 </UnitDefinitions>"#;
 
 fn conversion(dimension: UnitDimension, factor: f64, offset: f64) -> Option<Conversion> {
-    Some(Conversion { dimension, factor, offset })
+    Some(Conversion {
+        dimension,
+        factor,
+        offset,
+    })
 }
 
 fn unit(text: &str) -> Option<DeclaredUnit> {
     let description = ModelDescription::from_xml(text).unwrap_or_else(|error| panic!("{error}"));
-    description.variables.first().expect("a variable").unit.clone()
+    description
+        .variables
+        .first()
+        .expect("a variable")
+        .unit
+        .clone()
 }
 
 #[test]
 fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
-    let speed = conversion(UnitDimension::metres_seconds(1, -1), 0.277_777_777_777_777_8, 0.0);
+    let speed = conversion(
+        UnitDimension::metres_seconds(1, -1),
+        0.277_777_777_777_777_8,
+        0.0,
+    );
     let kelvin = UnitDimension([0, 0, 0, 0, 1, 0, 0, 0]);
     let types_2 = r#"<TypeDefinitions>
         <SimpleType name="Speed"><Real quantity="Velocity" unit="km/h" displayUnit="mph"/></SimpleType>
@@ -50,49 +65,109 @@ fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
     let cases = [
         ("unit=\"km/h\"", Some("km/h"), speed),
         ("declaredType=\"Speed\"", Some("km/h"), speed),
-        ("declaredType=\"Speed\" unit=\"m\"", Some("m"), conversion(UnitDimension::metres_seconds(1, 0), 1.0, 0.0)),
-        ("unit=\"degC\"", Some("degC"), conversion(kelvin, 1.0, 273.15)),
-        ("unit=\"degC\" relativeQuantity=\"1\"", Some("degC"), conversion(kelvin, 1.0, 0.0)),
-        ("declaredType=\"Rise\"", Some("degC"), conversion(kelvin, 1.0, 0.0)),
-        ("declaredType=\"Rise\" relativeQuantity=\"false\"", Some("degC"), conversion(kelvin, 1.0, 273.15)),
+        (
+            "declaredType=\"Speed\" unit=\"m\"",
+            Some("m"),
+            conversion(UnitDimension::metres_seconds(1, 0), 1.0, 0.0),
+        ),
+        (
+            "unit=\"degC\"",
+            Some("degC"),
+            conversion(kelvin, 1.0, 273.15),
+        ),
+        (
+            "unit=\"degC\" relativeQuantity=\"1\"",
+            Some("degC"),
+            conversion(kelvin, 1.0, 0.0),
+        ),
+        (
+            "declaredType=\"Rise\"",
+            Some("degC"),
+            conversion(kelvin, 1.0, 0.0),
+        ),
+        (
+            "declaredType=\"Rise\" relativeQuantity=\"false\"",
+            Some("degC"),
+            conversion(kelvin, 1.0, 273.15),
+        ),
         ("unit=\"furlong\"", Some("furlong"), None),
         ("unit=\"parsec\"", Some("parsec"), None),
-        ("unit=\"m/s2\"", Some("m/s2"), conversion(UnitDimension::metres_seconds(1, -2), 1.0, 0.0)),
-        ("unit=\"m/s\"", Some("m/s"), conversion(UnitDimension::metres_seconds(1, -1), 1.0, 0.0)),
+        (
+            "unit=\"m/s2\"",
+            Some("m/s2"),
+            conversion(UnitDimension::metres_seconds(1, -2), 1.0, 0.0),
+        ),
+        (
+            "unit=\"m/s\"",
+            Some("m/s"),
+            conversion(UnitDimension::metres_seconds(1, -1), 1.0, 0.0),
+        ),
         ("displayUnit=\"km/h\"", None, None),
         ("unit=\"\"", None, None),
     ];
     for (attributes, name, conversion) in cases {
-        let expected = name.map(|name| DeclaredUnit { name: name.to_owned(), conversion });
+        let expected = name.map(|name| DeclaredUnit {
+            name: name.to_owned(),
+            conversion,
+        });
         let two = fmi2_description(&format!("{UNITS}{types_2}"), &input(attributes));
         assert_eq!(unit(&two), expected, "FMI 2, {attributes}");
-        let variable = format!("<Float64 name=\"x\" valueReference=\"0\" causality=\"input\" {attributes}/>");
-        assert_eq!(unit(&fmi3_description(&format!("{UNITS}{types_3}"), &variable)), expected, "FMI 3, {attributes}");
+        let variable =
+            format!("<Float64 name=\"x\" valueReference=\"0\" causality=\"input\" {attributes}/>");
+        assert_eq!(
+            unit(&fmi3_description(&format!("{UNITS}{types_3}"), &variable)),
+            expected,
+            "FMI 3, {attributes}"
+        );
     }
 }
 
 #[test]
 fn unit_errors_name_their_line() {
-    let with =
-        |unit: &str| fmi2_description(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
+    let with = |unit: &str| {
+        fmi2_description(
+            &format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"),
+            &input("unit=\"u\""),
+        )
+    };
     let cases = [
-        (with("<Unit name=\"u\"><BaseUnit m=\"1.5\"/></Unit>"), "line 5: `BaseUnit`: m: \"1.5\" is not a whole number"),
-        (with("<Unit name=\"u\"><BaseUnit factor=\"0\"/></Unit>"), "line 5: `BaseUnit`: factor: must not be 0"),
-        (with("<Unit name=\"u\"><BaseUnit factor=\"INF\"/></Unit>"), "factor: \"INF\" is not a finite number"),
-        (with("<Unit name=\"u\"><BaseUnit offset=\"x\"/></Unit>"), "offset: \"x\" is not a finite number"),
-        (with("<Unit><BaseUnit/></Unit>"), "line 5: `Unit` has no attribute `name`"),
+        (
+            with("<Unit name=\"u\"><BaseUnit m=\"1.5\"/></Unit>"),
+            "line 5: `BaseUnit`: m: \"1.5\" is not a whole number",
+        ),
+        (
+            with("<Unit name=\"u\"><BaseUnit factor=\"0\"/></Unit>"),
+            "line 5: `BaseUnit`: factor: must not be 0",
+        ),
+        (
+            with("<Unit name=\"u\"><BaseUnit factor=\"INF\"/></Unit>"),
+            "factor: \"INF\" is not a finite number",
+        ),
+        (
+            with("<Unit name=\"u\"><BaseUnit offset=\"x\"/></Unit>"),
+            "offset: \"x\" is not a finite number",
+        ),
+        (
+            with("<Unit><BaseUnit/></Unit>"),
+            "line 5: `Unit` has no attribute `name`",
+        ),
         (
             with("<Unit name=\"u\"><BaseUnit/></Unit>\n<Unit name=\"u\"><BaseUnit/></Unit>"),
             "line 6: there are two units \"u\"",
         ),
-        (fmi2_description("", &input("declaredType=\"T\"")), "line 4: declaredType: there is no real type \"T\""),
+        (
+            fmi2_description("", &input("declaredType=\"T\"")),
+            "line 4: declaredType: there is no real type \"T\"",
+        ),
         (
             fmi2_description("", &input("unit=\"m\" relativeQuantity=\"maybe\"")),
             "relativeQuantity: \"maybe\" is neither true nor false",
         ),
     ];
     for (text, message) in cases {
-        let error = ModelDescription::from_xml(&text).expect_err(message).to_string();
+        let error = ModelDescription::from_xml(&text)
+            .expect_err(message)
+            .to_string();
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
 }
@@ -104,23 +179,49 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
     assert!(ModelDescription::from_xml(&format!("{whole}\n<!-- end -->\n")).is_ok());
     let cases = [
         (whole.replace("</ModelVariables>", ""), "line 4: "),
-        (whole.replace("</fmiModelDescription>", ""), "line 4: the text ends within an element"),
-        (format!("{whole}\n<fmiModelDescription/>"), "line 5: there is a second root element"),
-        (format!("{whole}\n\nmore"), "there is text outside of the root element"),
-        (whole.replace("?>\n", "?>\n<!DOCTYPE a [<!ENTITY b \"c\">]>"), "line 2: has a document type declaration"),
-        (whole.replace("name=\"x\"", "name=\"x\" name=\"y\""), "line 4: "),
-        (whole.replace("modelName=\"a\"", "modelName=\"&b;\""), "line 2: attribute `modelName`: "),
+        (
+            whole.replace("</fmiModelDescription>", ""),
+            "line 4: the text ends within an element",
+        ),
+        (
+            format!("{whole}\n<fmiModelDescription/>"),
+            "line 5: there is a second root element",
+        ),
+        (
+            format!("{whole}\n\nmore"),
+            "there is text outside of the root element",
+        ),
+        (
+            whole.replace("?>\n", "?>\n<!DOCTYPE a [<!ENTITY b \"c\">]>"),
+            "line 2: has a document type declaration",
+        ),
+        (
+            whole.replace("name=\"x\"", "name=\"x\" name=\"y\""),
+            "line 4: ",
+        ),
+        (
+            whole.replace("modelName=\"a\"", "modelName=\"&b;\""),
+            "line 2: attribute `modelName`: ",
+        ),
         (whole.replace("guid=\"g\"", "guid=g"), "line 2: "),
-        (whole.replace("fmiModelDescription", "other"), "there is no root element of a known name"),
+        (
+            whole.replace("fmiModelDescription", "other"),
+            "there is no root element of a known name",
+        ),
         (String::new(), "there is no root element of a known name"),
     ];
     for (text, message) in cases {
-        let error = ModelDescription::from_xml(&text).expect_err(message).to_string();
+        let error = ModelDescription::from_xml(&text)
+            .expect_err(message)
+            .to_string();
         assert!(error.starts_with("modelDescription.xml, "), "{error}");
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let escaped = whole.replace("name=\"x\"", "name=\"&lt;&#120;&gt;\"");
-    assert_eq!(ModelDescription::from_xml(&escaped).unwrap().variables[0].name, "<x>");
+    assert_eq!(
+        ModelDescription::from_xml(&escaped).unwrap().variables[0].name,
+        "<x>"
+    );
 }
 
 /// Each text of 1 MiB takes less than a second, even without optimisation; quadratic time would be minutes.
@@ -140,21 +241,55 @@ fn descriptions_are_read_in_linear_time() {
     let units = many(&|i| format!("<Unit name=\"{i}\"><BaseUnit/></Unit>"));
     let nested = "<Unit>".repeat(BYTES / 13) + &"</Unit>".repeat(BYTES / 13);
     let texts = [
-        ("attributes", whole(&format!("<a {}/>", many(&|i| format!(" a{i}=\"1\"")))), true),
-        ("known attributes of many elements", whole(&many(&|i| format!("<Unit name=\"{i}\"/>"))), true),
-        ("prefixes", whole(&format!("<a {}/>", many(&|i| format!(" xmlns:a{i}=\"b{i}\"")))), true),
-        ("one attribute again and again", whole(&format!("<a {}/>", " a=\"1\"".repeat(BYTES / 6))), false),
+        (
+            "attributes",
+            whole(&format!("<a {}/>", many(&|i| format!(" a{i}=\"1\"")))),
+            true,
+        ),
+        (
+            "known attributes of many elements",
+            whole(&many(&|i| format!("<Unit name=\"{i}\"/>"))),
+            true,
+        ),
+        (
+            "prefixes",
+            whole(&format!(
+                "<a {}/>",
+                many(&|i| format!(" xmlns:a{i}=\"b{i}\""))
+            )),
+            true,
+        ),
+        (
+            "one attribute again and again",
+            whole(&format!("<a {}/>", " a=\"1\"".repeat(BYTES / 6))),
+            false,
+        ),
         ("elements", whole(&many(&|i| format!("<a{i}/>"))), true),
         ("nested elements", whole(&nested), true),
         ("text", whole(&"x".repeat(BYTES)), true),
         ("references", whole(&"&amp;".repeat(BYTES / 5)), true),
-        ("a value", whole(&format!("<a b=\"{}\"/>", "&#x20;".repeat(BYTES / 6))), true),
+        (
+            "a value",
+            whole(&format!("<a b=\"{}\"/>", "&#x20;".repeat(BYTES / 6))),
+            true,
+        ),
         ("comments", whole(&"<!---->".repeat(BYTES / 7)), true),
         ("an open comment", whole(&"<!--".repeat(BYTES / 4)), false),
         ("open tags", whole(&"<a ".repeat(BYTES / 3)), false),
         ("lines", whole(&"\n".repeat(BYTES)), true),
-        ("units", whole(&format!("<UnitDefinitions>{units}</UnitDefinitions>")), true),
-        ("variables", fmi2_description("", &many(&|i| input("").replace("\"x\"", &format!("\"x{i}\"")))), true),
+        (
+            "units",
+            whole(&format!("<UnitDefinitions>{units}</UnitDefinitions>")),
+            true,
+        ),
+        (
+            "variables",
+            fmi2_description(
+                "",
+                &many(&|i| input("").replace("\"x\"", &format!("\"x{i}\""))),
+            ),
+            true,
+        ),
     ];
     for (what, text, is_read) in texts {
         let start = Instant::now();

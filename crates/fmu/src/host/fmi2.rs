@@ -14,7 +14,8 @@ use crate::{ModelDescription, VariableType};
 
 type Fmi2Component = *mut c_void;
 type Fmi2Status = c_int;
-type Fmi2Logger = extern "C" fn(*mut c_void, *const c_char, Fmi2Status, *const c_char, *const c_char);
+type Fmi2Logger =
+    extern "C" fn(*mut c_void, *const c_char, Fmi2Status, *const c_char, *const c_char);
 
 unsafe extern "C" {
     fn calloc(count: usize, size: usize) -> *mut c_void;
@@ -32,7 +33,13 @@ struct Fmi2Callbacks {
 
 /// The standard declares a variadic logger. By the C conventions of x86-64 and AArch64, a function that ignores the
 /// variadic arguments can be called the same way.
-extern "C" fn log(_: *mut c_void, _: *const c_char, status: Fmi2Status, _: *const c_char, message: *const c_char) {
+extern "C" fn log(
+    _: *mut c_void,
+    _: *const c_char,
+    status: Fmi2Status,
+    _: *const c_char,
+    message: *const c_char,
+) {
     log_message(status, message);
 }
 
@@ -47,11 +54,15 @@ type Fmi2Instantiate = unsafe extern "C" fn(
 ) -> Fmi2Component;
 type Fmi2ComponentCall = unsafe extern "C" fn(Fmi2Component) -> Fmi2Status;
 type Fmi2FreeInstance = unsafe extern "C" fn(Fmi2Component);
-type Fmi2SetupExperiment = unsafe extern "C" fn(Fmi2Component, c_int, f64, f64, c_int, f64) -> Fmi2Status;
+type Fmi2SetupExperiment =
+    unsafe extern "C" fn(Fmi2Component, c_int, f64, f64, c_int, f64) -> Fmi2Status;
 type Fmi2DoStep = unsafe extern "C" fn(Fmi2Component, f64, f64, c_int) -> Fmi2Status;
-type Fmi2SetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const f64) -> Fmi2Status;
-type Fmi2SetInteger = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const c_int) -> Fmi2Status;
-type Fmi2GetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *mut f64) -> Fmi2Status;
+type Fmi2SetReal =
+    unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const f64) -> Fmi2Status;
+type Fmi2SetInteger =
+    unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const c_int) -> Fmi2Status;
+type Fmi2GetReal =
+    unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *mut f64) -> Fmi2Status;
 
 pub(super) struct Fmi2 {
     instantiate: Fmi2Instantiate,
@@ -75,11 +86,21 @@ pub(super) struct Fmi2 {
 }
 
 impl Fmi2 {
-    pub(super) fn load(library: &Path, folder: &Path, description: &ModelDescription) -> Result<Self, String> {
-        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
-        let location = format!("file://{}", percent_encode(&folder.join("resources").to_string_lossy()));
+    pub(super) fn load(
+        library: &Path,
+        folder: &Path,
+        description: &ModelDescription,
+    ) -> Result<Self, String> {
+        let text = |text: &str| {
+            CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"))
+        };
+        let location = format!(
+            "file://{}",
+            percent_encode(&folder.join("resources").to_string_lossy())
+        );
         // SAFETY: loading runs the library's initializers. Code of the FMU may run here: this process exists to run it.
-        let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
+        let library =
+            unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi2Instantiate")?,
             free: load_symbol(&library, c"fmi2FreeInstance")?,
@@ -111,12 +132,29 @@ impl Fmi2 {
 impl FmiFunctions for Fmi2 {
     fn instantiate(&mut self) -> Result<(), String> {
         const CO_SIMULATION: c_int = 1;
-        let (token, resources, callbacks) = (self.token.as_ptr(), self.resources.as_ptr(), &raw const *self.callbacks);
+        let (token, resources, callbacks) = (
+            self.token.as_ptr(),
+            self.resources.as_ptr(),
+            &raw const *self.callbacks,
+        );
         // SAFETY: the texts end in NUL; they and the callbacks live as long as the instance, and do not move.
-        self.component =
-            unsafe { (self.instantiate)(c"crumple".as_ptr(), CO_SIMULATION, token, resources, callbacks, 0, 0) };
+        self.component = unsafe {
+            (self.instantiate)(
+                c"crumple".as_ptr(),
+                CO_SIMULATION,
+                token,
+                resources,
+                callbacks,
+                0,
+                0,
+            )
+        };
         let problem = || "the FMU cannot be instantiated (fmi2Instantiate)".to_owned();
-        if self.component.is_null() { Err(problem()) } else { Ok(()) }
+        if self.component.is_null() {
+            Err(problem())
+        } else {
+            Ok(())
+        }
     }
 
     fn reset(&mut self) -> Result<(), String> {
@@ -130,13 +168,18 @@ impl FmiFunctions for Fmi2 {
         // SAFETY: the call reads one reference and one value; both live until it returns.
         let (call, status) = unsafe {
             match wire.kind {
-                VariableType::Real => ("fmi2SetReal", (self.set_real)(self.component, reference, 1, &raw const value)),
-                VariableType::Integer => {
-                    ("fmi2SetInteger", (self.set_integer)(self.component, reference, 1, &raw const whole))
-                }
-                VariableType::Boolean => {
-                    ("fmi2SetBoolean", (self.set_boolean)(self.component, reference, 1, &raw const whole))
-                }
+                VariableType::Real => (
+                    "fmi2SetReal",
+                    (self.set_real)(self.component, reference, 1, &raw const value),
+                ),
+                VariableType::Integer => (
+                    "fmi2SetInteger",
+                    (self.set_integer)(self.component, reference, 1, &raw const whole),
+                ),
+                VariableType::Boolean => (
+                    "fmi2SetBoolean",
+                    (self.set_boolean)(self.component, reference, 1, &raw const whole),
+                ),
             }
         };
         check_status(call, status)
@@ -144,25 +187,40 @@ impl FmiFunctions for Fmi2 {
 
     fn enter_initialization(&mut self) -> Result<(), String> {
         // SAFETY: the component is an instance of this library.
-        check_status("fmi2SetupExperiment", unsafe { (self.setup_experiment)(self.component, 0, 0.0, 0.0, 0, 0.0) })?;
+        check_status("fmi2SetupExperiment", unsafe {
+            (self.setup_experiment)(self.component, 0, 0.0, 0.0, 0, 0.0)
+        })?;
         // SAFETY: likewise.
-        check_status("fmi2EnterInitializationMode", unsafe { (self.enter_initialization_mode)(self.component) })
+        check_status("fmi2EnterInitializationMode", unsafe {
+            (self.enter_initialization_mode)(self.component)
+        })
     }
 
     fn exit_initialization(&mut self) -> Result<(), String> {
         // SAFETY: the component is an instance of this library.
-        check_status("fmi2ExitInitializationMode", unsafe { (self.exit_initialization_mode)(self.component) })
+        check_status("fmi2ExitInitializationMode", unsafe {
+            (self.exit_initialization_mode)(self.component)
+        })
     }
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
         // SAFETY: the component is an initialized instance of this library.
-        check_status("fmi2DoStep", unsafe { (self.do_step)(self.component, time_s, step_s, 1) })
+        check_status("fmi2DoStep", unsafe {
+            (self.do_step)(self.component, time_s, step_s, 1)
+        })
     }
 
     fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
-        let status = unsafe { (self.get_real)(self.component, &raw const wire.value_reference, 1, &raw mut value) };
+        let status = unsafe {
+            (self.get_real)(
+                self.component,
+                &raw const wire.value_reference,
+                1,
+                &raw mut value,
+            )
+        };
         check_status("fmi2GetReal", status)?;
         Ok(value)
     }
@@ -184,7 +242,8 @@ pub(super) fn log_message(status: Fmi2Status, message: *const c_char) {
         // SAFETY: a text of the standard ends in NUL, and is there until the call returns.
         let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
         // A closed standard error must not affect the FMU.
-        let _ = std::io::stderr().write_all(format!("status {status}: {}\n", message.trim_end()).as_bytes());
+        let _ = std::io::stderr()
+            .write_all(format!("status {status}: {}\n", message.trim_end()).as_bytes());
     }
 }
 
@@ -198,6 +257,12 @@ pub(super) fn load_symbol<F: Copy>(library: &Library, name: &CStr) -> Result<F, 
 
 fn percent_encode(path: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte);
-    let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+    let encode = |byte: u8| {
+        if plain(byte) {
+            char::from(byte).to_string()
+        } else {
+            format!("%{byte:02X}")
+        }
+    };
     path.bytes().map(encode).collect()
 }

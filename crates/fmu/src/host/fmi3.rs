@@ -36,13 +36,26 @@ type Fmi3Instantiate = unsafe extern "C" fn(
 ) -> Fmi3Instance;
 type Fmi3InstanceCall = unsafe extern "C" fn(Fmi3Instance) -> Fmi3Status;
 type Fmi3FreeInstance = unsafe extern "C" fn(Fmi3Instance);
-type Fmi3EnterInitializationMode = unsafe extern "C" fn(Fmi3Instance, bool, f64, f64, bool, f64) -> Fmi3Status;
-type Fmi3DoStep =
-    unsafe extern "C" fn(Fmi3Instance, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> Fmi3Status;
-type Fmi3SetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const f64, usize) -> Fmi3Status;
-type Fmi3SetInt32 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const i32, usize) -> Fmi3Status;
-type Fmi3SetBoolean = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const bool, usize) -> Fmi3Status;
-type Fmi3GetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *mut f64, usize) -> Fmi3Status;
+type Fmi3EnterInitializationMode =
+    unsafe extern "C" fn(Fmi3Instance, bool, f64, f64, bool, f64) -> Fmi3Status;
+type Fmi3DoStep = unsafe extern "C" fn(
+    Fmi3Instance,
+    f64,
+    f64,
+    bool,
+    *mut bool,
+    *mut bool,
+    *mut bool,
+    *mut f64,
+) -> Fmi3Status;
+type Fmi3SetFloat64 =
+    unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const f64, usize) -> Fmi3Status;
+type Fmi3SetInt32 =
+    unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const i32, usize) -> Fmi3Status;
+type Fmi3SetBoolean =
+    unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const bool, usize) -> Fmi3Status;
+type Fmi3GetFloat64 =
+    unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *mut f64, usize) -> Fmi3Status;
 
 pub(super) struct Fmi3 {
     instantiate: Fmi3Instantiate,
@@ -64,12 +77,23 @@ pub(super) struct Fmi3 {
 }
 
 impl Fmi3 {
-    pub(super) fn load(library: &Path, folder: &Path, description: &ModelDescription) -> Result<Self, String> {
-        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
+    pub(super) fn load(
+        library: &Path,
+        folder: &Path,
+        description: &ModelDescription,
+    ) -> Result<Self, String> {
+        let text = |text: &str| {
+            CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"))
+        };
         // The standard requires a separator at the end.
-        let location = folder.join("resources").join("").to_string_lossy().into_owned();
+        let location = folder
+            .join("resources")
+            .join("")
+            .to_string_lossy()
+            .into_owned();
         // SAFETY: loading runs the library's initializers. Code of the FMU may run here: this process exists to run it.
-        let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
+        let library =
+            unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi3InstantiateCoSimulation")?,
             free: load_symbol(&library, c"fmi3FreeInstance")?,
@@ -112,7 +136,11 @@ impl FmiFunctions for Fmi3 {
             )
         };
         let problem = || "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)".to_owned();
-        if self.instance.is_null() { Err(problem()) } else { Ok(()) }
+        if self.instance.is_null() {
+            Err(problem())
+        } else {
+            Ok(())
+        }
     }
 
     fn reset(&mut self) -> Result<(), String> {
@@ -126,15 +154,18 @@ impl FmiFunctions for Fmi3 {
         // SAFETY: the call reads one reference and one value; both live until it returns.
         let (call, status) = unsafe {
             match wire.kind {
-                VariableType::Real => {
-                    ("fmi3SetFloat64", (self.set_float64)(self.instance, reference, 1, &raw const value, 1))
-                }
-                VariableType::Integer => {
-                    ("fmi3SetInt32", (self.set_int32)(self.instance, reference, 1, &raw const whole, 1))
-                }
-                VariableType::Boolean => {
-                    ("fmi3SetBoolean", (self.set_boolean)(self.instance, reference, 1, &raw const truth, 1))
-                }
+                VariableType::Real => (
+                    "fmi3SetFloat64",
+                    (self.set_float64)(self.instance, reference, 1, &raw const value, 1),
+                ),
+                VariableType::Integer => (
+                    "fmi3SetInt32",
+                    (self.set_int32)(self.instance, reference, 1, &raw const whole, 1),
+                ),
+                VariableType::Boolean => (
+                    "fmi3SetBoolean",
+                    (self.set_boolean)(self.instance, reference, 1, &raw const truth, 1),
+                ),
             }
         };
         check_status(call, status)
@@ -149,7 +180,9 @@ impl FmiFunctions for Fmi3 {
 
     fn exit_initialization(&mut self) -> Result<(), String> {
         // SAFETY: an instance of this library.
-        check_status("fmi3ExitInitializationMode", unsafe { (self.exit_initialization_mode)(self.instance) })
+        check_status("fmi3ExitInitializationMode", unsafe {
+            (self.exit_initialization_mode)(self.instance)
+        })
     }
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
@@ -168,14 +201,27 @@ impl FmiFunctions for Fmi3 {
             )
         };
         check_status("fmi3DoStep", status)?;
-        if ends { Err(format!("the FMU requested the end of the simulation at {last_s} s")) } else { Ok(()) }
+        if ends {
+            Err(format!(
+                "the FMU requested the end of the simulation at {last_s} s"
+            ))
+        } else {
+            Ok(())
+        }
     }
 
     fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
-        let status =
-            unsafe { (self.get_float64)(self.instance, &raw const wire.value_reference, 1, &raw mut value, 1) };
+        let status = unsafe {
+            (self.get_float64)(
+                self.instance,
+                &raw const wire.value_reference,
+                1,
+                &raw mut value,
+                1,
+            )
+        };
         check_status("fmi3GetFloat64", status)?;
         Ok(value)
     }

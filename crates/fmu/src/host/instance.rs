@@ -33,7 +33,11 @@ pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
         3 => "reports an error",
         4 => "reported a fatal error",
         5 => "returned `pending`, which is not supported",
-        other => return Err(format!("{call} returned {other}, which is not a status of the FMI standard")),
+        other => {
+            return Err(format!(
+                "{call} returned {other}, which is not a status of the FMI standard"
+            ));
+        }
     };
     Err(format!("the FMU {text} ({call})"))
 }
@@ -77,18 +81,28 @@ impl Instance {
         let mut fmu = Fmu::open(path).map_err(|error| error.to_string())?;
         let description = fmu.description();
         let wire = |name: &str, causality| find_variable(description, name, causality);
-        let inputs = wiring.inputs.iter().map(|name| wire(name, Causality::Input)).collect::<Result<_, _>>()?;
+        let inputs = wiring
+            .inputs
+            .iter()
+            .map(|name| wire(name, Causality::Input))
+            .collect::<Result<_, _>>()?;
         let output = wire(&wiring.output, Causality::Output)?;
         let parameters = wiring.parameters.iter().map(|(name, value)| {
             let wire = wire(name, Causality::Parameter)?;
             match wire.kind.accepts(*value) {
                 true => Ok((wire, *value)),
-                false => Err(format!("{name}: {value} is no value of a variable that is {}", wire.kind.name())),
+                false => Err(format!(
+                    "{name}: {value} is no value of a variable that is {}",
+                    wire.kind.name()
+                )),
             }
         });
         let parameters = parameters.collect::<Result<_, _>>()?;
-        let folder = UnpackedFolder::new().map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
-        let library = fmu.unpack(folder.path()).map_err(|error| error.to_string())?;
+        let folder = UnpackedFolder::new()
+            .map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
+        let library = fmu
+            .unpack(folder.path())
+            .map_err(|error| error.to_string())?;
         let functions: Box<dyn FmiFunctions> = match fmu.description().version {
             FmiVersion::Two => Box::new(Fmi2::load(&library, folder.path(), fmu.description())?),
             FmiVersion::Three => Box::new(Fmi3::load(&library, folder.path(), fmu.description())?),
@@ -112,8 +126,12 @@ impl Instance {
         }
         match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::None => self.functions.instantiate()?,
-            InstanceState::Failed => return Err("cannot start another run after an error".to_owned()),
-            InstanceState::Instantiated | InstanceState::Initialized if self.is_once_per_process => {
+            InstanceState::Failed => {
+                return Err("cannot start another run after an error".to_owned());
+            }
+            InstanceState::Instantiated | InstanceState::Initialized
+                if self.is_once_per_process =>
+            {
                 self.functions.reset()?
             }
             InstanceState::Instantiated | InstanceState::Initialized => {
@@ -121,12 +139,19 @@ impl Instance {
                 self.functions.instantiate()?;
             }
         }
-        self.parameters.iter().try_for_each(|(wire, value)| self.functions.set(*wire, *value))?;
+        self.parameters
+            .iter()
+            .try_for_each(|(wire, value)| self.functions.set(*wire, *value))?;
         self.state = InstanceState::Instantiated;
         Ok(())
     }
 
-    pub(super) fn decide(&mut self, time_s: f64, interval_s: f64, see: &[f64]) -> Result<f64, String> {
+    pub(super) fn decide(
+        &mut self,
+        time_s: f64,
+        interval_s: f64,
+        see: &[f64],
+    ) -> Result<f64, String> {
         // The first observation initializes the FMU.
         let is_first = match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::Instantiated => true,
@@ -139,7 +164,11 @@ impl Instance {
             self.functions.enter_initialization()?;
         }
         for (wire, value) in self.inputs.iter().zip(see) {
-            let value = if wire.kind == VariableType::Integer { value.round() } else { *value };
+            let value = if wire.kind == VariableType::Integer {
+                value.round()
+            } else {
+                *value
+            };
             self.functions.set(*wire, value)?;
         }
         if is_first {
@@ -148,7 +177,11 @@ impl Instance {
         self.functions.step(time_s, interval_s)?;
         let answer = self.functions.get(self.output)?;
         self.state = InstanceState::Initialized;
-        if answer.is_finite() { Ok(answer) } else { Err(format!("its output is {answer}, at {time_s} s")) }
+        if answer.is_finite() {
+            Ok(answer)
+        } else {
+            Err(format!("its output is {answer}, at {time_s} s"))
+        }
     }
 }
 
@@ -157,27 +190,43 @@ impl Drop for Instance {
         if self.state == InstanceState::Initialized {
             self.functions.terminate();
         }
-        if matches!(self.state, InstanceState::Initialized | InstanceState::Instantiated) {
+        if matches!(
+            self.state,
+            InstanceState::Initialized | InstanceState::Instantiated
+        ) {
             self.functions.free();
         }
     }
 }
 
-fn find_variable(description: &ModelDescription, name: &str, causality: Causality) -> Result<VariableRef, String> {
-    let found = description.with_causality(causality).find(|variable| variable.name == name);
-    let found = found.ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
-    Ok(VariableRef { value_reference: found.value_reference, kind: found.kind })
+fn find_variable(
+    description: &ModelDescription,
+    name: &str,
+    causality: Causality,
+) -> Result<VariableRef, String> {
+    let found = description
+        .with_causality(causality)
+        .find(|variable| variable.name == name);
+    let found =
+        found.ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
+    Ok(VariableRef {
+        value_reference: found.value_reference,
+        kind: found.kind,
+    })
 }
 
 /// True if the folder of the library holds other files, which it may load later.
 fn has_sibling_libraries(library: &Path) -> bool {
-    let entries = library.parent().and_then(|folder| std::fs::read_dir(folder).ok());
+    let entries = library
+        .parent()
+        .and_then(|folder| std::fs::read_dir(folder).ok());
     entries.is_none_or(|entries| entries.count() > 1)
 }
 
 /// Returns the loader's reason without the temporary folder, and a hint.
 pub(super) fn load_error_message(error: &libloading::Error, folder: &Path) -> String {
-    let reason = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
+    let reason =
+        std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
     let reason = reason.replace(&folder.join("").to_string_lossy().into_owned(), "");
     format!(
         "its library cannot be loaded: {reason}; install the libraries that it needs (`ldd` lists those that are \

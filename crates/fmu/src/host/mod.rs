@@ -63,7 +63,12 @@ enum HostCommand {
 fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     // Split at the last equal sign: the name of a variable may contain one, a number cannot.
     let (name, value) = text.rsplit_once('=').ok_or("must be VARIABLE=VALUE")?;
-    Ok((name.to_owned(), value.parse().map_err(|_| format!("{value:?} is no number"))?))
+    Ok((
+        name.to_owned(),
+        value
+            .parse()
+            .map_err(|_| format!("{value:?} is no number"))?,
+    ))
 }
 
 /// Runs the program.
@@ -74,8 +79,19 @@ pub fn main() -> ExitCode {
             let described = Fmu::open(&fmu).map(|fmu| print!("{}", fmu.description()));
             (fmu, described.map_err(|error| error.to_string()))
         }
-        HostCommand::Drive { fmu, inputs, output, parameters, interval_s } => {
-            let wiring = VariableMap { inputs, output, parameters, interval_s };
+        HostCommand::Drive {
+            fmu,
+            inputs,
+            output,
+            parameters,
+            interval_s,
+        } => {
+            let wiring = VariableMap {
+                inputs,
+                output,
+                parameters,
+                interval_s,
+            };
             let served = serve::serve(&fmu, &wiring);
             (fmu, served)
         }

@@ -41,19 +41,29 @@ impl UnpackedFolder {
 
         unix::remove_abandoned(temporary);
         let mut builder = Builder::new();
-        builder.prefix(PREFIX).permissions(std::fs::Permissions::from_mode(0o700));
+        builder
+            .prefix(PREFIX)
+            .permissions(std::fs::Permissions::from_mode(0o700));
         for _ in 0..MAX_ATTEMPTS {
             let folder = builder.tempdir_in(temporary)?;
             if let Some(lock) = unix::lock(folder.path())? {
-                return Ok(Self { folder, _lock: Some(lock) });
+                return Ok(Self {
+                    folder,
+                    _lock: Some(lock),
+                });
             }
         }
-        Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process keeps removing new folders"))
+        Err(io::Error::new(
+            io::ErrorKind::ResourceBusy,
+            "another process keeps removing new folders",
+        ))
     }
 
     #[cfg(not(unix))]
     fn new_in(temporary: &Path) -> io::Result<Self> {
-        Ok(Self { folder: Builder::new().prefix(PREFIX).tempdir_in(temporary)? })
+        Ok(Self {
+            folder: Builder::new().prefix(PREFIX).tempdir_in(temporary)?,
+        })
     }
 }
 
@@ -86,21 +96,27 @@ mod unix {
             return Ok(None);
         }
         let locked = folder.metadata()?;
-        let is_there =
-            fs::symlink_metadata(path).is_ok_and(|found| (found.dev(), found.ino()) == (locked.dev(), locked.ino()));
+        let is_there = fs::symlink_metadata(path)
+            .is_ok_and(|found| (found.dev(), found.ino()) == (locked.dev(), locked.ino()));
         Ok(is_there.then_some(folder))
     }
 
     /// Removes each folder of the same user whose process has ended, and ignores errors.
     pub(super) fn remove_abandoned(temporary: &Path) {
-        let Ok(entries) = fs::read_dir(temporary) else { return };
-        for entry in
-            entries.flatten().filter(|entry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()))
-        {
+        let Ok(entries) = fs::read_dir(temporary) else {
+            return;
+        };
+        for entry in entries.flatten().filter(|entry| {
+            entry
+                .file_name()
+                .as_encoded_bytes()
+                .starts_with(PREFIX.as_bytes())
+        }) {
             let path = entry.path();
             let Ok(folder) = open(&path) else { continue };
             let own = rustix::process::geteuid().as_raw();
-            if folder.metadata().is_ok_and(|found| found.uid() == own) && folder.try_lock().is_ok() {
+            if folder.metadata().is_ok_and(|found| found.uid() == own) && folder.try_lock().is_ok()
+            {
                 let _ = fs::remove_dir_all(&path);
             }
         }
@@ -117,8 +133,10 @@ mod tests {
     use super::*;
 
     fn sorted_names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         names
     }
@@ -136,15 +154,26 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let precious = tempfile::tempdir().unwrap();
         fs::write(precious.path().join("precious"), "precious").unwrap();
-        symlink(precious.path(), temporary.path().join(format!("{PREFIX}link"))).unwrap();
-        symlink(temporary.path().join("nothing"), temporary.path().join(format!("{PREFIX}dangling"))).unwrap();
+        symlink(
+            precious.path(),
+            temporary.path().join(format!("{PREFIX}link")),
+        )
+        .unwrap();
+        symlink(
+            temporary.path().join("nothing"),
+            temporary.path().join(format!("{PREFIX}dangling")),
+        )
+        .unwrap();
         fs::write(temporary.path().join(format!("{PREFIX}file")), "file").unwrap();
         fs::create_dir(temporary.path().join("crumple-fmu-Ab12Cd")).unwrap();
         let inside = create_abandoned(temporary.path(), "abandoned");
         symlink(precious.path(), inside.join("resources")).unwrap();
         let before = sorted_names(temporary.path());
         drop(UnpackedFolder::new_in(temporary.path()).unwrap());
-        let left: Vec<String> = before.into_iter().filter(|name| !name.ends_with("-abandoned")).collect();
+        let left: Vec<String> = before
+            .into_iter()
+            .filter(|name| !name.ends_with("-abandoned"))
+            .collect();
         assert_eq!(sorted_names(temporary.path()), left);
         assert_eq!(sorted_names(precious.path()), ["precious"]);
     }
@@ -158,10 +187,16 @@ mod tests {
                 scope.spawn(|| {
                     for _ in 0..50 {
                         let folder = UnpackedFolder::new_in(temporary.path()).unwrap();
-                        assert_eq!(fs::metadata(folder.path()).unwrap().permissions().mode() & 0o777, 0o700);
+                        assert_eq!(
+                            fs::metadata(folder.path()).unwrap().permissions().mode() & 0o777,
+                            0o700
+                        );
                         fs::write(folder.path().join("data.txt"), "data").unwrap();
                         std::thread::yield_now();
-                        assert_eq!(fs::read_to_string(folder.path().join("data.txt")).unwrap(), "data");
+                        assert_eq!(
+                            fs::read_to_string(folder.path().join("data.txt")).unwrap(),
+                            "data"
+                        );
                     }
                 });
             }

@@ -24,12 +24,27 @@ pub fn avoidability_bound_holds(question: &OracleContext<'_>) -> OracleResult {
         return Ok(OracleOutcome::NotApplicable);
     };
     let unavoidable = matches!(avoidance.verdict, AvoidanceVerdict::Unavoidable(_));
-    ensure(!unavoidable, Invariant::Avoidability, || "the run has no collision, but is `unavoidable`".to_owned())?;
-    let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-    let (smallest_m, bound_m) = (gaps_m.fold(f64::INFINITY, f64::min), avoidance.min_gap_bound_m);
+    ensure(!unavoidable, Invariant::Avoidability, || {
+        "the run has no collision, but is `unavoidable`".to_owned()
+    })?;
+    let gaps_m = question
+        .result
+        .vehicles
+        .iter()
+        .filter_map(|vehicle| vehicle.min_gap_m);
+    let (smallest_m, bound_m) = (
+        gaps_m.fold(f64::INFINITY, f64::min),
+        avoidance.min_gap_bound_m,
+    );
     let possible = bound_m.is_none_or(|bound_m| smallest_m <= bound_m + ROUNDING_M);
     ensure(possible, Invariant::Avoidability, || {
-        format!("the smallest gap is {smallest_m} m, but the bound for every controller is {bound_m:?} m")
+        format!(
+            "the smallest gap is {smallest_m} m, but the bound for every controller is {bound_m:?} m"
+        )
     })?;
-    Ok(if bound_m.is_some() { OracleOutcome::Holds } else { OracleOutcome::NotApplicable })
+    Ok(if bound_m.is_some() {
+        OracleOutcome::Holds
+    } else {
+        OracleOutcome::NotApplicable
+    })
 }

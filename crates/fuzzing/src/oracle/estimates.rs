@@ -22,29 +22,44 @@ const MAX_DEVIATIONS: f64 = 12.0;
 pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
     let bounds = EstimateBounds::new(question);
     let mut finding = None;
-    let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
+    let tracks = question
+        .result
+        .trace
+        .iter()
+        .flat_map(|trace| &trace.vehicles);
     let in_lane_s: Vec<[f64; 2]> = tracks.map(|track| track.in_lane_s).collect();
     let vehicles = question.test_case.scenario.vehicles();
     let estimates = |vehicle: &VehicleSpec| {
-        vehicle.driver == Driver::UnderTest && question.run.options().estimator == EstimatorKind::Kalman
+        vehicle.driver == Driver::UnderTest
+            && question.run.options().estimator == EstimatorKind::Kalman
     };
-    question.system.for_each_observation(&question.run, &mut |sight| {
-        let is_there = |vehicle: usize| {
-            in_lane_s.get(vehicle).is_none_or(|&[from_s, to_s]| {
-                let now_s = sight.time_s + TIME_TOLERANCE_S;
-                from_s <= now_s && now_s < to_s
-            })
-        };
-        let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
-        let problem = match vehicles.get(sight.vehicle) {
-            Some(vehicle) if estimates(vehicle) => bounds.find_problem(&sight.observation, &truth),
-            _ => (sight.observation != truth)
-                .then(|| format!("the estimate is {:?}, the truth is {truth:?}", sight.observation)),
-        };
-        finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
-        finding.is_none()
-    });
-    ensure(finding.is_none(), Invariant::Estimates, || finding.unwrap_or_default())?;
+    question
+        .system
+        .for_each_observation(&question.run, &mut |sight| {
+            let is_there = |vehicle: usize| {
+                in_lane_s.get(vehicle).is_none_or(|&[from_s, to_s]| {
+                    let now_s = sight.time_s + TIME_TOLERANCE_S;
+                    from_s <= now_s && now_s < to_s
+                })
+            };
+            let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
+            let problem = match vehicles.get(sight.vehicle) {
+                Some(vehicle) if estimates(vehicle) => {
+                    bounds.find_problem(&sight.observation, &truth)
+                }
+                _ => (sight.observation != truth).then(|| {
+                    format!(
+                        "the estimate is {:?}, the truth is {truth:?}",
+                        sight.observation
+                    )
+                }),
+            };
+            finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
+            finding.is_none()
+        });
+    ensure(finding.is_none(), Invariant::Estimates, || {
+        finding.unwrap_or_default()
+    })?;
     Ok(OracleOutcome::Holds)
 }
 
@@ -55,14 +70,28 @@ fn true_observation(
     is_there: impl Fn(usize) -> bool,
 ) -> Observation {
     let gap_m = |front: usize, rear: usize| {
-        Some(motion.get(front)?.position_m - vehicles.get(front)?.length_m() - motion.get(rear)?.position_m)
+        Some(
+            motion.get(front)?.position_m
+                - vehicles.get(front)?.length_m()
+                - motion.get(rear)?.position_m,
+        )
     };
     let neighbour = |other: usize, gap_m: Option<f64>| {
-        let Motion { speed_mps, acceleration_mps2, .. } = *motion.get(other)?;
-        Some(Neighbour { gap_m: gap_m?, speed_mps, acceleration_mps2 })
+        let Motion {
+            speed_mps,
+            acceleration_mps2,
+            ..
+        } = *motion.get(other)?;
+        Some(Neighbour {
+            gap_m: gap_m?,
+            speed_mps,
+            acceleration_mps2,
+        })
     };
     let own = motion.get(index);
-    let ahead = (0..index).rev().find(|&other| is_there(other) && is_there(index));
+    let ahead = (0..index)
+        .rev()
+        .find(|&other| is_there(other) && is_there(index));
     let behind = (index + 1..motion.len()).find(|&other| is_there(other) && is_there(index));
     Observation {
         speed_mps: own.map_or(f64::NAN, |own| own.speed_mps),
@@ -87,28 +116,46 @@ impl EstimateBounds {
         let has_faults = spec.sensors.faults.is_any();
         if spec.sensors.dropout > 0.0 || has_faults {
             let [gap_m, own_speed_mps, neighbour_speed_mps] = [f64::INFINITY; 3];
-            return Self { gap_m, own_speed_mps, neighbour_speed_mps, has_faults };
+            return Self {
+                gap_m,
+                own_speed_mps,
+                neighbour_speed_mps,
+                has_faults,
+            };
         }
         let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
         let [gap_deviation_m, rate_deviation_mps, _] = tuning.gap().steady_deviations();
         let [_, own_deviation_mps, _] = tuning.position().steady_deviations();
-        let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
+        let tracks = question
+            .result
+            .trace
+            .iter()
+            .flat_map(|trace| &trace.vehicles);
         let accelerations = tracks.flat_map(|track| &track.acceleration_mps2);
         let hardest_mps2 = accelerations.fold(0.0_f64, |most, a| most.max(a.abs()));
-        let jumps_mps: f64 = question.result.impacts.iter().map(|impact| impact.contact.impact_speed_mps).sum();
+        let jumps_mps: f64 = question
+            .result
+            .impacts
+            .iter()
+            .map(|impact| impact.contact.impact_speed_mps)
+            .sum();
         // Worst case: the two vehicles deviate in opposite directions.
         let lag_mps = 3.0 * (2.0 * hardest_mps2 / BANDWIDTH_RAD_PER_S + jumps_mps);
         Self {
             gap_m: lag_mps / BANDWIDTH_RAD_PER_S + MAX_DEVIATIONS * gap_deviation_m,
             own_speed_mps: lag_mps + MAX_DEVIATIONS * own_deviation_mps,
-            neighbour_speed_mps: 2.0 * lag_mps + MAX_DEVIATIONS * own_deviation_mps.hypot(rate_deviation_mps),
+            neighbour_speed_mps: 2.0 * lag_mps
+                + MAX_DEVIATIONS * own_deviation_mps.hypot(rate_deviation_mps),
             has_faults,
         }
     }
 
     fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
         let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
-        if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_speed_mps) {
+        if !(seen.speed_mps >= 0.0
+            && seen.acceleration_mps2.is_finite()
+            && own_off_mps <= self.own_speed_mps)
+        {
             return Some(format!(
                 "its estimated speed is {} m/s, the truth is {} m/s",
                 seen.speed_mps, truth.speed_mps
@@ -120,14 +167,18 @@ impl EstimateBounds {
                 (None, Some(_)) if self.has_faults => {}
                 (Some(seen), None) if self.has_faults && self.contains(&seen, &seen) => {}
                 (Some(seen), Some(truth)) if self.contains(&seen, &truth) => {}
-                (seen, truth) => return Some(format!("the estimate is {seen:?}, the truth is {truth:?}")),
+                (seen, truth) => {
+                    return Some(format!("the estimate is {seen:?}, the truth is {truth:?}"));
+                }
             }
         }
         None
     }
 
     fn contains(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
-        let finite = seen.gap_m.is_finite() && seen.speed_mps.is_finite() && seen.acceleration_mps2.is_finite();
+        let finite = seen.gap_m.is_finite()
+            && seen.speed_mps.is_finite()
+            && seen.acceleration_mps2.is_finite();
         finite
             && seen.speed_mps >= 0.0
             && (seen.gap_m - truth.gap_m).abs() <= self.gap_m

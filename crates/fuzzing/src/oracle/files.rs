@@ -12,7 +12,9 @@ pub fn files_round_trip(question: &OracleContext<'_>) -> OracleResult {
     for format in ScenarioFormat::ALL {
         let back = question.system.file_round_trip(scenario, format);
         let back = back.map_err(|error| (Invariant::Files, format!("{format:?}: {error}")))?;
-        ensure(back == *scenario, Invariant::Files, || format!("{format:?}: it reads back as {:?}", back.spec()))?;
+        ensure(back == *scenario, Invariant::Files, || {
+            format!("{format:?}: it reads back as {:?}", back.spec())
+        })?;
     }
     Ok(OracleOutcome::Holds)
 }

@@ -17,16 +17,28 @@ const TOLERANCE: f64 = 1e-6;
 /// [`Invariant::Lanes`].
 pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result) = (question.trace()?, &question.result);
-    for (vehicle, (track, spec)) in trace.vehicles.iter().zip(question.test_case.scenario.vehicles()).enumerate() {
+    for (vehicle, (track, spec)) in trace
+        .vehicles
+        .iter()
+        .zip(question.test_case.scenario.vehicles())
+        .enumerate()
+    {
         let [from_s, to_s] = track.in_lane_s;
-        let at = |what: &str| format!("vehicle {vehicle} {what}: in the lane from {from_s} to {to_s} s");
-        ensure(from_s <= to_s, Invariant::Lanes, || at("leaves before it enters"))?;
-        ensure(!spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S, Invariant::Lanes, || {
-            at("keeps the lane")
+        let at =
+            |what: &str| format!("vehicle {vehicle} {what}: in the lane from {from_s} to {to_s} s");
+        ensure(from_s <= to_s, Invariant::Lanes, || {
+            at("leaves before it enters")
         })?;
-        ensure(spec.enters.is_some() == (from_s >= 0.0), Invariant::Lanes, || {
-            at("enters, or was there from the start")
-        })?;
+        ensure(
+            !spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S,
+            Invariant::Lanes,
+            || at("keeps the lane"),
+        )?;
+        ensure(
+            spec.enters.is_some() == (from_s >= 0.0),
+            Invariant::Lanes,
+            || at("enters, or was there from the start"),
+        )?;
     }
     for impact in &result.impacts {
         let time_s = impact.contact.time_s;
@@ -44,13 +56,22 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
         }
     }
     // A trace does not show the effect of an impact on speeds between two samples.
-    let goes_on = question.run.options().after_contact == AfterContact::Continue && !result.impacts.is_empty();
+    let goes_on = question.run.options().after_contact == AfterContact::Continue
+        && !result.impacts.is_empty();
     for (index, summary) in result.vehicles.iter().enumerate().filter(|_| !goes_on) {
-        let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index).and_then(|ahead| ahead.min_gap_m);
-        let [told_m, seen_m] = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
-        ensure(told_m == seen_m || (told_m - seen_m).abs() < TOLERANCE, Invariant::Lanes, || {
-            format!("vehicle {index}: the reported smallest gap is {told_m} m, that of the trace {seen_m} m")
-        })?;
+        let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index)
+            .and_then(|ahead| ahead.min_gap_m);
+        let [told_m, seen_m] =
+            [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
+        ensure(
+            told_m == seen_m || (told_m - seen_m).abs() < TOLERANCE,
+            Invariant::Lanes,
+            || {
+                format!(
+                    "vehicle {index}: the reported smallest gap is {told_m} m, that of the trace {seen_m} m"
+                )
+            },
+        )?;
     }
     Ok(OracleOutcome::Holds)
 }
@@ -64,7 +85,10 @@ pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> Oracle
     let scenario = &question.test_case.scenario;
     let changed = |to: Option<LaneChange>| {
         scenario.edited(|spec: &mut ScenarioSpec| {
-            spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters.is_some()).for_each(|vehicle| vehicle.enters = to);
+            spec.vehicles
+                .iter_mut()
+                .filter(|vehicle| vehicle.enters.is_some())
+                .for_each(|vehicle| vehicle.enters = to);
         })
     };
     // A vehicle that leaves at 0 s cannot enter then.
@@ -74,11 +98,21 @@ pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> Oracle
     if enters == there {
         return Ok(OracleOutcome::NotApplicable);
     }
-    let [enters, there] = [enters, there].map(|twin| simulate_variant(question, &twin).map(without_lane_times));
-    let (Some(enters), Some(there)) = (enters, there) else { return Ok(OracleOutcome::NotApplicable) };
-    ensure(result_bits(&enters) == result_bits(&there), Invariant::Lanes, || {
-        format!("entering at 0 s ends with {:?}, being there with {:?}", enters.outcome, there.outcome)
-    })?;
+    let [enters, there] =
+        [enters, there].map(|twin| simulate_variant(question, &twin).map(without_lane_times));
+    let (Some(enters), Some(there)) = (enters, there) else {
+        return Ok(OracleOutcome::NotApplicable);
+    };
+    ensure(
+        result_bits(&enters) == result_bits(&there),
+        Invariant::Lanes,
+        || {
+            format!(
+                "entering at 0 s ends with {:?}, being there with {:?}",
+                enters.outcome, there.outcome
+            )
+        },
+    )?;
     Ok(OracleOutcome::Holds)
 }
 
@@ -91,32 +125,62 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
     let scenario = &question.test_case.scenario;
     let looks_ahead = |vehicle: &VehicleSpec| match &vehicle.driver {
         Driver::Controller(spec) => !spec.observes_follower(),
-        driver => !matches!(driver, Driver::UnderTest) || question.test_case.setup.looks_ahead_only(),
+        driver => {
+            !matches!(driver, Driver::UnderTest) || question.test_case.setup.looks_ahead_only()
+        }
     };
     let keeps = scenario.edited(|spec| {
         if let Some(last) = spec.vehicles.last_mut() {
             (last.enters, last.leaves) = (None, None);
         }
     });
-    let Ok(keeps) = keeps else { return Ok(OracleOutcome::NotApplicable) };
+    let Ok(keeps) = keeps else {
+        return Ok(OracleOutcome::NotApplicable);
+    };
     // A trigger by gap or TTC may refer to the last vehicle.
     let is_by_time = |change: &LaneChange| matches!(change, LaneChange::At(_));
-    let others = scenario.vehicles().iter().rev().skip(1).flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
+    let others = scenario
+        .vehicles()
+        .iter()
+        .rev()
+        .skip(1)
+        .flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
     let is_free = others.flatten().all(|change| is_by_time(&change));
     if keeps == *scenario || !is_free || !scenario.vehicles().iter().all(looks_ahead) {
         return Ok(OracleOutcome::NotApplicable);
     }
-    let Some(stays) = simulate_variant(question, &keeps) else { return Ok(OracleOutcome::NotApplicable) };
-    let until_s = [&question.result, &stays].into_iter().filter_map(|result| result.impacts.first());
-    let until_s = until_s.map(|impact| impact.contact.time_s).fold(f64::INFINITY, f64::min);
+    let Some(stays) = simulate_variant(question, &keeps) else {
+        return Ok(OracleOutcome::NotApplicable);
+    };
+    let until_s = [&question.result, &stays]
+        .into_iter()
+        .filter_map(|result| result.impacts.first());
+    let until_s = until_s
+        .map(|impact| impact.contact.time_s)
+        .fold(f64::INFINITY, f64::min);
     let (Some(with), Some(without)) = (&question.result.trace, &stays.trace) else {
         return Ok(OracleOutcome::NotApplicable);
     };
-    let samples = with.time_s.iter().take_while(|&&time_s| time_s < until_s).count().saturating_sub(1);
+    let samples = with
+        .time_s
+        .iter()
+        .take_while(|&&time_s| time_s < until_s)
+        .count()
+        .saturating_sub(1);
     let others = with.vehicles.len().saturating_sub(1);
-    for (vehicle, (left, stayed)) in with.vehicles.iter().zip(&without.vehicles).take(others).enumerate() {
-        let differs =
-            left.position_m.iter().zip(&stayed.position_m).take(samples).position(|(one, other)| one != other);
+    for (vehicle, (left, stayed)) in with
+        .vehicles
+        .iter()
+        .zip(&without.vehicles)
+        .take(others)
+        .enumerate()
+    {
+        let differs = left
+            .position_m
+            .iter()
+            .zip(&stayed.position_m)
+            .take(samples)
+            .position(|(one, other)| one != other);
         ensure(differs.is_none(), Invariant::Lanes, || {
             format!(
                 "vehicle {vehicle} moves differently from sample {differs:?} on, because a vehicle behind it has left"
@@ -132,7 +196,11 @@ fn simulate_variant(question: &OracleContext<'_>, scenario: &Scenario) -> Option
 }
 
 fn without_lane_times(mut result: SimulationResult) -> SimulationResult {
-    for track in result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
+    for track in result
+        .trace
+        .iter_mut()
+        .flat_map(|trace| &mut trace.vehicles)
+    {
         track.in_lane_s = Track::THROUGHOUT_S;
     }
     result

@@ -21,7 +21,8 @@ pub use estimates::estimates_within_bounds;
 pub use files::files_round_trip;
 pub use impacts::impacts_are_inelastic;
 pub use lanes::{
-    entering_at_start_changes_nothing, lane_times_are_consistent, leaving_last_vehicle_changes_nothing_ahead,
+    entering_at_start_changes_nothing, lane_times_are_consistent,
+    leaving_last_vehicle_changes_nothing_ahead,
 };
 pub use metrics::metrics_agree;
 pub use monitor::monitor_agrees;
@@ -79,7 +80,8 @@ pub const LANE_ORACLES: [OracleFn; 11] = [
 ];
 
 /// Oracles that examine a single run, at little more than the cost of the run.
-pub(crate) const RUN_ORACLES: [OracleFn; 3] = [motion_is_physical, metrics_agree, impacts_are_inelastic];
+pub(crate) const RUN_ORACLES: [OracleFn; 3] =
+    [motion_is_physical, metrics_agree, impacts_are_inelastic];
 
 /// A test case, the system under test and its run.
 pub struct OracleContext<'t> {
@@ -106,7 +108,12 @@ impl<'t> OracleContext<'t> {
             reproducer: test_case.reproducer(),
         })?;
         let result = system.simulate(&run, RecordingLevel::Trace);
-        Ok(Self { test_case, system, run, result })
+        Ok(Self {
+            test_case,
+            system,
+            run,
+            result,
+        })
     }
 
     /// Checks an oracle.
@@ -122,7 +129,10 @@ impl<'t> OracleContext<'t> {
     }
 
     fn trace(&self) -> Result<&Trace, (Invariant, String)> {
-        self.result.trace.as_ref().ok_or_else(|| (Invariant::MetricsAgree, "no trace was recorded".to_owned()))
+        self.result
+            .trace
+            .as_ref()
+            .ok_or_else(|| (Invariant::MetricsAgree, "no trace was recorded".to_owned()))
     }
 }
 
@@ -130,10 +140,25 @@ impl<'t> OracleContext<'t> {
 #[must_use]
 pub fn is_grazing(result: &SimulationResult) -> bool {
     let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
-    let soft = result.impacts.iter().any(|impact| impact.contact.impact_speed_mps < 1e-6);
-    soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
+    let soft = result
+        .impacts
+        .iter()
+        .any(|impact| impact.contact.impact_speed_mps < 1e-6);
+    soft || result
+        .vehicles
+        .iter()
+        .filter_map(|vehicle| vehicle.min_gap_m)
+        .any(near)
 }
 
-fn ensure(holds: bool, invariant: Invariant, finding: impl FnOnce() -> String) -> Result<(), (Invariant, String)> {
-    if holds { Ok(()) } else { Err((invariant, finding())) }
+fn ensure(
+    holds: bool,
+    invariant: Invariant,
+    finding: impl FnOnce() -> String,
+) -> Result<(), (Invariant, String)> {
+    if holds {
+        Ok(())
+    } else {
+        Err((invariant, finding()))
+    }
 }

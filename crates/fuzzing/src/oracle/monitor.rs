@@ -5,7 +5,8 @@ use crate::Invariant;
 use crate::formula::formula_from_bytes;
 use crumple_world::measure::stl::naive_robustness;
 use crumple_world::measure::stl::{
-    ComparisonOp, Formula, FormulaError, LinearPredicate, MonitorError, SampledSignals, SignalsError, TimeWindow,
+    ComparisonOp, Formula, FormulaError, LinearPredicate, MonitorError, SampledSignals,
+    SignalsError, TimeWindow,
 };
 use crumple_world::sim::Trace;
 
@@ -25,18 +26,35 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let wrong = |finding: String| (Invariant::Monitor, finding);
     let step_s = question.run.dt_s();
     let all = trace_signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
-    let apart = no_contact_formula(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
+    let apart =
+        no_contact_formula(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
     let robustness = first_robustness(question, &apart, &all)?;
     let collided = !question.result.impacts.is_empty();
-    let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || is_grazing(&question.result) };
-    ensure(sign, Invariant::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
-    let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-    let least_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
-    ensure(robustness >= least_m - ROUNDING_M, Invariant::Monitor, || {
-        format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
+    let sign = if collided {
+        robustness <= ROUNDING_M
+    } else {
+        robustness > 0.0 || is_grazing(&question.result)
+    };
+    ensure(sign, Invariant::Monitor, || {
+        format!("{apart} has robustness {robustness}, collided: {collided}")
     })?;
-    let few =
-        trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES)).map_err(|error| wrong(error.to_string()))?;
+    let gaps_m = question
+        .result
+        .vehicles
+        .iter()
+        .filter_map(|vehicle| vehicle.min_gap_m);
+    let least_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
+    ensure(
+        robustness >= least_m - ROUNDING_M,
+        Invariant::Monitor,
+        || {
+            format!(
+                "{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m"
+            )
+        },
+    )?;
+    let few = trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES))
+        .map_err(|error| wrong(error.to_string()))?;
     let names: Vec<&str> = few.names().collect();
     // Derived from the scenario, so that a test case is deterministic.
     let mut bytes = Vec::new();
@@ -45,7 +63,8 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
         bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
     }
     bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
-    let formula = formula_from_bytes(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
+    let formula = formula_from_bytes(&bytes, &names, few.step_s())
+        .map_err(|error| wrong(error.to_string()))?;
     check_definition(question, &formula, &few)?;
     Ok(OracleOutcome::Holds)
 }
@@ -56,17 +75,28 @@ fn check_definition(
     signals: &SampledSignals<'_>,
 ) -> Result<(), (Invariant, String)> {
     let wrong = |error: MonitorError| (Invariant::Monitor, format!("{formula}: {error}"));
-    let over_time = question.system.robustness_over_time(formula, signals).map_err(wrong)?;
+    let over_time = question
+        .system
+        .robustness_over_time(formula, signals)
+        .map_err(wrong)?;
     for (k, &value) in over_time.iter().enumerate() {
         let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
         ensure(value == defined, Invariant::Monitor, || {
             format!("{formula} at sample {k}: {value}, defined as {defined}")
         })?;
     }
-    let satisfied = question.system.is_satisfied(formula, signals).map_err(wrong)?;
-    let sign = over_time.first().is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
+    let satisfied = question
+        .system
+        .is_satisfied(formula, signals)
+        .map_err(wrong)?;
+    let sign = over_time
+        .first()
+        .is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
     ensure(sign, Invariant::Monitor, || {
-        format!("{formula} is satisfied: {satisfied}, but has robustness {:?}", over_time.first())
+        format!(
+            "{formula} is satisfied: {satisfied}, but has robustness {:?}",
+            over_time.first()
+        )
     })
 }
 
@@ -77,27 +107,48 @@ fn first_robustness(
 ) -> Result<f64, (Invariant, String)> {
     let over_time = question.system.robustness_over_time(formula, signals);
     let over_time = over_time.map_err(|error| (Invariant::Monitor, error.to_string()))?;
-    over_time.first().copied().ok_or_else(|| (Invariant::Monitor, "no robustness at the first sample".to_owned()))
+    over_time.first().copied().ok_or_else(|| {
+        (
+            Invariant::Monitor,
+            "no robustness at the first sample".to_owned(),
+        )
+    })
 }
 
 fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     let gap = |rear: usize| -> Result<Formula, FormulaError> {
-        let comparison = LinearPredicate::new([(1.0, format!("gap{rear}_m"))], ComparisonOp::Above, 0.0)?;
-        Ok(Formula::Always(TimeWindow::ALL, Box::new(Formula::Compare(comparison))))
+        let comparison =
+            LinearPredicate::new([(1.0, format!("gap{rear}_m"))], ComparisonOp::Above, 0.0)?;
+        Ok(Formula::Always(
+            TimeWindow::ALL,
+            Box::new(Formula::Compare(comparison)),
+        ))
     };
-    (2..vehicles).try_fold(gap(1)?, |all, rear| Ok(Formula::And(Box::new(all), Box::new(gap(rear)?))))
+    (2..vehicles).try_fold(gap(1)?, |all, rear| {
+        Ok(Formula::And(Box::new(all), Box::new(gap(rear)?)))
+    })
 }
 
 /// Returns gaps and speeds of a trace, at every `every`-th sample.
-fn trace_signals(trace: &Trace, step_s: f64, every: usize) -> Result<SampledSignals<'static>, SignalsError> {
+fn trace_signals(
+    trace: &Trace,
+    step_s: f64,
+    every: usize,
+) -> Result<SampledSignals<'static>, SignalsError> {
     let every = every.max(1);
     let mut signals = SampledSignals::new(step_s * every as f64, trace.len().div_ceil(every))?;
     for (index, track) in trace.vehicles.iter().enumerate() {
         let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
         signals.insert(format!("v{index}_mps"), speeds)?;
         if index > 0 {
-            let gaps_m = trace.gaps_m(index).into_iter().map(|gap_m| gap_m.unwrap_or(NO_VEHICLE_GAP_M));
-            signals.insert(format!("gap{index}_m"), gaps_m.step_by(every).collect::<Vec<_>>())?;
+            let gaps_m = trace
+                .gaps_m(index)
+                .into_iter()
+                .map(|gap_m| gap_m.unwrap_or(NO_VEHICLE_GAP_M));
+            signals.insert(
+                format!("gap{index}_m"),
+                gaps_m.step_by(every).collect::<Vec<_>>(),
+            )?;
         }
     }
     Ok(signals)

@@ -14,9 +14,13 @@ use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, R
 /// [`Invariant::Shield`].
 pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
-    let options =
-        RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.shielded_full_throttle()) };
-    let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
+    let options = RunOptions {
+        dt_s: question.run.options().dt_s,
+        ..RunOptions::new(question.system.shielded_full_throttle())
+    };
+    let options = options
+        .with_estimator(EstimatorKind::Truth)
+        .with_after_contact(AfterContact::Stop);
     let run = match Run::new(scenario, options) {
         Ok(run) => run,
         // A shield refuses vehicles that it cannot protect.
@@ -24,15 +28,27 @@ pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleR
         Err(error) => return Err((Invariant::Runnable, error.to_string())),
     };
     let result = question.system.simulate(&run, RecordingLevel::Summary);
-    let Outcome::Collision(contact) = result.outcome else { return Ok(OracleOutcome::Holds) };
+    let Outcome::Collision(contact) = result.outcome else {
+        return Ok(OracleOutcome::Holds);
+    };
     let striker = contact.rear_vehicle;
-    if scenario.vehicles().get(striker).is_none_or(|vehicle| vehicle.driver != Driver::UnderTest) {
+    if scenario
+        .vehicles()
+        .get(striker)
+        .is_none_or(|vehicle| vehicle.driver != Driver::UnderTest)
+    {
         return Ok(OracleOutcome::Holds);
     }
-    let hopeless = result.interventions.iter().any(|i| i.vehicle == striker && i.outside_kernel);
+    let hopeless = result
+        .interventions
+        .iter()
+        .any(|i| i.vehicle == striker && i.outside_kernel);
     ensure(hopeless, Invariant::Shield, || {
         let name = FullThrottle::NAME;
-        format!("shield:{name} hits the vehicle ahead of {striker} at {} s, out of the kernel", contact.time_s)
+        format!(
+            "shield:{name} hits the vehicle ahead of {striker} at {} s, out of the kernel",
+            contact.time_s
+        )
     })?;
     Ok(OracleOutcome::NotApplicable)
 }

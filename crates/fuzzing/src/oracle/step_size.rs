@@ -24,10 +24,16 @@ const EXPLAINED_SHARE: f64 = 0.01;
 /// [`Invariant::StepSize`].
 pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let (run, coarse) = (&question.run, &question.result);
-    let options = run.options().clone().with_dt_s(run.dt_s() / REFINEMENT as f64);
-    let fine_run = Run::new(run.scenario(), options).map_err(|error| (Invariant::StepSize, error.to_string()))?;
+    let options = run
+        .options()
+        .clone()
+        .with_dt_s(run.dt_s() / REFINEMENT as f64);
+    let fine_run = Run::new(run.scenario(), options)
+        .map_err(|error| (Invariant::StepSize, error.to_string()))?;
     let fine = question.system.simulate(&fine_run, RecordingLevel::Trace);
-    let Some(fine_trace) = &fine.trace else { return Err((Invariant::StepSize, "no trace was recorded".to_owned())) };
+    let Some(fine_trace) = &fine.trace else {
+        return Err((Invariant::StepSize, "no trace was recorded".to_owned()));
+    };
     check_held_accelerations(fine_trace, &fine, fine_run.substeps())
         .map_err(|finding| (Invariant::StepSize, finding))?;
     if is_grazing(coarse) || is_grazing(&fine) {
@@ -37,25 +43,45 @@ pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     if apart_m < TOLERANCE_M {
         return Ok(OracleOutcome::Holds);
     }
-    let explained =
-        is_started_by_noise(question, fine_trace) || disturbance_effect_m(question) >= EXPLAINED_SHARE * apart_m;
+    let explained = is_started_by_noise(question, fine_trace)
+        || disturbance_effect_m(question) >= EXPLAINED_SHARE * apart_m;
     ensure(explained, Invariant::StepSize, || {
-        format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome)
+        format!(
+            "{apart_m} m apart; {:?} became {:?}",
+            coarse.outcome, fine.outcome
+        )
     })?;
     Ok(OracleOutcome::Undecided)
 }
 
 /// Checks that accelerations change only at the start of a scenario step or at an impact.
-fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: usize) -> Result<(), String> {
-    let impacts_s: Vec<f64> = result.impacts.iter().map(|impact| impact.contact.time_s).collect();
+fn check_held_accelerations(
+    trace: &Trace,
+    result: &SimulationResult,
+    substeps: usize,
+) -> Result<(), String> {
+    let impacts_s: Vec<f64> = result
+        .impacts
+        .iter()
+        .map(|impact| impact.contact.time_s)
+        .collect();
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
-        for (step, (held, times)) in
-            track.acceleration_mps2.chunks_exact(substeps).zip(trace.time_s.chunks_exact(substeps)).enumerate()
+        for (step, (held, times)) in track
+            .acceleration_mps2
+            .chunks_exact(substeps)
+            .zip(trace.time_s.chunks_exact(substeps))
+            .enumerate()
         {
-            let (Some(&from_s), Some(&to_s)) = (times.first(), times.last()) else { continue };
-            let collided = impacts_s.iter().any(|t| (from_s - 1e-9..=to_s + (to_s - from_s) + 1e-9).contains(t));
+            let (Some(&from_s), Some(&to_s)) = (times.first(), times.last()) else {
+                continue;
+            };
+            let collided = impacts_s
+                .iter()
+                .any(|t| (from_s - 1e-9..=to_s + (to_s - from_s) + 1e-9).contains(t));
             if !collided && held.iter().any(|a| Some(a) != held.first()) {
-                return Err(format!("vehicle {vehicle} changes its acceleration within step {step}, {from_s} s"));
+                return Err(format!(
+                    "vehicle {vehicle} changes its acceleration within step {step}, {from_s} s"
+                ));
             }
         }
     }
@@ -66,41 +92,81 @@ fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: 
 /// vehicles collide.
 fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usize) -> f64 {
     let who = |result: &SimulationResult| -> Vec<[usize; 3]> {
-        let of = |impact: &Impact| [impact.contact.rear_vehicle, impact.first_involved, impact.last_involved];
+        let of = |impact: &Impact| {
+            [
+                impact.contact.rear_vehicle,
+                impact.first_involved,
+                impact.last_involved,
+            ]
+        };
         result.impacts.iter().map(of).collect()
     };
     if who(coarse) != who(fine) {
         return f64::INFINITY;
     }
-    let impacts = coarse.impacts.iter().zip(&fine.impacts).map(|(coarse, fine)| {
-        let apart_s = (coarse.contact.time_s - fine.contact.time_s).abs();
-        // The impact time is a root of the gap: at low speed, a small error in distance is a large error in time.
-        if apart_s < 1e-9 { 0.0 } else { 10.0 * apart_s * coarse.contact.impact_speed_mps.abs() }
-    });
+    let impacts = coarse
+        .impacts
+        .iter()
+        .zip(&fine.impacts)
+        .map(|(coarse, fine)| {
+            let apart_s = (coarse.contact.time_s - fine.contact.time_s).abs();
+            // The impact time is a root of the gap: at low speed, a small error in distance is a large error in time.
+            if apart_s < 1e-9 {
+                0.0
+            } else {
+                10.0 * apart_s * coarse.contact.impact_speed_mps.abs()
+            }
+        });
     let impacts_m = impacts.fold(0.0, f64::max);
-    let (Some(coarse), Some(fine)) = (&coarse.trace, &fine.trace) else { return f64::INFINITY };
+    let (Some(coarse), Some(fine)) = (&coarse.trace, &fine.trace) else {
+        return f64::INFINITY;
+    };
     let tracks = coarse.vehicles.iter().zip(&fine.vehicles);
     let samples = tracks.flat_map(|(coarse_track, fine_track)| {
         // The last sample of either run may be the time of a collision.
-        let samples = coarse_track.position_m.iter().zip(fine_track.position_m.iter().step_by(finer));
+        let samples = coarse_track
+            .position_m
+            .iter()
+            .zip(fine_track.position_m.iter().step_by(finer));
         samples.take(coarse.len().saturating_sub(1))
     });
-    samples.map(|(x, y)| (x - y).abs()).fold(impacts_m, f64::max)
+    samples
+        .map(|(x, y)| (x - y).abs())
+        .fold(impacts_m, f64::max)
 }
 
 /// True if the vehicle whose motion differs first was at rest and has noise. A vehicle at rest gets no noise unless it
 /// commands motion. A command as small as a rounding error is enough, so rounding can decide whether noise moves it.
 fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
-    let Some(coarse) = &question.result.trace else { return false };
-    let first_differences =
-        coarse.vehicles.iter().zip(&fine.vehicles).enumerate().filter_map(|(index, (track, fine))| {
+    let Some(coarse) = &question.result.trace else {
+        return false;
+    };
+    let first_differences = coarse
+        .vehicles
+        .iter()
+        .zip(&fine.vehicles)
+        .enumerate()
+        .filter_map(|(index, (track, fine))| {
             let fine_mps = fine.speed_mps.iter().step_by(REFINEMENT);
-            let differs = track.speed_mps.iter().zip(fine_mps).position(|(v, w)| (v - w).abs() > TOLERANCE_M)?;
+            let differs = track
+                .speed_mps
+                .iter()
+                .zip(fine_mps)
+                .position(|(v, w)| (v - w).abs() > TOLERANCE_M)?;
             Some((differs, index))
         });
-    let Some((sample, index)) = first_differences.min() else { return false };
-    let before_mps = sample.checked_sub(1).and_then(|before| coarse.vehicles.get(index)?.speed_mps.get(before));
-    let noisy = question.test_case.scenario.vehicles().get(index).is_some_and(|v| v.acceleration_noise_mps2 > 0.0);
+    let Some((sample, index)) = first_differences.min() else {
+        return false;
+    };
+    let before_mps = sample
+        .checked_sub(1)
+        .and_then(|before| coarse.vehicles.get(index)?.speed_mps.get(before));
+    let noisy = question
+        .test_case
+        .scenario
+        .vehicles()
+        .get(index)
+        .is_some_and(|v| v.acceleration_noise_mps2 > 0.0);
     noisy && before_mps == Some(&0.0)
 }
 
@@ -108,7 +174,10 @@ fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
 fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
     let gaps = |by_m: f64| {
         move |spec: &mut ScenarioSpec| {
-            spec.vehicles.iter_mut().zip(0_u32..).for_each(|(v, index)| v.position_m -= by_m * f64::from(index));
+            spec.vehicles
+                .iter_mut()
+                .zip(0_u32..)
+                .for_each(|(v, index)| v.position_m -= by_m * f64::from(index));
         }
     };
     let speeds = |by_mps: f64| {
@@ -120,10 +189,16 @@ fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
         }
     };
     let scenario = &question.test_case.scenario;
-    let twins = DISTURBANCES.into_iter().flat_map(|by| [scenario.edited(gaps(by)), scenario.edited(speeds(by))]);
+    let twins = DISTURBANCES
+        .into_iter()
+        .flat_map(|by| [scenario.edited(gaps(by)), scenario.edited(speeds(by))]);
     let apart = twins.flatten().filter_map(|twin| {
         let run = Run::new(&twin, question.run.options().clone()).ok()?;
-        Some(max_distance_m(&question.result, &question.system.simulate(&run, RecordingLevel::Trace), 1))
+        Some(max_distance_m(
+            &question.result,
+            &question.system.simulate(&run, RecordingLevel::Trace),
+            1,
+        ))
     });
     apart.fold(0.0, f64::max)
 }
@@ -143,9 +218,17 @@ pub fn check_same_impacts(
         return Err(format!("{:?} became {:?}", before.outcome, after.outcome));
     }
     for (before, after) in before.impacts.iter().zip(&after.impacts) {
-        let vehicles = [before.contact.front_vehicle, before.first_involved, before.last_involved];
+        let vehicles = [
+            before.contact.front_vehicle,
+            before.first_involved,
+            before.last_involved,
+        ];
         let same = vehicles.map(|vehicle| vehicle + shift)
-            == [after.contact.front_vehicle, after.first_involved, after.last_involved];
+            == [
+                after.contact.front_vehicle,
+                after.first_involved,
+                after.last_involved,
+            ];
         let apart_s = (before.contact.time_s + shift_s - after.contact.time_s).abs();
         let limit_s = (1e-8 / before.contact.impact_speed_mps).clamp(1e-9, 1e-3);
         if !same || apart_s.is_nan() || apart_s > limit_s {

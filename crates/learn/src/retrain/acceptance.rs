@@ -111,7 +111,12 @@ impl FailureChange {
 
 impl fmt::Display for FailureChange {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { before, after, fixed, regressed } = self;
+        let Self {
+            before,
+            after,
+            fixed,
+            regressed,
+        } = self;
         write!(out, "{before} → {after} ({fixed}, {regressed})")
     }
 }
@@ -133,27 +138,45 @@ pub fn decide_acceptance(
     in_cases: &FailureChange,
 ) -> Acceptance {
     let mut objections = Vec::new();
-    let scenarios: Vec<String> = only_in_first(&after.paper, &before.paper).cloned().collect();
+    let scenarios: Vec<String> = only_in_first(&after.paper, &before.paper)
+        .cloned()
+        .collect();
     if !scenarios.is_empty() {
         objections.push(RejectionReason::Paper { scenarios });
     }
-    let draws: Vec<u64> = only_in_first(&after.nominal, &before.nominal).copied().collect();
+    let draws: Vec<u64> = only_in_first(&after.nominal, &before.nominal)
+        .copied()
+        .collect();
     if !draws.is_empty() {
         objections.push(RejectionReason::Nominal { draws });
     }
     for after in &after.regression {
-        let Some(before) = before.regression.iter().find(|before| before.space == after.space) else { continue };
+        let Some(before) = before
+            .regression
+            .iter()
+            .find(|before| before.space == after.space)
+        else {
+            continue;
+        };
         let contacts = discordant_pairs(&before.contacts, &after.contacts);
         if contacts.is_worse(SIGNIFICANCE) {
-            objections.push(RejectionReason::MoreCollisions { space: after.space.clone(), contacts });
+            objections.push(RejectionReason::MoreCollisions {
+                space: after.space.clone(),
+                contacts,
+            });
         }
         let usefulness = before.not_useful.as_ref().zip(after.not_useful.as_ref());
         let drives = usefulness.map(|(before, after)| discordant_pairs(before, after));
         if let Some(drives) = drives.filter(|drives| drives.is_worse(SIGNIFICANCE)) {
-            objections.push(RejectionReason::LessUseful { space: after.space.clone(), drives });
+            objections.push(RejectionReason::LessUseful {
+                space: after.space.clone(),
+                drives,
+            });
         }
     }
-    if let (Some(initial), Some(before), Some(after)) = (&initial.usefulness, &before.usefulness, &after.usefulness) {
+    if let (Some(initial), Some(before), Some(after)) =
+        (&initial.usefulness, &before.usefulness, &after.usefulness)
+    {
         let measures = worse_in_traffic(initial, before, after);
         if !measures.is_empty() {
             objections.push(RejectionReason::WorseInTraffic { measures });
@@ -161,7 +184,10 @@ pub fn decide_acceptance(
         let [gain_before, gain_after] = [before, after].map(|found| found.line_gain);
         let is_amplified = |gain: f64| gain > gain_before.map_or(1.0, |before| before.max(1.0));
         if gain_after.map_or(gain_before.is_some(), is_amplified) {
-            objections.push(RejectionReason::LineGain { before: gain_before, after: gain_after });
+            objections.push(RejectionReason::LineGain {
+                before: gain_before,
+                after: gain_after,
+            });
         }
     }
     let (before, after) = (before.validation_set.len(), after.validation_set.len());
@@ -171,7 +197,11 @@ pub fn decide_acceptance(
     if after >= before && in_cases.after >= in_cases.before {
         objections.push(RejectionReason::NothingFixed);
     }
-    if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
+    if objections.is_empty() {
+        Acceptance::Accepted
+    } else {
+        Acceptance::Rejected { objections }
+    }
 }
 
 /// Names of the values of [`traffic_measures`].
@@ -201,7 +231,14 @@ pub(super) fn to_thousandths(value: f64) -> f64 {
 }
 
 /// Ranges of these measures in which no value is worse than another: no fault, and the comfort of `idm`.
-const GOOD_RANGES: [[f64; 2]; 6] = [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.0, 1.0], TIME_GAP_RANGE_S];
+const GOOD_RANGES: [[f64; 2]; 6] = [
+    [0.0, 0.0],
+    [0.0, 0.0],
+    [0.0, 0.0],
+    [0.0, 1.0],
+    [0.0, 1.0],
+    TIME_GAP_RANGE_S,
+];
 
 /// Faults among these measures; the others describe comfort.
 const FAULT_MEASURES: usize = 3;
@@ -218,10 +255,22 @@ fn worse_in_traffic(
 ) -> Vec<(String, f64, f64)> {
     let [initial, before, after] = [initial, before, after].map(traffic_measures);
     let compare = |index: usize| {
-        let reference = if index < FAULT_MEASURES { before[index] } else { initial[index] };
+        let reference = if index < FAULT_MEASURES {
+            before[index]
+        } else {
+            initial[index]
+        };
         let [low, high] = GOOD_RANGES[index];
-        let outside = |value: f64| ((low - value) / low.max(1.0)).max((value - high) / high.max(1.0)).max(0.0);
-        let tolerance = if index < FAULT_MEASURES { 0.0 } else { COMFORT_TOLERANCE };
+        let outside = |value: f64| {
+            ((low - value) / low.max(1.0))
+                .max((value - high) / high.max(1.0))
+                .max(0.0)
+        };
+        let tolerance = if index < FAULT_MEASURES {
+            0.0
+        } else {
+            COMFORT_TOLERANCE
+        };
         let is_worse = outside(after[index]) > outside(reference) + tolerance;
         is_worse.then(|| (TRAFFIC_MEASURES[index].to_owned(), reference, after[index]))
     };
@@ -260,34 +309,77 @@ impl fmt::Display for RejectionReason {
         match self {
             Self::Paper { scenarios } => write!(out, "new collision in {}", scenarios.join(", ")),
             Self::Nominal { draws } => {
-                write!(out, "{} new collisions in random scenarios of the paper's distribution", draws.len())
+                write!(
+                    out,
+                    "{} new collisions in random scenarios of the paper's distribution",
+                    draws.len()
+                )
             }
             Self::ValidationSet { before, after } => {
-                write!(out, "{after} collisions in the validation set instead of {before}")
+                write!(
+                    out,
+                    "{after} collisions in the validation set instead of {before}"
+                )
             }
             Self::MoreCollisions {
                 space,
-                contacts: pairs @ DiscordantPairs { only_second_fails, only_first_fails },
+                contacts:
+                    pairs @ DiscordantPairs {
+                        only_second_fails,
+                        only_first_fails,
+                    },
             } => {
                 let p = format_rounded(pairs.p_value(), 2);
-                write!(out, "{only_second_fails} new collisions and {only_first_fails} fixed in {space} (p = {p})")
+                write!(
+                    out,
+                    "{only_second_fails} new collisions and {only_first_fails} fixed in {space} (p = {p})"
+                )
             }
-            Self::LessUseful { space, drives: pairs @ DiscordantPairs { only_second_fails, only_first_fails } } => {
-                let (new, fixed, p) = (only_second_fails, only_first_fails, format_rounded(pairs.p_value(), 2));
-                write!(out, "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})")
+            Self::LessUseful {
+                space,
+                drives:
+                    pairs @ DiscordantPairs {
+                        only_second_fails,
+                        only_first_fails,
+                    },
+            } => {
+                let (new, fixed, p) = (
+                    only_second_fails,
+                    only_first_fails,
+                    format_rounded(pairs.p_value(), 2),
+                );
+                write!(
+                    out,
+                    "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})"
+                )
             }
             Self::WorseInTraffic { measures } => {
                 let each = measures.iter().map(|(measure, before, after)| {
-                    format!("{measure} {} instead of {}", to_thousandths(*after), to_thousandths(*before))
+                    format!(
+                        "{measure} {} instead of {}",
+                        to_thousandths(*after),
+                        to_thousandths(*before)
+                    )
                 });
                 write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
             }
             Self::LineGain { before, after } => {
-                let gain = |gain: &Option<f64>| gain.map_or("none".to_owned(), |gain| to_thousandths(gain).to_string());
-                write!(out, "gain of a line of five {} instead of {}", gain(after), gain(before))
+                let gain = |gain: &Option<f64>| {
+                    gain.map_or("none".to_owned(), |gain| to_thousandths(gain).to_string())
+                };
+                write!(
+                    out,
+                    "gain of a line of five {} instead of {}",
+                    gain(after),
+                    gain(before)
+                )
             }
-            Self::NothingFixed => out.write_str("no fewer collisions in the validation set and in the cases"),
-            Self::Unchanged => out.write_str("no checkpoint was better than the policy before the round"),
+            Self::NothingFixed => {
+                out.write_str("no fewer collisions in the validation set and in the cases")
+            }
+            Self::Unchanged => {
+                out.write_str("no checkpoint was better than the policy before the round")
+            }
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
         }
     }

@@ -22,12 +22,24 @@ impl RoundContext<'_> {
     /// Adds the avoidable collisions in the plan's scenarios, and writes them beside the folder of the searches.
     pub(super) fn attack_scenarios(&self, found: &mut RoundFindings) -> Result<(), RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(&self.policy));
-        let attacked = self.plan.attacked.par_iter().map(|scenario| self.worst_cases(scenario, &controller));
+        let attacked = self
+            .plan
+            .attacked
+            .par_iter()
+            .map(|scenario| self.worst_cases(scenario, &controller));
         let mut all = self.plan.attacked.clone();
-        all.extend(attacked.collect::<Result<Vec<_>, _>>()?.into_iter().flatten());
+        all.extend(
+            attacked
+                .collect::<Result<Vec<_>, _>>()?
+                .into_iter()
+                .flatten(),
+        );
         let estimator = self.plan.estimator();
         let collided = colliding_indices(&all, &controller, estimator)?;
-        let collided: Vec<Scenario> = collided.into_iter().map(|index| all[index].clone()).collect();
+        let collided: Vec<Scenario> = collided
+            .into_iter()
+            .map(|index| all[index].clone())
+            .collect();
         let classified = classify_scenarios(&collided, &witnesses(&[]), estimator)?;
         for (number, (scenario, (class, _))) in (1..).zip(collided.iter().zip(classified)) {
             found.count(class);
@@ -42,17 +54,33 @@ impl RoundContext<'_> {
     }
 
     /// Returns the scenario with worst-case profiles of its leader; none if the leader has no profile to vary.
-    fn worst_cases(&self, scenario: &Scenario, controller: &ControllerKind) -> Result<Vec<Scenario>, RetrainError> {
+    fn worst_cases(
+        &self,
+        scenario: &Scenario,
+        controller: &ControllerKind,
+    ) -> Result<Vec<Scenario>, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.plan.estimator());
         let budget = usize::try_from(self.plan.settings.budget).unwrap_or(usize::MAX);
         let mut found = Vec::new();
         for objective in OBJECTIVES {
-            match attack(scenario, &options, objective, Envelope::from_scenario(scenario), budget, &Quiet) {
+            match attack(
+                scenario,
+                &options,
+                objective,
+                Envelope::from_scenario(scenario),
+                budget,
+                &Quiet,
+            ) {
                 Ok(result) => found.extend(result.attack.map(|attack| attack.scenario)),
-                Err(AttackError::LeaderNotScripted | AttackError::EmptyEnvelope { .. }) => return Ok(Vec::new()),
+                Err(AttackError::LeaderNotScripted | AttackError::EmptyEnvelope { .. }) => {
+                    return Ok(Vec::new());
+                }
                 Err(error) => {
                     let scenario = scenario.spec().name.clone();
-                    return Err(RetrainError::Attack { scenario, error: Box::new(error) });
+                    return Err(RetrainError::Attack {
+                        scenario,
+                        error: Box::new(error),
+                    });
                 }
             }
         }

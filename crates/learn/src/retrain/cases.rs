@@ -58,8 +58,14 @@ impl Cases {
     /// # Errors
     /// [`RetrainError::Scenario`] if one of them is invalid.
     pub fn scenarios(&self, space: &SearchedSpaces) -> Result<Vec<Scenario>, RetrainError> {
-        let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
-        let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
+        let counterexamples = self
+            .counterexamples
+            .iter()
+            .map(|spec| Scenario::new(spec.clone()));
+        let drawn = self
+            .draws
+            .iter()
+            .flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
     }
 
@@ -71,7 +77,9 @@ impl Cases {
     ) -> Result<Self, RetrainError> {
         self.draws.push(draws);
         // An attack finds a case again that the last round did not fix.
-        let new = counterexamples.into_iter().filter(|found| !self.counterexamples.contains(found));
+        let new = counterexamples
+            .into_iter()
+            .filter(|found| !self.counterexamples.contains(found));
         let new: Vec<_> = new.collect();
         self.counterexamples.extend(new);
         self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;

@@ -13,7 +13,8 @@ use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
+    Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions,
+    simulate_batch,
 };
 
 /// Version of corpus files.
@@ -64,8 +65,10 @@ impl Corpus {
 
     /// Yields the indices of the corpus's scenarios.
     pub fn indices(&self) -> impl Iterator<Item = u64> {
-        let is_out =
-            |index: &u64| self.unavoidable.binary_search(index).is_ok() || self.undecided.binary_search(index).is_ok();
+        let is_out = |index: &u64| {
+            self.unavoidable.binary_search(index).is_ok()
+                || self.undecided.binary_search(index).is_ok()
+        };
         (0..self.draws).filter(move |index| !is_out(index))
     }
 
@@ -74,7 +77,10 @@ impl Corpus {
     /// # Errors
     /// [`RetrainError::Scenario`] if a scenario is invalid, which no space contains.
     pub fn scenarios(&self, space: &SearchedSpaces) -> Result<Vec<Scenario>, RetrainError> {
-        Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
+        Ok(self
+            .indices()
+            .map(|index| space.draw(self.seed, index))
+            .collect::<Result<_, _>>()?)
     }
 
     /// Classifies random scenarios until `wanted` are avoidable; passes each one's witness results to `seen`.
@@ -88,7 +94,10 @@ impl Corpus {
     ) -> Result<(), RetrainError> {
         // Scenarios beyond the last one wanted would be classified in vain.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
-        let scenarios = range.clone().map(|index| space.draw(self.seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = range
+            .clone()
+            .map(|index| space.draw(self.seed, index))
+            .collect::<Result<Vec<_>, _>>()?;
         let classed = classify_scenarios(&scenarios, witnesses, estimator)?;
         for (index, (class, contacts)) in range.zip(classed) {
             self.draws += 1;
@@ -98,13 +107,20 @@ impl Corpus {
                     seen(&contacts);
                 }
                 AvoidabilityClass::Unavoidable => self.unavoidable.push(index),
-                AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => self.undecided.push(index),
+                AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => {
+                    self.undecided.push(index)
+                }
             }
         }
         let share = self.avoidable as f64 / self.draws as f64;
         if self.draws >= BATCH_SIZE && share < MIN_AVOIDABLE_SHARE {
             let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
-            return Err(RetrainError::TooFewAvoidable { space, draws, avoidable, wanted });
+            return Err(RetrainError::TooFewAvoidable {
+                space,
+                draws,
+                avoidable,
+                wanted,
+            });
         }
         Ok(())
     }
@@ -132,7 +148,11 @@ impl Corpus {
             corpus = found;
         }
         while corpus.scenarios_sha256.is_empty() {
-            watch.notify(&RetrainingProgress::Gathering { file: name, done: corpus.avoidable, wanted })?;
+            watch.notify(&RetrainingProgress::Gathering {
+                file: name,
+                done: corpus.avoidable,
+                wanted,
+            })?;
             if corpus.avoidable < wanted {
                 corpus.classify_next(space, wanted, witnesses, estimator, |_| {})?;
             } else {
@@ -156,12 +176,18 @@ pub(super) fn classify_scenarios(
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
         let found = first_contacts(scenarios, &witness.kind, estimator)?;
-        contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
+        contacts
+            .iter_mut()
+            .zip(found)
+            .for_each(|(of, contact)| of.push(contact));
     }
     let class = |(scenario, contacts): (&Scenario, Vec<Option<Contact>>)| {
         let survived = contacts.iter().any(Option::is_none);
-        let class =
-            if survived { AvoidabilityClass::Avoidable } else { Avoidability::classify_contact(scenario).class() };
+        let class = if survived {
+            AvoidabilityClass::Avoidable
+        } else {
+            Avoidability::classify_contact(scenario).class()
+        };
         (class, contacts)
     };
     Ok(scenarios.par_iter().zip(contacts).map(class).collect())
@@ -173,8 +199,15 @@ pub(super) fn first_contacts(
     estimator: EstimatorKind,
 ) -> Result<Vec<Option<Contact>>, RunError> {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
-    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().copied()))
+    let runs = scenarios
+        .iter()
+        .map(|scenario| Run::new(scenario, options.clone()))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(
+        &runs,
+        RecordingLevel::Summary,
+        |_, result| result.outcome.contact().copied(),
+    ))
 }
 
 /// Returns the indices of the scenarios that end in a collision.
@@ -184,5 +217,9 @@ pub(super) fn colliding_indices(
     estimator: EstimatorKind,
 ) -> Result<Vec<usize>, RunError> {
     let contacts = first_contacts(scenarios, controller, estimator)?;
-    Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(index, _)| index).collect())
+    Ok((0..scenarios.len())
+        .zip(contacts)
+        .filter(|(_, contact)| contact.is_some())
+        .map(|(index, _)| index)
+        .collect())
 }

@@ -34,19 +34,30 @@ pub(super) fn scenarios_sha256(scenarios: &[Scenario]) -> Result<String, Retrain
 
 /// Returns the SHA-256 of a space as JSON.
 pub(super) fn space_sha256(space: &ScenarioSpace) -> Result<String, RetrainError> {
-    serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding)
+    serde_json::to_string(space.spec())
+        .map(sha256)
+        .map_err(RetrainError::encoding)
 }
 
 pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
     Ok(serde_json::to_string_pretty(value).map_err(RetrainError::encoding)? + "\n")
 }
 
-pub(super) fn write_json(work: &RunFolder, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
+pub(super) fn write_json(
+    work: &RunFolder,
+    name: &str,
+    value: &impl Serialize,
+) -> Result<(), RetrainError> {
     Ok(work.write(name, to_json(value)?)?)
 }
 
-pub(super) fn read_json<T: DeserializeOwned>(work: &RunFolder, name: &str) -> Result<Option<T>, RetrainError> {
-    let Some(bytes) = work.read(name)? else { return Ok(None) };
+pub(super) fn read_json<T: DeserializeOwned>(
+    work: &RunFolder,
+    name: &str,
+) -> Result<Option<T>, RetrainError> {
+    let Some(bytes) = work.read(name)? else {
+        return Ok(None);
+    };
     serde_json::from_slice(&bytes).map(Some).map_err(|error| {
         let problem = format!("differs from what a retraining writes: {error}");
         RunFolderError::damaged(&work.path(name), problem).into()

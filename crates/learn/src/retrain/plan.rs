@@ -6,8 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::files::{
-    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
-    scenarios_sha256, space_sha256,
+    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES,
+    VALIDATION_SET, scenarios_sha256, space_sha256,
 };
 use super::{RetrainError, SearchedSpaces};
 use crumple_store::run_folder::{RunFolder, RunFolderOptions};
@@ -158,11 +158,18 @@ impl RetrainingPlan {
     /// Returns the configuration up to `episodes`. An imitation continues with one round at a low rate, so that the
     /// policy keeps its other answers.
     pub(super) fn training_until(&self, episodes: u64) -> TrainingConfig {
-        let mut training = TrainingConfig { episodes, ..self.training.clone() };
+        let mut training = TrainingConfig {
+            episodes,
+            ..self.training.clone()
+        };
         if let Some(imitation) = &mut training.imitation {
             imitation.rounds = 1;
             imitation.rate *= IMITATION_RATE_FACTOR;
-            for space in training.spaces.iter_mut().filter(|space| space.space == "paper") {
+            for space in training
+                .spaces
+                .iter_mut()
+                .filter(|space| space.space == "paper")
+            {
                 space.cost_multiplier = space.cost_multiplier.max(PAPER_COSTS);
             }
         }
@@ -183,7 +190,15 @@ impl RetrainingPlan {
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
         fn named(spaces: &[ScenarioSpace]) -> Result<Vec<SpaceHash<'_>>, RetrainError> {
-            spaces.iter().map(|space| Ok(SpaceHash { space: space.name(), sha256: space_sha256(space)? })).collect()
+            spaces
+                .iter()
+                .map(|space| {
+                    Ok(SpaceHash {
+                        space: space.name(),
+                        sha256: space_sha256(space)?,
+                    })
+                })
+                .collect()
         }
         let spaces = self.spaces.as_slice();
         let file = PlanFile {
@@ -195,9 +210,19 @@ impl RetrainingPlan {
             seed: self.seed,
             settings: self.settings,
             training: &self.training_until(self.training.episodes),
-            space: if let [space] = spaces { Some(space.spec()) } else { None },
-            spaces: if spaces.len() > 1 { named(spaces)? } else { Vec::new() },
-            attacked_sha256: (!self.attacked.is_empty()).then(|| scenarios_sha256(&self.attacked)).transpose()?,
+            space: if let [space] = spaces {
+                Some(space.spec())
+            } else {
+                None
+            },
+            spaces: if spaces.len() > 1 {
+                named(spaces)?
+            } else {
+                Vec::new()
+            },
+            attacked_sha256: (!self.attacked.is_empty())
+                .then(|| scenarios_sha256(&self.attacked))
+                .transpose()?,
             regression: named(&self.regression_spaces)?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
@@ -224,7 +249,11 @@ impl RetrainingPlan {
     }
 
     /// Opens the folder if it is empty or belongs to this plan; otherwise the error lists the differences.
-    pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<RunFolder, RetrainError> {
+    pub(super) fn open_run_folder(
+        &self,
+        folder: &Path,
+        resume: bool,
+    ) -> Result<RunFolder, RetrainError> {
         let configuration = self.to_toml()?;
         let asked = RunFolderOptions {
             kind: "retraining",

@@ -11,7 +11,9 @@ use super::regression_spaces::{RegressionSet, RegressionSpaceResult};
 use crate::rl::TrafficUsefulness;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names};
+use crumple_world::scenario::{
+    PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names,
+};
 use crumple_world::sim::ControllerKind;
 
 /// Failures of a policy that decide on acceptance.
@@ -41,21 +43,42 @@ impl RegressionResults {
         regression: &RegressionSet,
     ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
-        let collided = |scenarios: &[Scenario], estimator| colliding_indices(scenarios, &controller, estimator);
+        let collided = |scenarios: &[Scenario], estimator| {
+            colliding_indices(scenarios, &controller, estimator)
+        };
         let names = built_in_scenario_names().map(|(name, _)| name);
-        let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in_scenario(name)).collect();
+        let scenarios: Vec<Scenario> = names
+            .iter()
+            .filter_map(|name| built_in_scenario(name))
+            .collect();
         let mut paper = Vec::new();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let collided = collided(&scenarios, estimator)?.into_iter().filter_map(|index| names.get(index));
+            let collided = collided(&scenarios, estimator)?
+                .into_iter()
+                .filter_map(|index| names.get(index));
             paper.extend(collided.map(|name| format!("{name} ({})", estimator.name())));
         }
         let draws = PaperDistribution { seed: NOMINAL_SEED };
-        let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
-        let nominal = collided(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
+        let nominal = (0..plan.settings.nominal)
+            .map(|index| draws.draw(index))
+            .collect::<Result<Vec<_>, _>>()?;
+        let nominal = collided(&nominal, plan.estimator())?
+            .into_iter()
+            .map(|place| place as u64)
+            .collect();
         let indices: Vec<u64> = kept_aside.indices().collect();
         let aside = collided(&kept_aside.scenarios(&plan.spaces)?, plan.estimator())?;
-        let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
+        let kept_aside = aside
+            .into_iter()
+            .filter_map(|place| indices.get(place).copied())
+            .collect();
         let (regression, usefulness) = regression.evaluate(&controller)?;
-        Ok(Self { paper, nominal, validation_set: kept_aside, regression, usefulness })
+        Ok(Self {
+            paper,
+            nominal,
+            validation_set: kept_aside,
+            regression,
+            usefulness,
+        })
     }
 }

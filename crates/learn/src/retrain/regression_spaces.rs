@@ -45,19 +45,36 @@ pub(super) struct RegressionSet {
 
 impl RegressionSet {
     pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
-        let spaces = plan.regression_spaces.iter().map(|space| RegressionSpace::new(plan, space));
+        let spaces = plan
+            .regression_spaces
+            .iter()
+            .map(|space| RegressionSpace::new(plan, space));
         let spaces = spaces.collect::<Result<Vec<_>, _>>()?;
         let is_checked = plan.training.evaluation.usefulness_draws > 0;
-        let traffic = || TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator());
-        Ok(Self { spaces, traffic: is_checked.then(traffic).transpose()? })
+        let traffic =
+            || TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator());
+        Ok(Self {
+            spaces,
+            traffic: is_checked.then(traffic).transpose()?,
+        })
     }
 
     pub(super) fn evaluate(
         &self,
         controller: &ControllerKind,
     ) -> Result<(Vec<RegressionSpaceResult>, Option<TrafficUsefulness>), RetrainError> {
-        let spaces = self.spaces.iter().map(|space| space.evaluate(controller)).collect::<Result<_, _>>()?;
-        Ok((spaces, self.traffic.as_ref().map(|traffic| traffic.evaluate(controller)).transpose()?))
+        let spaces = self
+            .spaces
+            .iter()
+            .map(|space| space.evaluate(controller))
+            .collect::<Result<_, _>>()?;
+        Ok((
+            spaces,
+            self.traffic
+                .as_ref()
+                .map(|traffic| traffic.evaluate(controller))
+                .transpose()?,
+        ))
     }
 }
 
@@ -79,20 +96,34 @@ impl RegressionSpace {
             estimator: plan.estimator(),
             checks_usefulness: true,
         };
-        let found = drawn.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
-        drawn.checks_usefulness = found.not_useful.is_some_and(|of_no_use| of_no_use.is_empty());
+        let found = drawn.evaluate(&ControllerKind::from(ControllerSpec::Idm(
+            Default::default(),
+        )))?;
+        drawn.checks_usefulness = found
+            .not_useful
+            .is_some_and(|of_no_use| of_no_use.is_empty());
         Ok(drawn)
     }
 
     fn evaluate(&self, controller: &ControllerKind) -> Result<RegressionSpaceResult, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
-        let level = if self.checks_usefulness { RecordingLevel::Trace } else { RecordingLevel::Summary };
+        let level = if self.checks_usefulness {
+            RecordingLevel::Trace
+        } else {
+            RecordingLevel::Summary
+        };
         let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
         for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
-            let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
+            let runs = draws
+                .iter()
+                .map(|one| Run::new(one, options.clone()))
+                .collect::<Result<Vec<_>, _>>()?;
             let found = simulate_batch(&runs, level, |_, result| {
                 let collided = result.outcome.contact().is_some();
-                (collided, collided || measure_usefulness(&result).is_some_and(is_not_useful))
+                (
+                    collided,
+                    collided || measure_usefulness(&result).is_some_and(is_not_useful),
+                )
             });
             for (index, (collided, is_useless)) in found.into_iter().enumerate() {
                 let index = (block * BATCH_SIZE + index) as u64;
@@ -110,7 +141,10 @@ impl RegressionSpace {
 }
 
 fn is_not_useful(found: UsefulnessMeasures) -> bool {
-    !found.hard.is_empty() || found.following.is_some_and(|following| following.fell_behind)
+    !found.hard.is_empty()
+        || found
+            .following
+            .is_some_and(|following| following.fell_behind)
 }
 
 #[cfg(test)]
@@ -122,7 +156,8 @@ mod tests {
     use super::super::plan::{VALIDATION_SET_SEED, training_preset};
     use super::super::test_set::witnesses;
     use super::super::{
-        Acceptance, FailureChange, RegressionResults, RejectionReason, RetrainingSettings, decide_acceptance,
+        Acceptance, FailureChange, RegressionResults, RejectionReason, RetrainingSettings,
+        decide_acceptance,
     };
     use super::*;
     use crumple_search::falsify::Method;
@@ -142,37 +177,61 @@ mod tests {
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),
             initial_policy_name: "retrained".to_owned(),
-            spaces: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap().into(),
+            spaces: file::from_toml(QUEUE, Path::new("queue.toml"))
+                .unwrap()
+                .into(),
             attacked: Vec::new(),
-            regression_spaces: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
+            regression_spaces: BUILT_IN_SPACES
+                .iter()
+                .filter_map(|(name, ..)| built_in_space(name))
+                .collect(),
             training: training_preset().unwrap(),
             method: Method::Uniform,
             seed: 0,
-            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::DEFAULT },
+            settings: RetrainingSettings {
+                nominal: 20,
+                regression: 60,
+                ..RetrainingSettings::DEFAULT
+            },
         };
         let mut kept_aside = Corpus::empty(&plan.spaces, VALIDATION_SET_SEED).unwrap();
         while kept_aside.avoidable < 60 {
-            kept_aside.classify_next(&plan.spaces, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
+            kept_aside
+                .classify_next(&plan.spaces, 60, &witnesses(&[]), plan.estimator(), |_| {})
+                .unwrap();
         }
         let regression = RegressionSet::new(&plan).unwrap();
-        let of = |policy: Arc<Policy>| RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap();
+        let of = |policy: Arc<Policy>| {
+            RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap()
+        };
         let (before, after) = (of(first), of(Policy::reference()));
         let collisions = [&before, &after].map(|results| results.validation_set.len());
         assert!(collisions[1] < collisions[0], "{collisions:?}");
-        let without = |standing: &RegressionResults| RegressionResults { regression: Vec::new(), ..standing.clone() };
+        let without = |standing: &RegressionResults| RegressionResults {
+            regression: Vec::new(),
+            ..standing.clone()
+        };
         let in_cases = FailureChange::default();
         let standing_alone = {
             let [before, after] = [&before, &after].map(without);
             decide_acceptance(&before, &before, &after, &in_cases)
         };
         assert_eq!(standing_alone, Acceptance::Accepted);
-        let Acceptance::Rejected { objections } = decide_acceptance(&before, &before, &after, &in_cases) else {
+        let Acceptance::Rejected { objections } =
+            decide_acceptance(&before, &before, &after, &in_cases)
+        else {
             panic!("accepted")
         };
-        let is_of_high_risk =
-            |reason: &_| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
+        let is_of_high_risk = |reason: &_| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
-        let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
-        assert!(traffic.not_useful.as_ref().unwrap().len() > 30, "it is of no use in traffic");
+        let traffic = before
+            .regression
+            .iter()
+            .find(|of| of.space == "traffic")
+            .unwrap();
+        assert!(
+            traffic.not_useful.as_ref().unwrap().len() > 30,
+            "it is of no use in traffic"
+        );
     }
 }

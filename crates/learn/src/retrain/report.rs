@@ -5,7 +5,8 @@ mod markdown;
 use serde::{Deserialize, Serialize};
 
 use super::files::{
-    POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
+    POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
+    to_json,
 };
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::round::Round;
@@ -97,12 +98,21 @@ impl RetrainingReport {
         evaluated: TestSetResults,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
-            Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_required(name)?) })
+            Ok(FileHash {
+                file: name.to_owned(),
+                sha256: sha256(work.read_required(name)?),
+            })
         };
-        let files = [POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET]
-            .map(hash)
-            .into_iter()
-            .collect::<Result<Vec<_>, _>>()?;
+        let files = [
+            POLICY,
+            TRAINING_CASES,
+            SELECTION_SET,
+            VALIDATION_SET,
+            TEST_SET,
+        ]
+        .map(hash)
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
@@ -129,12 +139,16 @@ impl RetrainingReport {
     /// True if any round was accepted.
     #[must_use]
     pub fn is_retrained(&self) -> bool {
-        self.rounds.iter().any(|round| round.acceptance.is_accepted())
+        self.rounds
+            .iter()
+            .any(|round| round.acceptance.is_accepted())
     }
 
     pub(super) fn write_files(&self, work: &RunFolder) -> Result<(), RetrainError> {
         let mut changes = work.transaction();
-        changes.write(REPORT_MARKDOWN, self.to_markdown()).write(REPORT_JSON, to_json(self)?);
+        changes
+            .write(REPORT_MARKDOWN, self.to_markdown())
+            .write(REPORT_JSON, to_json(self)?);
         Ok(changes.commit()?)
     }
 
@@ -142,7 +156,9 @@ impl RetrainingReport {
     /// interval over the upper end of the retrained policy's. Each end is wrong with a probability of at most 2.5 %, so
     /// the bound has a confidence level of 95 %.
     pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
-        let [first, retrained, ..] = self.tallies.as_slice() else { return None };
+        let [first, retrained, ..] = self.tallies.as_slice() else {
+            return None;
+        };
         Some(first.interval(self.test_draws).lower / retrained.interval(self.test_draws).upper)
     }
 }

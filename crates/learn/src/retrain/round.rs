@@ -131,28 +131,55 @@ impl RoundContext<'_> {
         let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
-                self.run_folder.transaction().remove(&self.path(LEARNER)).commit()?;
+                self.run_folder
+                    .transaction()
+                    .remove(&self.path(LEARNER))
+                    .commit()?;
                 let (seed, from_episode) = self.learner_start();
-                let trained =
-                    RoundTraining { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
+                let trained = RoundTraining {
+                    seed,
+                    from_episode,
+                    to_episode: 0,
+                    best_episode: 0,
+                    checkpoints: Vec::new(),
+                };
                 (trained, None, Some(diverged.to_string()))
             }
             Err(other) => return Err(other),
         };
-        watch.notify(&RetrainingProgress::Evaluating { round: self.round_number() })?;
+        watch.notify(&RetrainingProgress::Evaluating {
+            round: self.round_number(),
+        })?;
         let after = match &candidate {
-            Some(candidate) => RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression)?,
+            Some(candidate) => RegressionResults::evaluate(
+                candidate,
+                self.plan,
+                self.validation_set,
+                self.regression,
+            )?,
             None => self.results.clone(),
         };
-        let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
+        let is_new = candidate
+            .as_ref()
+            .is_some_and(|candidate| candidate.network() != self.policy.network());
         let collided = |policy: &Arc<Policy>| {
-            colliding_indices(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())
+            colliding_indices(
+                &scenarios,
+                &ControllerKind::Policy(Arc::clone(policy)),
+                self.plan.estimator(),
+            )
         };
-        let in_cases =
-            FailureChange::between(&collided(&self.policy)?, &collided(candidate.as_ref().unwrap_or(&self.policy))?);
+        let in_cases = FailureChange::between(
+            &collided(&self.policy)?,
+            &collided(candidate.as_ref().unwrap_or(&self.policy))?,
+        );
         let acceptance = match problem {
-            Some(problem) => Acceptance::Rejected { objections: vec![RejectionReason::Diverged { problem }] },
-            None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
+            Some(problem) => Acceptance::Rejected {
+                objections: vec![RejectionReason::Diverged { problem }],
+            },
+            None if !is_new => Acceptance::Rejected {
+                objections: vec![RejectionReason::Unchanged],
+            },
             None => decide_acceptance(self.initial_results, &self.results, &after, &in_cases),
         };
         let round = Round {
@@ -163,14 +190,18 @@ impl RoundContext<'_> {
             training: trained,
             candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
             in_cases,
-            in_validation_set: FailureChange::between(&self.results.validation_set, &after.validation_set),
+            in_validation_set: FailureChange::between(
+                &self.results.validation_set,
+                &after.validation_set,
+            ),
             in_paper: FailureChange::between(&self.results.paper, &after.paper),
             in_nominal: FailureChange::between(&self.results.nominal, &after.nominal),
             acceptance,
             after,
         };
         if let Some(candidate) = &candidate {
-            self.run_folder.write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
+            self.run_folder
+                .write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
         }
         write_json(self.run_folder, &self.path(ROUND_RECORD), &round)?;
         Ok(round)
@@ -178,7 +209,10 @@ impl RoundContext<'_> {
 }
 
 pub(super) fn named_policy(name: &str, policy: &Arc<Policy>) -> NamedController {
-    NamedController { name: name.to_owned(), kind: ControllerKind::Policy(Arc::clone(policy)) }
+    NamedController {
+        name: name.to_owned(),
+        kind: ControllerKind::Policy(Arc::clone(policy)),
+    }
 }
 
 /// Reads a corpus of the plan from its file, or builds it.
@@ -188,6 +222,16 @@ pub(super) fn load_corpus(
     (name, seed, wanted): (&'static str, u64, u64),
     watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
-    let witnesses = witnesses(&[named_policy(&plan.initial_policy_name, &plan.initial_policy)]);
-    Corpus::load_or_build((work, name), &plan.spaces, (seed, wanted), &witnesses, plan.estimator(), watch)
+    let witnesses = witnesses(&[named_policy(
+        &plan.initial_policy_name,
+        &plan.initial_policy,
+    )]);
+    Corpus::load_or_build(
+        (work, name),
+        &plan.spaces,
+        (seed, wanted),
+        &witnesses,
+        plan.estimator(),
+        watch,
+    )
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::cases::Cases;
 use super::files::{
-    CHECKPOINTS, LEARNER, PLAN, POLICY, REPORT_JSON, ROUND_RECORD, SELECTION_SET, TEST_SET, TRAINING_CASES,
-    VALIDATION_SET, read_json, write_json,
+    CHECKPOINTS, LEARNER, PLAN, POLICY, REPORT_JSON, ROUND_RECORD, SELECTION_SET, TEST_SET,
+    TRAINING_CASES, VALIDATION_SET, read_json, write_json,
 };
 use super::plan::{RetrainingPlan, SELECTION_SEED, VALIDATION_SET_SEED};
 use super::progress::RetrainingProgress;
@@ -39,9 +39,18 @@ impl RetrainingPlan {
         }
         work.write(PLAN, self.to_toml()?)?;
         let wanted = self.spaces.total(self.settings.validation_draws);
-        let kept_aside = load_corpus(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
+        let kept_aside = load_corpus(
+            self,
+            &work,
+            (VALIDATION_SET, VALIDATION_SET_SEED, wanted),
+            watch,
+        )?;
         // An imitation alone has one checkpoint.
-        let wanted = if self.settings.episodes == 0 { 0 } else { self.training.evaluation.ranking_draws };
+        let wanted = if self.settings.episodes == 0 {
+            0
+        } else {
+            self.training.evaluation.ranking_draws
+        };
         let selection = load_corpus(self, &work, (SELECTION_SET, SELECTION_SEED, wanted), watch)?;
         let mut policy = Arc::clone(&self.initial_policy);
         let regression = RegressionSet::new(self)?;
@@ -68,7 +77,9 @@ impl RetrainingPlan {
             };
             let found = before.search(watch)?;
             if found.avoidable == 0 && found.avoidable_draws.indices.is_empty() {
-                break RetrainingEnding::NothingFound { search: Box::new(found) };
+                break RetrainingEnding::NothingFound {
+                    search: Box::new(found),
+                };
             }
             cases = before.extended_cases(&found)?;
             let round: Round = match read_json(&work, &before.path(ROUND_RECORD))? {
@@ -86,12 +97,17 @@ impl RetrainingPlan {
             rounds.push(round);
         };
         let last = round_path(rounds.len() as u64, LEARNER);
-        work.transaction().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
+        work.transaction()
+            .remove(&last)
+            .write(POLICY, policy.to_bytes()?)
+            .commit()?;
         write_json(&work, TRAINING_CASES, &cases)?;
         let initial = named_policy(&self.initial_policy_name, &self.initial_policy);
         let contenders = witnesses(&[initial, named_policy(RETRAINED_NAME, &policy)]);
-        let evaluated = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
-        let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, evaluated)?;
+        let evaluated =
+            TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
+        let report =
+            RetrainingReport::new(self, &work, (first, standing), rounds, ending, evaluated)?;
         report.write_files(&work)?;
         work.finish()?;
         Ok(report)

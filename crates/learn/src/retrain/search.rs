@@ -59,20 +59,33 @@ impl RoundFindings {
 
 impl RoundContext<'_> {
     /// Searches for counterexamples, or returns the stored result.
-    pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
+    pub(super) fn search(
+        &self,
+        watch: &RetrainingObserver<'_>,
+    ) -> Result<RoundFindings, RetrainError> {
         if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
             return Ok(found);
         }
-        self.run_folder.write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
+        self.run_folder
+            .write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
         let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
         let (plan, round) = (self.plan, self.round_number());
         let draws = plan.spaces.total(plan.settings.draws);
-        let mut found = RoundFindings { draws, colliding_draws, avoidable_draws, ..RoundFindings::default() };
+        let mut found = RoundFindings {
+            draws,
+            colliding_draws,
+            avoidable_draws,
+            ..RoundFindings::default()
+        };
         let spaces = plan.spaces.as_slice();
         for (index, space) in spaces.iter().enumerate() {
             // The search of a single space has no folder of its own. The path of the policy is relative to the
             // counterexamples, so that their recorded verdicts can be replayed.
-            let (folder, up) = if spaces.len() == 1 { (String::new(), "") } else { (format!("{}/", index + 1), "../") };
+            let (folder, up) = if spaces.len() == 1 {
+                (String::new(), "")
+            } else {
+                (format!("{}/", index + 1), "../")
+            };
             let path = self.path(&format!("{SEARCH}/{folder}"));
             let path = path.trim_end_matches('/');
             let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
@@ -84,49 +97,102 @@ impl RoundContext<'_> {
                 ..Campaign::new(controller, space.clone())
             };
             let searching = |state: &CampaignProgress| {
-                let (space, space_index, progress) = (space.name().to_owned(), [index, spaces.len()], state.clone());
-                watch.observe(&RetrainingProgress::Searching { round, space, space_index, progress })
+                let (space, space_index, progress) = (
+                    space.name().to_owned(),
+                    [index, spaces.len()],
+                    state.clone(),
+                );
+                watch.observe(&RetrainingProgress::Searching {
+                    round,
+                    space,
+                    space_index,
+                    progress,
+                })
             };
-            let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
+            let options = CampaignOptions {
+                resume: true,
+                ..CampaignOptions::default()
+            };
             let summary = campaign.run(&self.run_folder.path(path), options, &searching)?;
             self.run_folder.include(path)?;
-            found.evaluations += summary.methods.iter().map(|method| method.evaluations).sum::<u64>();
-            found.failures += summary.methods.iter().map(|method| method.failures).sum::<u64>();
+            found.evaluations += summary
+                .methods
+                .iter()
+                .map(|method| method.evaluations)
+                .sum::<u64>();
+            found.failures += summary
+                .methods
+                .iter()
+                .map(|method| method.failures)
+                .sum::<u64>();
             for counterexample in &summary.counterexamples {
                 let class = counterexample.avoidability.class();
                 found.count(class);
                 if class == AvoidabilityClass::Avoidable {
-                    found.counterexamples.push(format!("{folder}{}", counterexample.file));
+                    found
+                        .counterexamples
+                        .push(format!("{folder}{}", counterexample.file));
                 }
             }
         }
-        watch.notify(&RetrainingProgress::Attacking { round, scenarios: plan.attacked.len() })?;
+        watch.notify(&RetrainingProgress::Attacking {
+            round,
+            scenarios: plan.attacked.len(),
+        })?;
         self.attack_scenarios(&mut found)?;
         write_json(self.run_folder, &self.path(FINDINGS), &found)?;
         Ok(found)
     }
 
     /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
-    fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
+    fn find_colliding_draws(
+        &self,
+        watch: &RetrainingObserver<'_>,
+    ) -> Result<(usize, CollidingDraws), RetrainError> {
         let (plan, round) = (self.plan, self.round_number());
         let seed = plan.search_seed(round);
         let draws = plan.spaces.total(plan.settings.draws);
         watch.notify(&RetrainingProgress::SimulatingDraws { round, draws })?;
-        let all = (0..draws).map(|index| plan.spaces.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let indices = colliding_indices(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let all = (0..draws)
+            .map(|index| plan.spaces.draw(seed, index))
+            .collect::<Result<Vec<_>, _>>()?;
+        let indices = colliding_indices(
+            &all,
+            &ControllerKind::Policy(Arc::clone(&self.policy)),
+            plan.estimator(),
+        )?;
         let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();
         let classed = classify_scenarios(&collided, &witnesses(&[]), plan.estimator())?;
-        let avoidable =
-            indices.into_iter().zip(classed).filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
+        let avoidable = indices
+            .into_iter()
+            .zip(classed)
+            .filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
-        Ok((collided.len(), CollidingDraws { round, seed, indices }))
+        Ok((
+            collided.len(),
+            CollidingDraws {
+                round,
+                seed,
+                indices,
+            },
+        ))
     }
 
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.run_folder.path(&self.path(SEARCH));
-        let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
-        let counterexamples = found.counterexamples.iter().map(read).collect::<Result<_, _>>();
-        let counterexamples = counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
-        self.cases.clone().with_round(&self.plan.spaces, found.avoidable_draws.clone(), counterexamples)
+        let read =
+            |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
+        let counterexamples = found
+            .counterexamples
+            .iter()
+            .map(read)
+            .collect::<Result<_, _>>();
+        let counterexamples =
+            counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
+        self.cases.clone().with_round(
+            &self.plan.spaces,
+            found.avoidable_draws.clone(),
+            counterexamples,
+        )
     }
 }

@@ -20,13 +20,22 @@ impl SearchedSpaces {
     /// Returns the names of all spaces.
     #[must_use]
     pub fn name(&self) -> String {
-        self.0.iter().map(ScenarioSpace::name).collect::<Vec<_>>().join(", ")
+        self.0
+            .iter()
+            .map(ScenarioSpace::name)
+            .collect::<Vec<_>>()
+            .join(", ")
     }
 
     /// Returns the SHA-256 of all spaces as JSON.
     pub(super) fn sha256(&self) -> Result<String, RetrainError> {
-        let each = self.0.iter().map(|space| serde_json::to_string(space.spec()));
-        each.collect::<Result<String, _>>().map(sha256).map_err(RetrainError::encoding)
+        let each = self
+            .0
+            .iter()
+            .map(|space| serde_json::to_string(space.spec()));
+        each.collect::<Result<String, _>>()
+            .map(sha256)
+            .map_err(RetrainError::encoding)
     }
 
     /// Returns the number of random scenarios that contain `of_each` of every space.
@@ -52,7 +61,10 @@ impl ScenarioSource for SearchedSpaces {
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let each = self.0.iter().map(|space| Ok(space.identity()?.unwrap_or_default()));
+        let each = self
+            .0
+            .iter()
+            .map(|space| Ok(space.identity()?.unwrap_or_default()));
         Ok(Some(each.collect::<Result<Vec<_>, _>>()?.join(", ")))
     }
 }

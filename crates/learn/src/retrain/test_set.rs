@@ -63,11 +63,19 @@ impl ControllerTally {
     }
 }
 
-const BASELINES: [&str; 5] = ["idm", "acc-aeb", "match-leader", "constant-brake", "baseline"];
+const BASELINES: [&str; 5] = [
+    "idm",
+    "acc-aeb",
+    "match-leader",
+    "constant-brake",
+    "baseline",
+];
 
 /// Returns the controllers that can show that a scenario is avoidable: some policies and the baselines.
 pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
-    let others = BASELINES.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok());
+    let others = BASELINES
+        .iter()
+        .filter_map(|name| NamedController::find(name, Path::new("")).ok());
     policies.iter().cloned().chain(others).collect()
 }
 
@@ -89,11 +97,22 @@ impl TestSetResults {
             },
         };
         while evaluated.corpus.scenarios_sha256.is_empty() {
-            let Self { corpus, tallies, pairs } = &mut evaluated;
-            watch.notify(&RetrainingProgress::Gathering { file: name, done: corpus.avoidable, wanted })?;
+            let Self {
+                corpus,
+                tallies,
+                pairs,
+            } = &mut evaluated;
+            watch.notify(&RetrainingProgress::Gathering {
+                file: name,
+                done: corpus.avoidable,
+                wanted,
+            })?;
             if corpus.avoidable < wanted {
                 let count = |contacts: &[Option<Contact>]| {
-                    tallies.iter_mut().zip(contacts).for_each(|(tally, contact)| tally.add(contact.as_ref()));
+                    tallies
+                        .iter_mut()
+                        .zip(contacts)
+                        .for_each(|(tally, contact)| tally.add(contact.as_ref()));
                     pairs.add(contacts);
                 };
                 corpus.classify_next(space, wanted, contenders, plan.estimator(), count)?;
@@ -109,7 +128,12 @@ impl TestSetResults {
 impl ControllerTally {
     fn new(contender: &NamedController) -> Self {
         let policy_sha256 = contender.policy().map(|policy| policy.digest());
-        Self { controller: contender.name.clone(), policy_sha256, contacts: 0, into_the_leader: 0 }
+        Self {
+            controller: contender.name.clone(),
+            policy_sha256,
+            contacts: 0,
+            into_the_leader: 0,
+        }
     }
 
     fn add(&mut self, contact: Option<&Contact>) {

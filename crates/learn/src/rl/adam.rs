@@ -20,27 +20,43 @@ impl Adam {
     /// Creates an optimiser of `parameters` parameters with zero moments.
     #[must_use]
     pub fn new(parameters: usize) -> Self {
-        Self { first_moment: vec![0.0; parameters], second_moment: vec![0.0; parameters], steps: 0 }
+        Self {
+            first_moment: vec![0.0; parameters],
+            second_moment: vec![0.0; parameters],
+            steps: 0,
+        }
     }
 
     /// Performs one gradient step. `follow` is a target network and τ: target ← (1 - τ) target + τ parameters.
-    pub fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32, follow: Option<(&mut [f32], f32)>) {
+    pub fn step(
+        &mut self,
+        parameters: &mut [f32],
+        gradients: &[f32],
+        rate: f32,
+        follow: Option<(&mut [f32], f32)>,
+    ) {
         self.steps += 1;
         // `powi` rounds differently between platforms.
-        let unbias = |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
+        let unbias =
+            |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
         let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
-        let (first, second) = (self.first_moment.as_mut_slice(), self.second_moment.as_mut_slice());
+        let (first, second) = (
+            self.first_moment.as_mut_slice(),
+            self.second_moment.as_mut_slice(),
+        );
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
         Arch::new().dispatch(SimdClosure(
             #[inline(always)]
             || {
                 let n = parameters.len();
-                let (gradients, first, second) = (&gradients[..n], &mut first[..n], &mut second[..n]);
+                let (gradients, first, second) =
+                    (&gradients[..n], &mut first[..n], &mut second[..n]);
                 for i in 0..n {
                     let g = gradients[i];
                     first[i] = BETA_1 * first[i] + (1.0 - BETA_1) * g;
                     second[i] = BETA_2 * second[i] + (1.0 - BETA_2) * (g * g);
-                    parameters[i] -= rate * (first[i] * unbias_1) / ((second[i] * unbias_2).sqrt() + EPSILON);
+                    parameters[i] -=
+                        rate * (first[i] * unbias_1) / ((second[i] * unbias_2).sqrt() + EPSILON);
                 }
                 for (target, &parameter) in target.iter_mut().zip(parameters.iter()) {
                     *target += share * (parameter - *target);
@@ -67,12 +83,18 @@ mod tests {
                 let g = f64::from(gradients[i]);
                 m[i] = 0.9 * m[i] + 0.1 * g;
                 v[i] = 0.999 * v[i] + 0.001 * g * g;
-                let unbiased = [m[i] / (1.0 - 0.9_f64.powi(t as i32)), v[i] / (1.0 - 0.999_f64.powi(t as i32))];
+                let unbiased = [
+                    m[i] / (1.0 - 0.9_f64.powi(t as i32)),
+                    v[i] / (1.0 - 0.999_f64.powi(t as i32)),
+                ];
                 exact[i] -= 0.01 * unbiased[0] / (unbiased[1].sqrt() + 1e-8);
             }
         }
         for (found, expected) in parameters.iter().zip(exact) {
-            assert!((f64::from(*found) - expected).abs() < 1e-5, "{found} {expected}");
+            assert!(
+                (f64::from(*found) - expected).abs() < 1e-5,
+                "{found} {expected}"
+            );
         }
     }
 
@@ -84,6 +106,9 @@ mod tests {
             adam.step(&mut parameters, &[0.0], 0.1, Some((&mut target, 0.005)));
         }
         // After n updates a share of 1 - (1 - τ)ⁿ is covered.
-        assert!((f64::from(target[0]) - (1.0 - 0.995_f64.powi(100))).abs() < 1e-6, "{target:?}");
+        assert!(
+            (f64::from(target[0]) - (1.0 - 0.995_f64.powi(100))).abs() < 1e-6,
+            "{target:?}"
+        );
     }
 }

@@ -17,7 +17,12 @@ pub(crate) struct Tape {
 }
 
 impl Tape {
-    pub(crate) fn forward(&mut self, network: &Network, batch: usize, fill: impl FnOnce(&mut Vec<f32>)) -> &[f32] {
+    pub(crate) fn forward(
+        &mut self,
+        network: &Network,
+        batch: usize,
+        fill: impl FnOnce(&mut Vec<f32>),
+    ) -> &[f32] {
         let layers = network.layers();
         let count = layers.len();
         self.activations.resize_with(count + 1, Vec::new);
@@ -27,7 +32,14 @@ impl Tape {
             let (before, after) = self.activations.split_at_mut(index + 1);
             let out = &mut after[0];
             out.resize(batch * layer.outputs, 0.0);
-            network.layer_forward(layer, index + 1 < count, &before[index], batch, out, &mut self.panels);
+            network.layer_forward(
+                layer,
+                index + 1 < count,
+                &before[index],
+                batch,
+                out,
+                &mut self.panels,
+            );
         }
         &self.activations[count]
     }
@@ -37,22 +49,47 @@ impl Tape {
     }
 
     /// Computes the gradients of all parameters from ∂L/∂output of the last forward pass.
-    pub(crate) fn backward(&mut self, network: &Network, output_gradient: &[f32], gradients: &mut [f32]) {
+    pub(crate) fn backward(
+        &mut self,
+        network: &Network,
+        output_gradient: &[f32],
+        gradients: &mut [f32],
+    ) {
         self.backpropagate(network, output_gradient, Some(gradients));
     }
 
     /// Computes ∂L/∂(last input) of every row from ∂L/∂output of the last forward pass.
-    pub(crate) fn backward_to_last_input(&mut self, network: &Network, output_gradient: &[f32], out: &mut [f32]) {
+    pub(crate) fn backward_to_last_input(
+        &mut self,
+        network: &Network,
+        output_gradient: &[f32],
+        out: &mut [f32],
+    ) {
         self.backpropagate(network, output_gradient, None);
         if let Some(first) = network.layers().next() {
             let weights = &network.parameters()[first.weights()];
-            multiply_vector(&self.delta, &weights[(first.inputs - 1) * first.outputs..], 0.0, out);
+            multiply_vector(
+                &self.delta,
+                &weights[(first.inputs - 1) * first.outputs..],
+                0.0,
+                out,
+            );
         }
     }
 
     /// Propagates δ from the output to the outputs of the first layer.
-    fn backpropagate(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
-        let Self { activations: values, delta, delta_below: below, panels } = self;
+    fn backpropagate(
+        &mut self,
+        network: &Network,
+        output_gradient: &[f32],
+        mut gradients: Option<&mut [f32]>,
+    ) {
+        let Self {
+            activations: values,
+            delta,
+            delta_below: below,
+            panels,
+        } = self;
         delta.clear();
         delta.extend_from_slice(output_gradient);
         for (index, layer) in network.layers().enumerate().rev() {
@@ -64,7 +101,12 @@ impl Tape {
                     weighted_row_sum(input, delta, &mut gradients[layer.weights()]);
                 } else {
                     panels.pack_parallel(Rhs::Rows(delta), None, [batch, n]);
-                    panels.multiply_parallel(Lhs::Columns(input), m, false, &mut gradients[layer.weights()]);
+                    panels.multiply_parallel(
+                        Lhs::Columns(input),
+                        m,
+                        false,
+                        &mut gradients[layer.weights()],
+                    );
                 }
                 row_sum(delta, &mut gradients[layer.biases()]);
             }
@@ -118,7 +160,9 @@ fn outer_product_relu_backward(factors: &[f32], row: &[f32], gate: &[f32], out: 
     Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
-            let rows = out.chunks_exact_mut(row.len()).zip(gate.chunks_exact(row.len()));
+            let rows = out
+                .chunks_exact_mut(row.len())
+                .zip(gate.chunks_exact(row.len()));
             for ((out, gate), &factor) in rows.zip(factors) {
                 for ((out, &gate), &value) in out.iter_mut().zip(gate).zip(row) {
                     *out = if gate > 0.0 { factor * value } else { 0.0 };

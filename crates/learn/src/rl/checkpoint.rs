@@ -44,7 +44,10 @@ struct CheckpointHeader {
 const VERSION: u32 = 3;
 
 impl CheckpointHeader {
-    fn digest<'a, B: AsRef<[u8]>>(&self, arrays: impl Iterator<Item = (&'a str, B)>) -> Result<String, TrainingError> {
+    fn digest<'a, B: AsRef<[u8]>>(
+        &self,
+        arrays: impl Iterator<Item = (&'a str, B)>,
+    ) -> Result<String, TrainingError> {
         let mut digest = Sha256::default();
         digest.update(serde_json::to_string(self).map_err(checkpoint_error)?);
         for (name, bytes) in arrays {
@@ -76,7 +79,10 @@ impl View for Array<'_> {
         if cfg!(target_endian = "little") {
             Cow::Borrowed(bytemuck::cast_slice(self.values))
         } else {
-            self.values.iter().flat_map(|value| value.to_le_bytes()).collect()
+            self.values
+                .iter()
+                .flat_map(|value| value.to_le_bytes())
+                .collect()
         }
     }
 
@@ -116,9 +122,15 @@ impl Trainer {
             episode: self.episode,
             decisions: self.decisions,
             updates: self.learner.updates,
-            adam_steps: self.named_networks().map(|(_, part)| part.adam.steps).collect(),
+            adam_steps: self
+                .named_networks()
+                .map(|(_, part)| part.adam.steps)
+                .collect(),
             stored,
-            best: self.best.as_ref().map(|best| (best.episode, best.evaluation)),
+            best: self
+                .best
+                .as_ref()
+                .map(|best| (best.episode, best.evaluation)),
             mastered: self.mastered,
         };
         let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), replay)];
@@ -138,12 +150,27 @@ impl Trainer {
         if let Some(best) = &self.best {
             arrays.push(("best".to_owned(), best.network.parameters()));
         }
-        let mut arrays: Vec<(String, Array<'_>)> =
-            arrays.into_iter().map(|(name, values)| (name, Array { shape: [values.len()], values })).collect();
+        let mut arrays: Vec<(String, Array<'_>)> = arrays
+            .into_iter()
+            .map(|(name, values)| {
+                (
+                    name,
+                    Array {
+                        shape: [values.len()],
+                        values,
+                    },
+                )
+            })
+            .collect();
         arrays.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
-        header.sha256 = header.digest(arrays.iter().map(|(name, array)| (name.as_str(), array.data())))?;
+        header.sha256 = header.digest(
+            arrays
+                .iter()
+                .map(|(name, array)| (name.as_str(), array.data())),
+        )?;
         let text = serde_json::to_string(&header).map_err(checkpoint_error)?;
-        safetensors::serialize(arrays, Some([(METADATA_KEY.to_owned(), text)].into())).map_err(checkpoint_error)
+        safetensors::serialize(arrays, Some([(METADATA_KEY.to_owned(), text)].into()))
+            .map_err(checkpoint_error)
     }
 
     /// Decodes a result of [`Trainer::to_checkpoint`]. `config` may differ from it only in the number of episodes.
@@ -157,48 +184,92 @@ impl Trainer {
         source: Arc<dyn ScenarioSource>,
     ) -> Result<Self, TrainingError> {
         let (_, container) = SafeTensors::read_metadata(bytes).map_err(checkpoint_error)?;
-        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
-        let text = text.ok_or_else(|| checkpoint_error("this is not a checkpoint of a training"))?;
+        let text = container
+            .metadata()
+            .as_ref()
+            .and_then(|metadata| metadata.get(METADATA_KEY));
+        let text =
+            text.ok_or_else(|| checkpoint_error("this is not a checkpoint of a training"))?;
         check_build(text)?;
         let mut header: CheckpointHeader = serde_json::from_str(text).map_err(checkpoint_error)?;
         let arrays = SafeTensors::deserialize(bytes).map_err(checkpoint_error)?;
         let written = std::mem::take(&mut header.sha256);
-        let mut found: Vec<_> = arrays.iter().map(|(name, view)| (name, view.data())).collect();
+        let mut found: Vec<_> = arrays
+            .iter()
+            .map(|(name, view)| (name, view.data()))
+            .collect();
         found.sort_unstable_by_key(|(name, _)| *name);
         if header.digest(found.into_iter())? != written {
-            return Err(checkpoint_error("its content does not match its SHA-256: the file is damaged"));
+            return Err(checkpoint_error(
+                "its content does not match its SHA-256: the file is damaged",
+            ));
         }
         if header.seed != seed {
-            return Err(checkpoint_error(format!("it belongs to seed {}, not {seed}", header.seed)));
+            return Err(checkpoint_error(format!(
+                "it belongs to seed {}, not {seed}",
+                header.seed
+            )));
         }
-        if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
-            let problem = "it belongs to another configuration: only the number of episodes may differ";
+        if (TrainingConfig {
+            episodes: config.episodes,
+            ..header.config
+        }) != *config
+        {
+            let problem =
+                "it belongs to another configuration: only the number of episodes may differ";
             return Err(checkpoint_error(problem));
         }
         let asked = source.identity()?;
         if header.scenarios != asked {
-            let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
+            let name = |source: Option<String>| {
+                source.unwrap_or_else(|| "the paper's distribution".to_owned())
+            };
             let (found, asked) = (name(header.scenarios), name(asked));
-            return Err(checkpoint_error(format!("it belongs to a training on {found}, not on {asked}")));
+            return Err(checkpoint_error(format!(
+                "it belongs to a training on {found}, not on {asked}"
+            )));
         }
         if header.episode > config.episodes {
             let (done, asked) = (header.episode, config.episodes);
-            return Err(checkpoint_error(format!("{done} episodes are already done, more than the requested {asked}")));
+            return Err(checkpoint_error(format!(
+                "{done} episodes are already done, more than the requested {asked}"
+            )));
         }
         let mut trainer = Self::with_source(config, seed, source);
         let mut adam_steps = header.adam_steps.into_iter();
         for (name, part) in trainer.named_networks_mut() {
-            read_tensor_into(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
-            read_tensor_into(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
-            read_tensor_into(&arrays, &format!("{name}.first"), &mut part.adam.first_moment)?;
-            read_tensor_into(&arrays, &format!("{name}.second"), &mut part.adam.second_moment)?;
-            part.adam.steps =
-                adam_steps.next().ok_or_else(|| checkpoint_error("the state of an optimiser is missing"))?;
+            read_tensor_into(
+                &arrays,
+                &format!("{name}.network"),
+                part.network.parameters_mut(),
+            )?;
+            read_tensor_into(
+                &arrays,
+                &format!("{name}.target"),
+                part.target.parameters_mut(),
+            )?;
+            read_tensor_into(
+                &arrays,
+                &format!("{name}.first"),
+                &mut part.adam.first_moment,
+            )?;
+            read_tensor_into(
+                &arrays,
+                &format!("{name}.second"),
+                &mut part.adam.second_moment,
+            )?;
+            part.adam.steps = adam_steps
+                .next()
+                .ok_or_else(|| checkpoint_error("the state of an optimiser is missing"))?;
         }
         let replay = read_tensor(&arrays, "replay")?;
-        trainer.replay =
-            ReplayBuffer::from_raw_parts(config.replay.capacity, config.transition_layout(), header.stored, replay)
-                .ok_or_else(|| checkpoint_error("the size of the replay memory differs from the header"))?;
+        trainer.replay = ReplayBuffer::from_raw_parts(
+            config.replay.capacity,
+            config.transition_layout(),
+            header.stored,
+            replay,
+        )
+        .ok_or_else(|| checkpoint_error("the size of the replay memory differs from the header"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {
             let mut network = Network::zeros(&sizes);
@@ -209,7 +280,11 @@ impl Trainer {
         }
         if let Some((episode, evaluation)) = header.best {
             let network = actor_of("best")?;
-            trainer.best = Some(BestPolicy { episode, evaluation, network });
+            trainer.best = Some(BestPolicy {
+                episode,
+                evaluation,
+                network,
+            });
         }
         (trainer.episode, trainer.decisions) = (header.episode, header.decisions);
         (trainer.learner.updates, trainer.mastered) = (header.updates, header.mastered);
@@ -217,12 +292,22 @@ impl Trainer {
     }
 
     fn named_networks(&self) -> impl Iterator<Item = (String, &TrainableNetwork)> {
-        let critics = self.learner.critics.iter().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        let critics = self
+            .learner
+            .critics
+            .iter()
+            .enumerate()
+            .map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &self.learner.actor)).chain(critics)
     }
 
     fn named_networks_mut(&mut self) -> impl Iterator<Item = (String, &mut TrainableNetwork)> {
-        let critics = self.learner.critics.iter_mut().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
+        let critics = self
+            .learner
+            .critics
+            .iter_mut()
+            .enumerate()
+            .map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &mut self.learner.actor)).chain(critics)
     }
 }
@@ -230,21 +315,37 @@ impl Trainer {
 fn read_tensor(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
     let view = arrays.tensor(name).map_err(checkpoint_error)?;
     if view.dtype() != Dtype::F32 {
-        return Err(checkpoint_error(format!("`{name}` must be F32, found {:?}", view.dtype())));
+        return Err(checkpoint_error(format!(
+            "`{name}` must be F32, found {:?}",
+            view.dtype()
+        )));
     }
     let (values, _) = view.data().as_chunks::<4>();
-    let values: Vec<f32> = values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
+    let values: Vec<f32> = values
+        .iter()
+        .map(|&bytes| f32::from_le_bytes(bytes))
+        .collect();
     if values.iter().all(|value| value.is_finite()) {
         Ok(values)
     } else {
-        Err(checkpoint_error(format!("`{name}` holds a number that is not finite")))
+        Err(checkpoint_error(format!(
+            "`{name}` holds a number that is not finite"
+        )))
     }
 }
 
-fn read_tensor_into(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
+fn read_tensor_into(
+    arrays: &SafeTensors<'_>,
+    name: &str,
+    out: &mut [f32],
+) -> Result<(), TrainingError> {
     let values = read_tensor(arrays, name)?;
     if values.len() != out.len() {
-        return Err(checkpoint_error(format!("`{name}` must have {} numbers, found {}", out.len(), values.len())));
+        return Err(checkpoint_error(format!(
+            "`{name}` must have {} numbers, found {}",
+            out.len(),
+            values.len()
+        )));
     }
     out.copy_from_slice(&values);
     Ok(())

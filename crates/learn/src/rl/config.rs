@@ -134,7 +134,10 @@ pub struct LearningConfig {
     /// Discount factor per decision.
     pub discount: f64,
     /// Weight of the trained network in an update of its target network.
-    #[serde(rename = "soft_update", deserialize_with = "deserialize_f32_no_underflow")]
+    #[serde(
+        rename = "soft_update",
+        deserialize_with = "deserialize_f32_no_underflow"
+    )]
     pub tau: f32,
     /// Transitions per update.
     pub batch: usize,
@@ -151,17 +154,29 @@ pub struct LearningConfig {
     pub saturation_penalty: f32,
     /// Weight of the mean of (π(s) - π(s'))² in the actor's loss; s' is the observation after s, unless nothing follows
     /// (Mysore, Mabsout, Mancuso and Saenko 2021).
-    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
+    #[serde(
+        default,
+        skip_serializing_if = "is_default",
+        deserialize_with = "deserialize_f32_no_underflow"
+    )]
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
     /// Decay of the learning rates; without it they are constant.
-    #[serde(rename = "rates_fall", default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        rename = "rates_fall",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub lr_decay: Option<LrDecay>,
 }
 
 impl LearningConfig {
     pub(super) fn privileged_width(&self) -> usize {
-        if self.privileged_critic { PRIVILEGED_WIDTH } else { 0 }
+        if self.privileged_critic {
+            PRIVILEGED_WIDTH
+        } else {
+            0
+        }
     }
 }
 
@@ -265,7 +280,11 @@ pub struct EvaluationConfig {
     pub master_gap_m: f64,
     /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky
     /// 1992); 0 for the actor itself. Exploration and learning always use the actor itself.
-    #[serde(rename = "mean_over_updates", default, skip_serializing_if = "is_default")]
+    #[serde(
+        rename = "mean_over_updates",
+        default,
+        skip_serializing_if = "is_default"
+    )]
     pub weight_average_updates: u64,
 }
 
@@ -299,7 +318,9 @@ impl TrainingConfig {
     /// [`TrainingConfigError::UnknownPreset`] for any other name.
     pub fn preset_text(name: &str) -> Result<&'static str, TrainingConfigError> {
         let known = PRESETS.iter().find(|(known, _)| *known == name);
-        known.map(|(_, text)| *text).ok_or_else(|| TrainingConfigError::UnknownPreset(name.to_owned()))
+        known
+            .map(|(_, text)| *text)
+            .ok_or_else(|| TrainingConfigError::UnknownPreset(name.to_owned()))
     }
 
     /// Parses a configuration from TOML; `path` only names it in errors.
@@ -307,9 +328,11 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
-        let config: Self =
-            file::parse_toml(text, path).map_err(|error| TrainingConfigError::Located(error.to_string()))?;
-        config.check().map_err(|error| error.with_location(text, path))?;
+        let config: Self = file::parse_toml(text, path)
+            .map_err(|error| TrainingConfigError::Located(error.to_string()))?;
+        config
+            .check()
+            .map_err(|error| error.with_location(text, path))?;
         Ok(config)
     }
 
@@ -325,7 +348,11 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError`] if a space cannot be found, read, or trained on.
     pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
-        if self.spaces.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(&self.spaces)?)) }
+        if self.spaces.is_empty() {
+            Ok(Arc::new(PaperSource))
+        } else {
+            Ok(Arc::new(SpaceMixture::new(&self.spaces)?))
+        }
     }
 }
 

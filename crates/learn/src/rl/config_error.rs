@@ -38,7 +38,10 @@ pub enum TrainingConfigError {
 
 impl TrainingConfigError {
     pub(super) fn field(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self::Field { field: field.into(), problem: problem.into() }
+        Self::Field {
+            field: field.into(),
+            problem: problem.into(),
+        }
     }
 
     /// Adds the file and the line of the field, and reports numbers as written, because `found` may have been rounded.
@@ -47,20 +50,37 @@ impl TrainingConfigError {
         let (field, message) = match &self {
             Self::UnknownPreset(_) | Self::Located(_) => return self,
             Self::Field { field, .. } => (field, self.to_string()),
-            Self::Range { field, low, high, .. } => {
+            Self::Range {
+                field, low, high, ..
+            } => {
                 let written = file::raw_toml_value(text, field);
-                let written = written.map(|found| format!("{field}: must be between {low} and {high}, found {found}"));
+                let written = written.map(|found| {
+                    format!("{field}: must be between {low} and {high}, found {found}")
+                });
                 (field, written.unwrap_or_else(|| self.to_string()))
             }
         };
-        Self::Located(format!("{}:{}: {message}", path.display(), file::line_in_toml(text, field)))
+        Self::Located(format!(
+            "{}:{}: {message}",
+            path.display(),
+            file::line_in_toml(text, field)
+        ))
     }
 }
 
-pub(super) fn check_range(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), TrainingConfigError> {
+pub(super) fn check_range(
+    field: &str,
+    found: f64,
+    [low, high]: [f64; 2],
+) -> Result<(), TrainingConfigError> {
     if (low..=high).contains(&found) {
         Ok(())
     } else {
-        Err(TrainingConfigError::Range { field: field.to_owned(), low, high, found })
+        Err(TrainingConfigError::Range {
+            field: field.to_owned(),
+            low,
+            high,
+            found,
+        })
     }
 }

@@ -77,13 +77,20 @@ impl CostConfig {
     }
 
     fn weights(&self) -> [(&'static str, f64); 7] {
-        self.clone().weights_mut().map(|(name, weight)| (name, *weight))
+        self.clone()
+            .weights_mut()
+            .map(|(name, weight)| (name, *weight))
     }
 
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let wanted = [("standstill_m", self.standstill_m, [0.1, 100.0]), ("headway_s", self.headway_s, [0.0, 10.0])];
-        let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MAX_WEIGHT]));
+        let wanted = [
+            ("standstill_m", self.standstill_m, [0.1, 100.0]),
+            ("headway_s", self.headway_s, [0.0, 10.0]),
+        ];
+        let weights = self
+            .weights()
+            .map(|(name, weight)| (name, weight, [0.0, MAX_WEIGHT]));
         let all = wanted.into_iter().chain(weights);
         all.map(|(name, value, range)| (format!("environment.costs.{name}"), value, range))
     }
@@ -94,7 +101,10 @@ impl CostConfig {
 
     pub(super) fn scaled_by(&self, times: f64) -> Self {
         let mut scaled = self.clone();
-        scaled.weights_mut().into_iter().for_each(|(_, weight)| *weight *= times);
+        scaled
+            .weights_mut()
+            .into_iter()
+            .for_each(|(_, weight)| *weight *= times);
         scaled
     }
 

@@ -9,8 +9,13 @@ use serde::Deserialize;
 #[serde(rename_all = "snake_case")]
 enum LogLine {
     Imitation {},
-    Episode { episode: u64 },
-    Evaluation { episode: u64, result: LoggedEvaluation },
+    Episode {
+        episode: u64,
+    },
+    Evaluation {
+        episode: u64,
+        result: LoggedEvaluation,
+    },
 }
 
 #[derive(Deserialize)]
@@ -38,7 +43,11 @@ pub(super) fn parse_evaluation(line: &str) -> Option<(u64, f64)> {
 /// Computes the learning curve of trainings from their logs.
 #[must_use]
 pub fn learning_curve(preset: &str, logs: &[String]) -> LearningCurve {
-    let evaluations = logs.iter().map(|log| log.lines().filter_map(parse_evaluation).collect::<BTreeMap<_, _>>());
+    let evaluations = logs.iter().map(|log| {
+        log.lines()
+            .filter_map(parse_evaluation)
+            .collect::<BTreeMap<_, _>>()
+    });
     LearningCurve::from_evaluations(preset, &evaluations.collect::<Vec<_>>())
 }
 
@@ -51,7 +60,13 @@ mod tests {
         let log = "{\"episode\":{\"episode\":1,\"reward\":3}}\n\
                    {\"evaluation\":{\"episode\":5,\"best\":true,\"result\":{\"mean_reward\":22500.0}}}\n\
                    {\"evaluation\":{\"episode\":10,\"best\":false,\"result\":{\"mean_reward\":100.0}}}\n";
-        assert_eq!(log.lines().filter_map(parse_evaluation).collect::<Vec<_>>(), [(5, 22_500.0), (10, 100.0)]);
-        assert_eq!(log.lines().map(parse_episode).collect::<Vec<_>>(), [Some(1), Some(5), Some(10)]);
+        assert_eq!(
+            log.lines().filter_map(parse_evaluation).collect::<Vec<_>>(),
+            [(5, 22_500.0), (10, 100.0)]
+        );
+        assert_eq!(
+            log.lines().map(parse_episode).collect::<Vec<_>>(),
+            [Some(1), Some(5), Some(10)]
+        );
     }
 }

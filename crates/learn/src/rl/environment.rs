@@ -66,12 +66,23 @@ impl EpisodeConstants {
 
     /// Returns the constants of episode `index` of a source, which can scale the costs.
     #[must_use]
-    pub fn for_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
+    pub fn for_episode(
+        self: &Arc<Self>,
+        source: &dyn ScenarioSource,
+        seed: u64,
+        index: u64,
+    ) -> Arc<Self> {
         match source.cost_multiplier(seed, index) {
             1.0 => Arc::clone(self),
             times => {
                 let costs = self.environment.costs.scaled_by(times);
-                Self::new(EnvironmentConfig { costs, ..self.environment.clone() }, self.discount)
+                Self::new(
+                    EnvironmentConfig {
+                        costs,
+                        ..self.environment.clone()
+                    },
+                    self.discount,
+                )
             }
         }
     }
@@ -107,7 +118,11 @@ impl TrainingEpisode {
     pub fn new(run: &Run, constants: &Arc<EpisodeConstants>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            reward_tracker: RewardTracker::new(&stepper, run.scenario().spec().step_s, &constants.environment.costs),
+            reward_tracker: RewardTracker::new(
+                &stepper,
+                run.scenario().spec().step_s,
+                &constants.environment.costs,
+            ),
             stepper,
             config: Arc::clone(constants),
             held_action: HeldAction::default(),
@@ -129,7 +144,9 @@ impl TrainingEpisode {
     pub fn write_state(&mut self, state: &mut [f32]) {
         let last_answer_mps2 = self.held_action.last_answer_mps2();
         if let Some(seen) = self.stepper.observe(EGO) {
-            self.config.scaling.write_state(&seen, last_answer_mps2, state);
+            self.config
+                .scaling
+                .write_state(&seen, last_answer_mps2, state);
         }
     }
 
@@ -154,9 +171,20 @@ impl TrainingEpisode {
     }
 
     fn advance(&mut self, is_commanded: bool) -> StepOutcome {
-        let Self { stepper, config: constants, reward_tracker, held_action, steps_at_rest, .. } = self;
+        let Self {
+            stepper,
+            config: constants,
+            reward_tracker,
+            held_action,
+            steps_at_rest,
+            ..
+        } = self;
         let mut expert_action = None;
-        let EpisodeConstants { environment: config, action_bounds: bounds, .. } = &**constants;
+        let EpisodeConstants {
+            environment: config,
+            action_bounds: bounds,
+            ..
+        } = &**constants;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let acceleration_mps2 = held_action.acceleration_mps2(bounds);
         let mut after = |now: &StepView<'_>| {
@@ -173,7 +201,11 @@ impl TrainingEpisode {
             } else {
                 EpisodeEnding::None
             };
-            if ending == EpisodeEnding::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            if ending == EpisodeEnding::None {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
         };
         if stepper.consulted_mps2(EGO).is_some() {
             for _ in 0..config.action_repeat {
@@ -185,7 +217,8 @@ impl TrainingEpisode {
                 }
                 stepper.step();
                 let answer_mps2 = stepper.consulted_mps2(EGO);
-                expert_action = expert_action.or(answer_mps2.map(|answer_mps2| bounds.action(answer_mps2)));
+                expert_action =
+                    expert_action.or(answer_mps2.map(|answer_mps2| bounds.action(answer_mps2)));
                 if after(&stepper.view(EGO)).is_break() || stepper.has_ended() {
                     break;
                 }
@@ -194,7 +227,12 @@ impl TrainingEpisode {
                 held_action.set_last_answer_mps2(last_mps2);
             }
         } else {
-            stepper.drive(EGO, config.action_repeat as usize, |_| acceleration_mps2, after);
+            stepper.drive(
+                EGO,
+                config.action_repeat as usize,
+                |_| acceleration_mps2,
+                after,
+            );
         }
         if ending == EpisodeEnding::Contact && config.harm_reward != 0.0 {
             reward += config.harm_reward * harm(stepper.impacts(), stepper.motion().len());
@@ -208,7 +246,8 @@ impl TrainingEpisode {
             to_learn += self.config.discount * self.standstill_return(of_last_step, decisions_left);
         }
         let over = matches!(ending, EpisodeEnding::Contact | EpisodeEnding::AtRest)
-            || (ending == EpisodeEnding::TimeLimit && self.config.environment.time_limit == TimeLimit::Termination);
+            || (ending == EpisodeEnding::TimeLimit
+                && self.config.environment.time_limit == TimeLimit::Termination);
         StepOutcome {
             reward: (to_learn * self.config.environment.reward_scale) as f32,
             ending,
@@ -247,7 +286,10 @@ impl TrainingEpisode {
 /// Returns the range of accelerations of the actions.
 #[must_use]
 pub fn action_bounds(config: &EnvironmentConfig) -> ActionBounds {
-    ActionBounds { high_mps2: config.max_accel_mps2, ..ActionBounds::default() }
+    ActionBounds {
+        high_mps2: config.max_accel_mps2,
+        ..ActionBounds::default()
+    }
 }
 
 #[cfg(test)]

@@ -10,7 +10,9 @@ use super::usefulness::{TrafficBenchmark, TrafficUsefulness};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_world::sim::{
+    ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
+};
 
 /// Seed of the validation scenarios of all trainings. Never a seed of training scenarios.
 const EVALUATION_SEED: u64 = 0x0068_656c_646f_7574;
@@ -49,7 +51,11 @@ pub struct PolicyEvaluation {
     #[serde(rename = "useful", default, skip_serializing_if = "Option::is_none")]
     pub usefulness: Option<TrafficUsefulness>,
     /// Collision share of the ranking scenarios plus the penalty of usefulness; none if `usefulness` is none.
-    #[serde(rename = "both_sides", default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        rename = "both_sides",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub combined_penalty: Option<f64>,
 }
 
@@ -74,7 +80,9 @@ impl PolicyEvaluation {
     /// ranking scenarios always false, because the screening scenarios are too few.
     #[must_use]
     pub fn is_mastered(&self, gap_m: f64) -> bool {
-        self.is_safe_in_paper == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
+        self.is_safe_in_paper == [true; 3]
+            && self.ranking_contacts == Some(0)
+            && self.smallest_gap_m >= gap_m
     }
 }
 
@@ -82,11 +90,17 @@ impl EvaluationSet {
     /// Creates the paper's scenarios and samples the others from the paper's distribution.
     #[must_use]
     pub fn new(evaluation: &EvaluationConfig, environment: &EnvironmentConfig) -> Self {
-        let draws = PaperDistribution { seed: EVALUATION_SEED };
-        let draw = |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
+        let draws = PaperDistribution {
+            seed: EVALUATION_SEED,
+        };
+        let draw =
+            |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
         let first = evaluation.screening_draws;
         Self {
-            paper: PAPER_SCENARIOS.into_iter().filter_map(built_in_scenario).collect(),
+            paper: PAPER_SCENARIOS
+                .into_iter()
+                .filter_map(built_in_scenario)
+                .collect(),
             screening: draw(0..first).collect(),
             ranking: draw(first..first + evaluation.ranking_draws).collect(),
             required_paper_scenarios: 2,
@@ -104,12 +118,16 @@ impl EvaluationSet {
         let mut held_out = Self::new(evaluation, environment);
         if !config.spaces.is_empty() {
             let source = config.scenario_source()?;
-            let draws = (0..evaluation.ranking_draws).map(|index| source.draw(EVALUATION_SEED, index));
+            let draws =
+                (0..evaluation.ranking_draws).map(|index| source.draw(EVALUATION_SEED, index));
             held_out.ranking = draws.collect::<Result<_, _>>()?;
         }
         if evaluation.usefulness_draws > 0 {
-            held_out.traffic =
-                Some(TrafficBenchmark::new(TRAFFIC_SEED, evaluation.usefulness_draws, environment.estimator)?);
+            held_out.traffic = Some(TrafficBenchmark::new(
+                TRAFFIC_SEED,
+                evaluation.usefulness_draws,
+                environment.estimator,
+            )?);
         }
         Ok(held_out)
     }
@@ -140,13 +158,17 @@ impl EvaluationSet {
         let mut evaluation = PolicyEvaluation {
             is_safe_in_paper,
             safe_share: safe as f64 / draws.len().max(1) as f64,
-            mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
+            mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>()
+                / draws.len().max(1) as f64,
             ranking_contacts: None,
             smallest_gap_m: smallest_gap_m.min(min_gap_m(&draws)),
             usefulness: None,
             combined_penalty: None,
         };
-        let is_safe = is_safe_in_paper.iter().take(self.required_paper_scenarios).all(|&safe| safe);
+        let is_safe = is_safe_in_paper
+            .iter()
+            .take(self.required_paper_scenarios)
+            .all(|&safe| safe);
         if safe == draws.len() && is_safe && !self.ranking.is_empty() {
             let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
@@ -167,7 +189,8 @@ impl EvaluationSet {
         match run.contact_s {
             None => run.steps as f64 * self.environment.step_reward,
             Some(contact_s) => {
-                (contact_s / run.step_s).floor() * self.environment.step_reward + self.environment.contact_reward
+                (contact_s / run.step_s).floor() * self.environment.step_reward
+                    + self.environment.contact_reward
             }
         }
     }
@@ -183,10 +206,18 @@ const UNSEEN_SEED: u64 = 0;
 ///
 /// # Errors
 /// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
-pub fn count_unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
+pub fn count_unseen_contacts(
+    policy: &Arc<Policy>,
+    estimator: EstimatorKind,
+) -> Result<u64, RunError> {
     let draws = PaperDistribution { seed: UNSEEN_SEED };
-    let scenarios: Vec<_> = (0..UNSEEN_DRAWS).filter_map(|index| draws.draw(index).ok()).collect();
-    Ok(drive(&scenarios, policy, estimator)?.iter().filter(|run| run.contact_s.is_some()).count() as u64)
+    let scenarios: Vec<_> = (0..UNSEEN_DRAWS)
+        .filter_map(|index| draws.draw(index).ok())
+        .collect();
+    Ok(drive(&scenarios, policy, estimator)?
+        .iter()
+        .filter(|run| run.contact_s.is_some())
+        .count() as u64)
 }
 
 struct EvaluationRun {
@@ -197,7 +228,9 @@ struct EvaluationRun {
 }
 
 fn min_gap_m(runs: &[EvaluationRun]) -> f64 {
-    runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
+    runs.iter()
+        .map(|run| run.smallest_gap_m)
+        .fold(f64::INFINITY, f64::min)
 }
 
 fn drive(
@@ -206,15 +239,25 @@ fn drive(
     estimator: EstimatorKind,
 ) -> Result<Vec<EvaluationRun>, RunError> {
     let options = RunOptions::new(Arc::clone(policy)).with_estimator(estimator);
-    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, result| {
-        let scenario = runs[index].scenario();
-        let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-        EvaluationRun {
-            contact_s: result.outcome.contact().map(|contact| contact.time_s),
-            smallest_gap_m: gaps.fold(f64::INFINITY, f64::min),
-            steps: scenario.steps(),
-            step_s: scenario.spec().step_s,
-        }
-    }))
+    let runs = scenarios
+        .iter()
+        .map(|scenario| Run::new(scenario, options.clone()))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(
+        &runs,
+        RecordingLevel::Summary,
+        |index, result| {
+            let scenario = runs[index].scenario();
+            let gaps = result
+                .vehicles
+                .iter()
+                .filter_map(|vehicle| vehicle.min_gap_m);
+            EvaluationRun {
+                contact_s: result.outcome.contact().map(|contact| contact.time_s),
+                smallest_gap_m: gaps.fold(f64::INFINITY, f64::min),
+                steps: scenario.steps(),
+                step_s: scenario.spec().step_s,
+            }
+        },
+    ))
 }

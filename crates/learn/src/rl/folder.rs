@@ -68,32 +68,56 @@ impl<'a> TrainingFolder<'a> {
     ///
     /// # Errors
     /// [`TrainingError`] if the folder is in use, damaged, or holds another training or one of another build.
-    pub fn open(out: &Path, config: &'a TrainingConfig, seed: u64, resume: bool) -> Result<Self, TrainingError> {
+    pub fn open(
+        out: &Path,
+        config: &'a TrainingConfig,
+        seed: u64,
+        resume: bool,
+    ) -> Result<Self, TrainingError> {
         let work = open_run_folder(out, config, seed, resume)?;
-        let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.scenario_source()?);
+        let (checkpoint, path, source) = (
+            work.read(CHECKPOINT)?,
+            work.path(CHECKPOINT),
+            config.scenario_source()?,
+        );
         let trainer = match checkpoint {
-            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(|error| match error {
-                TrainingError::Checkpoint(problem) => RunFolderError::damaged(&path, problem).into(),
-                other => other,
-            })?,
+            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(
+                |error| match error {
+                    TrainingError::Checkpoint(problem) => {
+                        RunFolderError::damaged(&path, problem).into()
+                    }
+                    other => other,
+                },
+            )?,
             None => Trainer::with_source(config, seed, source),
         };
         let before = work.read(LOG)?.unwrap_or_default();
-        let is_done = |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
+        let is_done =
+            |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
         // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
         // the same episode.
         let is_of_the_end = |line: &&str| {
-            parse_evaluation(line).is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
+            parse_evaluation(line)
+                .is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
         };
         // Drop log entries after the checkpoint; their episodes are repeated.
         let log = match trainer.episode() {
             0 => String::new(),
             _ => {
                 let before = String::from_utf8_lossy(&before);
-                before.split_inclusive('\n').take_while(is_done).filter(|line| !is_of_the_end(line)).collect()
+                before
+                    .split_inclusive('\n')
+                    .take_while(is_done)
+                    .filter(|line| !is_of_the_end(line))
+                    .collect()
             }
         };
-        Ok(Self { run_folder: work, config, trainer, log })
+        Ok(Self {
+            run_folder: work,
+            config,
+            trainer,
+            log,
+        })
     }
 
     /// Returns the number of completed episodes.
@@ -112,15 +136,25 @@ impl<'a> TrainingFolder<'a> {
         observer: &dyn Observer<TrainingEvent>,
     ) -> Result<SeedResult, TrainingError> {
         let configuration = config_toml(self.config)?;
-        let known = if self.run_folder.is_complete() { self.run_folder.read(CONFIGURATION)? } else { None };
+        let known = if self.run_folder.is_complete() {
+            self.run_folder.read(CONFIGURATION)?
+        } else {
+            None
+        };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
             return read_result(&self.run_folder);
         }
         self.run_folder.write(CONFIGURATION, configuration)?;
-        let mut keeper = FolderRecorder { run_folder: &self.run_folder, log: self.log, observer };
-        let trained = train_with_recorder::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
+        let mut keeper = FolderRecorder {
+            run_folder: &self.run_folder,
+            log: self.log,
+            observer,
+        };
+        let trained =
+            train_with_recorder::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
         let log = keeper.log;
-        let has_learned = self.config.imitation.is_some() || self.trainer.best().is_some_and(|best| best.episode > 0);
+        let has_learned = self.config.imitation.is_some()
+            || self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
             // An untrained network is no result of a training.
             self.run_folder.transaction().remove(POLICY).commit()?;
@@ -137,7 +171,9 @@ impl<'a> TrainingFolder<'a> {
         };
         // The checkpoint precedes a final evaluation that is not due otherwise.
         let mut changes = self.run_folder.transaction();
-        changes.write(LOG, log).write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
+        changes
+            .write(LOG, log)
+            .write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
         if has_learned {
             changes.write(POLICY, policy.to_bytes()?);
         }
@@ -163,7 +199,10 @@ impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
         let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
         let mut changes = self.run_folder.transaction();
-        changes.write(LOG, self.log.as_str()).write(POLICY, policy).write(CHECKPOINT, checkpoint);
+        changes
+            .write(LOG, self.log.as_str())
+            .write(POLICY, policy)
+            .write(CHECKPOINT, checkpoint);
         Ok(changes.commit()?)
     }
 }
@@ -179,23 +218,35 @@ pub fn read_finished_trainings(
     let mut seeds = Vec::new();
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
-        let seed = name.to_str().and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
+        let seed = name
+            .to_str()
+            .and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
         // `seed-07` is not the name of a seed's folder.
-        seeds.extend(seed.filter(|&seed| name == *format!("seed-{seed}") && seed_folder(out, seed).is_dir()));
+        seeds.extend(
+            seed.filter(|&seed| name == *format!("seed-{seed}") && seed_folder(out, seed).is_dir()),
+        );
     }
     seeds.sort_unstable();
     let mut finished = Vec::new();
     for seed in seeds {
-        let (folder, manifest) = (seed_folder(out, seed), seed_folder(out, seed).join(MANIFEST_FILE));
+        let (folder, manifest) = (
+            seed_folder(out, seed),
+            seed_folder(out, seed).join(MANIFEST_FILE),
+        );
         if !manifest.exists() {
-            if [POLICY, CHECKPOINT].iter().any(|name| folder.join(name).exists()) {
+            if [POLICY, CHECKPOINT]
+                .iter()
+                .any(|name| folder.join(name).exists())
+            {
                 return Err(RunFolderError::missing(&manifest).into());
             }
             // Another process may be about to start there.
             continue;
         }
         let work = match open_run_folder(out, config, seed, true) {
-            Err(TrainingError::RunFolder(RunFolderError::InUse { .. } | RunFolderError::OtherBuild { .. })) => continue,
+            Err(TrainingError::RunFolder(
+                RunFolderError::InUse { .. } | RunFolderError::OtherBuild { .. },
+            )) => continue,
             work => work?,
         };
         if work.is_complete() {
@@ -207,7 +258,12 @@ pub fn read_finished_trainings(
 }
 
 /// Opens the run folder of a seed.
-fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<RunFolder, TrainingError> {
+fn open_run_folder(
+    out: &Path,
+    config: &TrainingConfig,
+    seed: u64,
+    resume: bool,
+) -> Result<RunFolder, TrainingError> {
     let folder = seed_folder(out, seed);
     let configuration = training_identity(config, seed)?;
     let asked = RunFolderOptions {
@@ -221,8 +277,17 @@ fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool)
 }
 
 /// Returns everything that determines a training, except the number of episodes, which may grow.
-pub(super) fn training_identity(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
-    Ok(format!("seed = {seed}\n{}", config_toml(&TrainingConfig { episodes: 0, ..config.clone() })?))
+pub(super) fn training_identity(
+    config: &TrainingConfig,
+    seed: u64,
+) -> Result<String, TrainingError> {
+    Ok(format!(
+        "seed = {seed}\n{}",
+        config_toml(&TrainingConfig {
+            episodes: 0,
+            ..config.clone()
+        })?
+    ))
 }
 
 pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {

@@ -51,12 +51,20 @@ pub struct ImitationConfig {
     pub loss: ImitationLoss,
     /// Weight of the squared difference between the changes of both actions up to the next decision, relative to the
     /// loss. Keeps noise of the observations out of the actions; 0 for none.
-    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
+    #[serde(
+        default,
+        skip_serializing_if = "is_default",
+        deserialize_with = "deserialize_f32_no_underflow"
+    )]
     pub change_weight: f32,
     /// Weight of a penalty on hard braking in spaces whose `costs_times` is above 1, relative to the loss; 0 for none.
     /// The penalty is the squared difference by which the policy brakes harder than both the expert and
     /// [`EASY_BRAKE_MPS2`].
-    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
+    #[serde(
+        default,
+        skip_serializing_if = "is_default",
+        deserialize_with = "deserialize_f32_no_underflow"
+    )]
     pub hard_brake_weight: f32,
     /// Weight of the mean squared difference in the actor's loss in the first episode of reinforcement learning
     /// (Fujimoto and Gu, 2021, with a factor that decays).
@@ -130,8 +138,16 @@ pub(super) struct ImitationBatch {
 
 impl ImitationBatch {
     fn clear(&mut self) {
-        let Self { states, actions, next_actions, weights, hard_actions } = self;
-        [states, actions, next_actions, weights, hard_actions].into_iter().for_each(Vec::clear);
+        let Self {
+            states,
+            actions,
+            next_actions,
+            weights,
+            hard_actions,
+        } = self;
+        [states, actions, next_actions, weights, hard_actions]
+            .into_iter()
+            .for_each(Vec::clear);
     }
 }
 
@@ -142,7 +158,9 @@ impl ImitationConfig {
     /// [`TrainingConfigError::Field`] if it is no built-in controller.
     pub fn expert_in(&self, scenario: &Scenario) -> Result<ControllerSpec, TrainingConfigError> {
         match &self.expert_if_unaware {
-            Some(expert) if has_unaware_follower(scenario) => find_expert("expert_if_unaware", expert),
+            Some(expert) if has_unaware_follower(scenario) => {
+                find_expert("expert_if_unaware", expert)
+            }
             _ => find_expert("expert", &self.expert),
         }
     }
@@ -159,7 +177,11 @@ impl ImitationConfig {
             ("batch", self.batch as f64, [1.0, 65_536.0]),
             ("rate", f64::from(self.rate), [0.0, 1.0]),
             ("change_weight", f64::from(self.change_weight), [0.0, 1e6]),
-            ("hard_brake_weight", f64::from(self.hard_brake_weight), [0.0, 1e6]),
+            (
+                "hard_brake_weight",
+                f64::from(self.hard_brake_weight),
+                [0.0, 1e6],
+            ),
             ("weight", f64::from(self.weight), [0.0, 1e6]),
             ("weight_decay", self.weight_decay, [0.0, 1.0]),
         ] {
@@ -170,11 +192,14 @@ impl ImitationConfig {
 }
 
 fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfigError> {
-    let problem = |problem: String| TrainingConfigError::field(format!("imitation.{field}"), problem);
+    let problem =
+        |problem: String| TrainingConfigError::field(format!("imitation.{field}"), problem);
     match ControllerSpec::parse(text) {
         Some(Ok(expert)) => Ok(expert),
         Some(Err(error)) => Err(problem(error.to_string())),
-        None => Err(problem(format!("`{text}` is no built-in controller: see `crumple list`"))),
+        None => Err(problem(format!(
+            "`{text}` is no built-in controller: see `crumple list`"
+        ))),
     }
 }
 
@@ -190,16 +215,27 @@ impl Trainer {
         &mut self,
         mut done: impl FnMut(&ImitationRound) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Some(imitation) = self.config.imitation.clone() else { return Ok(()) };
-        let initial = self.has_initial_policy.then(|| self.build_policy(self.learner.actor.network.clone(), 0));
+        let Some(imitation) = self.config.imitation.clone() else {
+            return Ok(());
+        };
+        let initial = self
+            .has_initial_policy
+            .then(|| self.build_policy(self.learner.actor.network.clone(), 0));
         let initial = initial.transpose()?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
             let before = (rows.contacts, rows.episodes);
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
             let policy_drives = round > 0 || self.has_initial_policy;
-            let driver = policy_drives.then(|| self.build_policy(self.learner.actor.network.clone(), 0)).transpose()?;
-            self.collect(&imitation, [driver.as_ref(), initial.as_ref()], wanted, &mut rows)?;
+            let driver = policy_drives
+                .then(|| self.build_policy(self.learner.actor.network.clone(), 0))
+                .transpose()?;
+            self.collect(
+                &imitation,
+                [driver.as_ref(), initial.as_ref()],
+                wanted,
+                &mut rows,
+            )?;
             let loss = self.fit(&imitation, &rows, round);
             let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
             done(&ImitationRound {
@@ -212,7 +248,12 @@ impl Trainer {
         }
         let actor = &mut self.learner.actor;
         if let Some(initial) = &initial {
-            for (new, &old) in actor.network.parameters_mut().iter_mut().zip(initial.network().parameters()) {
+            for (new, &old) in actor
+                .network
+                .parameters_mut()
+                .iter_mut()
+                .zip(initial.network().parameters())
+            {
                 *new = 0.5 * *new + 0.5 * old;
             }
         }
@@ -229,22 +270,27 @@ impl Trainer {
         wanted: u64,
         rows: &mut Rows,
     ) -> Result<(), TrainingError> {
-        let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
+        let constants = EpisodeConstants::new(
+            self.config.environment.clone(),
+            self.config.learning.discount,
+        );
         let seed = random::derived_seed(self.seed, SEED_INDEX);
         let hard_action = action_bounds(&self.config.environment).action(-EASY_BRAKE_MPS2);
         while (rows.actions.len() as u64) < wanted {
             let episodes = rows.episodes..rows.episodes + EPISODES_AT_ONCE;
             let driven = episodes.into_par_iter().map(|index| {
                 let scenario = self.draw(seed, index)?;
-                let options =
-                    RunOptions::new(imitation.expert_in(&scenario)?).with_estimator(self.config.environment.estimator);
+                let options = RunOptions::new(imitation.expert_in(&scenario)?)
+                    .with_estimator(self.config.environment.estimator);
                 let run = Run::new(&scenario, options)?;
-                let episode = TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
+                let episode =
+                    TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
                 let weight = self.source.cost_multiplier(seed, index) as f32;
                 let mut rows = drive(episode, driver, initial.filter(|_| weight > 1.0));
                 rows.weights.resize(rows.actions.len(), weight);
                 let hard = if weight > 1.0 { hard_action } else { -1.0 };
-                rows.hard_actions.extend(rows.actions.iter().map(|action| action.min(hard)));
+                rows.hard_actions
+                    .extend(rows.actions.iter().map(|action| action.min(hard)));
                 Ok(rows)
             });
             for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
@@ -264,7 +310,8 @@ impl Trainer {
         if let Some(last) = rows.is_last.last_mut() {
             *last = true;
         }
-        rows.states.truncate(wanted as usize * self.config.environment.observation.width());
+        rows.states
+            .truncate(wanted as usize * self.config.environment.observation.width());
         Ok(())
     }
 
@@ -283,14 +330,21 @@ impl Trainer {
             for batch in order.chunks(imitation.batch) {
                 sample.clear();
                 for &row in batch {
-                    sample.states.extend_from_slice(&rows.states[row * width..(row + 1) * width]);
+                    sample
+                        .states
+                        .extend_from_slice(&rows.states[row * width..(row + 1) * width]);
                     sample.actions.push(rows.actions[row]);
                     sample.weights.push(rows.weights[row]);
                     sample.hard_actions.push(rows.hard_actions[row]);
                 }
                 if imitation.change_weight > 0.0 {
-                    for next in batch.iter().map(|&row| row + usize::from(!rows.is_last[row])) {
-                        sample.states.extend_from_slice(&rows.states[next * width..(next + 1) * width]);
+                    for next in batch
+                        .iter()
+                        .map(|&row| row + usize::from(!rows.is_last[row]))
+                    {
+                        sample
+                            .states
+                            .extend_from_slice(&rows.states[next * width..(next + 1) * width]);
                         sample.next_actions.push(rows.actions[next]);
                     }
                 }
@@ -304,7 +358,8 @@ impl Trainer {
 
 /// Drives an episode and records the actions of the expert, or of `instead`.
 fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<&Policy>) -> Rows {
-    let (mut past, mut space, mut rows) = (FrameStack::default(), Workspace::default(), Rows::default());
+    let (mut past, mut space, mut rows) =
+        (FrameStack::default(), Workspace::default(), Rows::default());
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);
@@ -316,7 +371,8 @@ fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<
             }
             None => episode.step_by_expert(),
         };
-        rows.actions.push(answer.or(outcome.expert_action).unwrap_or_default());
+        rows.actions
+            .push(answer.or(outcome.expert_action).unwrap_or_default());
         rows.is_last.push(outcome.ending != EpisodeEnding::None);
         if outcome.ending != EpisodeEnding::None {
             rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);

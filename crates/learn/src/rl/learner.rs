@@ -28,7 +28,11 @@ pub struct TrainableNetwork {
 
 impl TrainableNetwork {
     fn new(network: Network) -> Self {
-        Self { target: network.clone(), adam: Adam::new(network.parameters().len()), network }
+        Self {
+            target: network.clone(),
+            adam: Adam::new(network.parameters().len()),
+            network,
+        }
     }
 }
 
@@ -75,23 +79,36 @@ pub struct Losses {
 
 impl Learner {
     pub(super) fn networks(&self) -> impl Iterator<Item = &Network> {
-        std::iter::once(&self.actor).chain(&self.critics).flat_map(|part| [&part.network, &part.target])
+        std::iter::once(&self.actor)
+            .chain(&self.critics)
+            .flat_map(|part| [&part.network, &part.target])
     }
 
     /// Creates networks with initial weights from `seed`.
     #[must_use]
     pub fn new(config: &TrainingConfig, seed: u64) -> Self {
-        let TrainingConfig { network, learning, td3, .. } = config;
+        let TrainingConfig {
+            network,
+            learning,
+            td3,
+            ..
+        } = config;
         let inputs = config.environment.observation.width();
         let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
         let fresh = |index, inputs| {
             let mut stream = random::stream(seed, Purpose::InitialWeights, index);
-            TrainableNetwork::new(init_network(&sizes(inputs), network.final_layer_bound, &mut stream))
+            TrainableNetwork::new(init_network(
+                &sizes(inputs),
+                network.final_layer_bound,
+                &mut stream,
+            ))
         };
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
             actor: fresh(0, inputs),
-            critics: (1..=critics).map(|index| fresh(index, inputs + learning.privileged_width() + 1)).collect(),
+            critics: (1..=critics)
+                .map(|index| fresh(index, inputs + learning.privileged_width() + 1))
+                .collect(),
             updates: 0,
             state_width: inputs,
             lr_factor: 1.0,
@@ -107,15 +124,23 @@ impl Learner {
     pub fn act(&mut self, states: &[f32]) -> &[f32] {
         let UpdateWorkspace { actor, actions, .. } = &mut self.workspace;
         let batch = states.len() / self.state_width;
-        let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
+        let raw = actor.forward(&self.actor.network, batch, |input| {
+            input.extend_from_slice(states)
+        });
         squash_actions(raw, actions);
         actions
     }
 
     /// Performs one update on a batch. `noise` is the source of target smoothing.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
-        let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
-        with_workers(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
+        let widest = self
+            .networks()
+            .flat_map(Network::layers)
+            .map(|layer| layer.inputs * layer.outputs)
+            .max();
+        with_workers(batch.len() * widest.unwrap_or(0), || {
+            self.step(batch, noise)
+        })
     }
 
     fn step(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
@@ -124,58 +149,100 @@ impl Learner {
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
             let found = self.compute_critic_gradient(index, batch);
-            let TrainableNetwork { network, target, adam } = &mut self.critics[index];
+            let TrainableNetwork {
+                network,
+                target,
+                adam,
+            } = &mut self.critics[index];
             let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.tau));
             let rate = self.lr_factor * self.learning.critic_rate;
-            adam.step(network.parameters_mut(), &self.workspace.critic_gradients, rate, follow);
+            adam.step(
+                network.parameters_mut(),
+                &self.workspace.critic_gradients,
+                rate,
+                follow,
+            );
             if index == 0 {
                 losses = found;
             }
         }
         if actor_is_due && !self.is_actor_frozen {
             self.compute_actor_gradient(batch);
-            let TrainableNetwork { network, target, adam } = &mut self.actor;
+            let TrainableNetwork {
+                network,
+                target,
+                adam,
+            } = &mut self.actor;
             let follow = Some((target.parameters_mut(), self.learning.tau));
             let rate = self.lr_factor * self.learning.actor_rate;
-            adam.step(network.parameters_mut(), &self.workspace.actor_gradients, rate, follow);
+            adam.step(
+                network.parameters_mut(),
+                &self.workspace.actor_gradients,
+                rate,
+                follow,
+            );
         }
         self.updates += 1;
         losses
     }
 
     fn compute_td_targets(&mut self, batch: &Batch, noise: &mut Stream) {
-        let UpdateWorkspace { target, actions, td_targets, .. } = &mut self.workspace;
-        let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
+        let UpdateWorkspace {
+            target,
+            actions,
+            td_targets,
+            ..
+        } = &mut self.workspace;
+        let raw = target.forward(&self.actor.target, batch.len(), |input| {
+            input.extend_from_slice(&batch.next_states)
+        });
         squash_actions(raw, actions);
         if self.td3.target_noise > 0.0 {
             let limit = self.td3.target_noise_limit;
             for action in actions.iter_mut() {
                 let normal: f32 = StandardNormal.sample(noise);
-                *action = (*action + (self.td3.target_noise * normal).clamp(-limit, limit)).clamp(-1.0, 1.0);
+                *action = (*action + (self.td3.target_noise * normal).clamp(-limit, limit))
+                    .clamp(-1.0, 1.0);
             }
         }
         for (index, critic) in self.critics.iter().enumerate() {
-            let fill =
-                |input: &mut Vec<f32>| fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input);
+            let fill = |input: &mut Vec<f32>| {
+                fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input)
+            };
             let values = target.forward(&critic.target, batch.len(), fill);
             if index == 0 {
                 td_targets.clear();
                 td_targets.extend_from_slice(values);
             } else {
-                td_targets.iter_mut().zip(values).for_each(|(goal, &value)| *goal = goal.min(value));
+                td_targets
+                    .iter_mut()
+                    .zip(values)
+                    .for_each(|(goal, &value)| *goal = goal.min(value));
             }
         }
         let discount = self.learning.discount as f32;
-        for ((goal, &reward), &continues) in td_targets.iter_mut().zip(&batch.rewards).zip(&batch.continues) {
+        for ((goal, &reward), &continues) in td_targets
+            .iter_mut()
+            .zip(&batch.rewards)
+            .zip(&batch.continues)
+        {
             *goal = reward + discount * continues * *goal;
         }
     }
 
     /// Computes the gradient of the mean squared error of critic `index`, with the targets in `td_targets`.
     fn compute_critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
-        let UpdateWorkspace { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.workspace;
+        let UpdateWorkspace {
+            critic: tape,
+            td_targets,
+            value_gradients,
+            critic_gradients,
+            ..
+        } = &mut self.workspace;
         let network = &self.critics[index].network;
-        let fill = |input: &mut Vec<f32>| fill_critic_input([&batch.states, &batch.privileged], &batch.actions, input);
+        let fill = |input: &mut Vec<f32>| {
+            fill_critic_input([&batch.states, &batch.privileged], &batch.actions, input)
+        };
         let values = tape.forward(network, batch.len(), fill);
         let n = batch.len() as f64;
         let mut losses = Losses::default();
@@ -201,7 +268,12 @@ impl Learner {
     ) -> f64 {
         let sum = self.compute_imitation_gradient(batch, imitation);
         let network = &mut self.actor.network;
-        adam.step(network.parameters_mut(), &self.workspace.actor_gradients, rate, None);
+        adam.step(
+            network.parameters_mut(),
+            &self.workspace.actor_gradients,
+            rate,
+            None,
+        );
         sum
     }
 
@@ -211,15 +283,29 @@ impl Learner {
     ///
     /// with the row's weight w, the expert's actions e, and the row's least action h that is not hard braking. Returns
     /// the sum over the rows of the batch instead of the mean.
-    fn compute_imitation_gradient(&mut self, batch: &ImitationBatch, imitation: &ImitationConfig) -> f64 {
+    fn compute_imitation_gradient(
+        &mut self,
+        batch: &ImitationBatch,
+        imitation: &ImitationConfig,
+    ) -> f64 {
         let n = batch.actions.len() as f32;
         self.act(&batch.states);
-        let UpdateWorkspace { actor, actions, value_gradients, actor_gradients, .. } = &mut self.workspace;
+        let UpdateWorkspace {
+            actor,
+            actions,
+            value_gradients,
+            actor_gradients,
+            ..
+        } = &mut self.workspace;
         let (actions, next_actions) = actions.split_at(batch.actions.len());
         value_gradients.clear();
         let mut sum = 0.0;
         let hard_weight = imitation.hard_brake_weight;
-        let wanted = batch.actions.iter().zip(&batch.weights).zip(&batch.hard_actions);
+        let wanted = batch
+            .actions
+            .iter()
+            .zip(&batch.weights)
+            .zip(&batch.hard_actions);
         for (&action, ((&wanted, &weight), &hard)) in actions.iter().zip(wanted) {
             let off = action - wanted;
             let (mut cost, mut slope) = match imitation.loss {
@@ -232,7 +318,8 @@ impl Learner {
             sum += f64::from(weight * cost);
             value_gradients.push(weight * slope / n * (1.0 - action * action));
         }
-        for (row, (&next, &next_wanted)) in next_actions.iter().zip(&batch.next_actions).enumerate() {
+        for (row, (&next, &next_wanted)) in next_actions.iter().zip(&batch.next_actions).enumerate()
+        {
             let action = actions[row];
             let off = (next - action) - (next_wanted - batch.actions[row]);
             let weight = imitation.change_weight * batch.weights[row];
@@ -252,9 +339,19 @@ impl Learner {
         let n = batch.len() as f32;
         // The actor is evaluated on the states, then on the next states.
         let smoothness = 2.0 * self.learning.smoothness_penalty / n;
-        let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
-        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } =
-            &mut self.workspace;
+        let next_states = if smoothness > 0.0 {
+            batch.next_states.as_slice()
+        } else {
+            &[]
+        };
+        let UpdateWorkspace {
+            actor,
+            critic: tape,
+            actions,
+            value_gradients,
+            actor_gradients,
+            ..
+        } = &mut self.workspace;
         let rows = (batch.states.len() + next_states.len()) / self.state_width;
         let raw = actor.forward(&self.actor.network, rows, |input| {
             input.extend_from_slice(&batch.states);
@@ -273,16 +370,22 @@ impl Learner {
         let penalty = 2.0 * self.learning.saturation_penalty / n;
         let outputs = actions.iter().zip(actor.output()).zip(&by_action);
         value_gradients.clear();
-        value_gradients.extend(
-            outputs.map(|((&action, &raw), &slope)| {
-                slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
-            }),
-        );
+        value_gradients.extend(outputs.map(|((&action, &raw), &slope)| {
+            slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
+        }));
         let imitation = 2.0 * self.imitation_weight / n;
         if imitation > 0.0 {
-            for ((slope, &action), &wanted) in value_gradients.iter_mut().zip(actions).zip(&batch.expert_actions) {
+            for ((slope, &action), &wanted) in value_gradients
+                .iter_mut()
+                .zip(actions)
+                .zip(&batch.expert_actions)
+            {
                 // A row without an answer of the expert has no imitation gradient.
-                let off = if wanted == NO_EXPERT_ACTION { 0.0 } else { action - wanted };
+                let off = if wanted == NO_EXPERT_ACTION {
+                    0.0
+                } else {
+                    action - wanted
+                };
                 *slope += imitation * off * (1.0 - action * action);
             }
         }
@@ -332,7 +435,11 @@ fn init_network(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Netwo
     let last = layers.len() - 1;
     for (index, layer) in layers.enumerate() {
         let fan_in = (layer.inputs as f32).sqrt().recip();
-        let bound = if index == last && final_bound > 0.0 { final_bound } else { fan_in };
+        let bound = if index == last && final_bound > 0.0 {
+            final_bound
+        } else {
+            fan_in
+        };
         for parameter in &mut network.parameters_mut()[layer.offset..layer.biases().end] {
             *parameter = stream.random_range(-bound..=bound);
         }
@@ -350,11 +457,16 @@ mod tests {
         let mut config = TrainingConfig::preset("fast").unwrap();
         config.network.hidden = vec![6, 5];
         config.network.final_layer_bound = 0.5;
-        let imitation: &str = include_str!("tests/imitation.toml").split_once("[imitation]").unwrap().1;
+        let imitation: &str = include_str!("tests/imitation.toml")
+            .split_once("[imitation]")
+            .unwrap()
+            .1;
         let imitation: ImitationConfig = toml::from_str(imitation).unwrap();
         let mut learner = Learner::new(&config, 3);
         let mut stream = random::stream(5, Purpose::Exploration, 0);
-        let mut numbers = |count: usize| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.0..1.0)).collect() };
+        let mut numbers = |count: usize| -> Vec<f32> {
+            (0..count).map(|_| stream.random_range(-1.0..1.0)).collect()
+        };
         let batch = ImitationBatch {
             states: numbers(2 * 4 * learner.state_width),
             actions: numbers(4),
@@ -363,7 +475,10 @@ mod tests {
             hard_actions: vec![-1.0, 0.9, 0.8, 0.9],
         };
         for loss in [ImitationLoss::Squared, ImitationLoss::Absolute] {
-            let imitation = ImitationConfig { loss, ..imitation.clone() };
+            let imitation = ImitationConfig {
+                loss,
+                ..imitation.clone()
+            };
             learner.compute_imitation_gradient(&batch, &imitation);
             let gradients = learner.workspace.actor_gradients.clone();
             for (index, &gradient) in gradients.iter().enumerate().step_by(7) {

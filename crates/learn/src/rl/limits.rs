@@ -32,7 +32,10 @@ impl TrainingConfig {
     /// [`TrainingConfigError::Range`] and [`TrainingConfigError::Field`] name the first invalid field.
     pub fn check(&self) -> Result<(), TrainingConfigError> {
         if self.version != TRAINING_VERSION {
-            let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
+            let problem = format!(
+                "version {} is not supported; this release reads {TRAINING_VERSION}",
+                self.version
+            );
             return Err(TrainingConfigError::field("version", problem));
         }
         if self.name.trim().is_empty() {
@@ -41,13 +44,41 @@ impl TrainingConfig {
         // An imitation needs no reinforcement learning.
         let least = if self.imitation.is_some() { 0.0 } else { 1.0 };
         check_range("episodes", self.episodes as f64, [least, 1e7])?;
-        check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
-        check_range("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
-        check_range("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
-        check_range("environment.harm_reward", self.environment.harm_reward, [-1e9, 0.0])?;
-        check_range("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
-        check_range("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
-        let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
+        check_range(
+            "environment.decision_steps",
+            f64::from(self.environment.action_repeat),
+            [1.0, 1500.0],
+        )?;
+        check_range(
+            "environment.step_reward",
+            self.environment.step_reward,
+            [0.0, 1e6],
+        )?;
+        check_range(
+            "environment.contact_reward",
+            self.environment.contact_reward,
+            [-1e9, 0.0],
+        )?;
+        check_range(
+            "environment.harm_reward",
+            self.environment.harm_reward,
+            [-1e9, 0.0],
+        )?;
+        check_range(
+            "environment.reward_scale",
+            self.environment.reward_scale,
+            [1e-9, 1e3],
+        )?;
+        check_range(
+            "environment.max_accel_mps2",
+            self.environment.max_accel_mps2,
+            [0.1, 30.0],
+        )?;
+        let mut terms = self
+            .environment
+            .costs
+            .ranges()
+            .chain(self.environment.observation.ranges());
         terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.environment.observation.check()?;
         let layers = self.network.hidden.len();
@@ -56,51 +87,160 @@ impl TrainingConfig {
             return Err(TrainingConfigError::field("network.hidden", problem));
         }
         for (layer, &width) in self.network.hidden.iter().enumerate() {
-            check_range(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
+            check_range(
+                &format!("network.hidden[{layer}]"),
+                width as f64,
+                [1.0, 4096.0],
+            )?;
         }
         if let Some(imitation) = &self.imitation {
             imitation.check()?;
         }
-        check_range("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
-        check_range("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
-        check_range("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
+        check_range(
+            "network.final_layer_bound",
+            f64::from(self.network.final_layer_bound),
+            [0.0, 1.0],
+        )?;
+        check_range(
+            "learning.actor_rate",
+            f64::from(self.learning.actor_rate),
+            [0.0, 1.0],
+        )?;
+        check_range(
+            "learning.critic_rate",
+            f64::from(self.learning.critic_rate),
+            [0.0, 1.0],
+        )?;
         if let Some(fall) = &self.learning.lr_decay {
-            check_range("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
-            check_range("learning.rates_fall.to_share", fall.final_factor, [0.0, 1.0])?;
+            check_range(
+                "learning.rates_fall.until_episode",
+                fall.until_episode as f64,
+                [1.0, 1e7],
+            )?;
+            check_range(
+                "learning.rates_fall.to_share",
+                fall.final_factor,
+                [0.0, 1.0],
+            )?;
         }
-        check_range("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
-        check_range("learning.soft_update", f64::from(self.learning.tau), [0.0, 1.0])?;
-        check_range("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
-        check_range("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
-        check_penalty("learning.saturation_penalty", self.learning.saturation_penalty)?;
-        check_penalty("learning.smoothness_penalty", self.learning.smoothness_penalty)?;
-        check_range("exploration.random_episodes", self.exploration.learning_starts_episode as f64, [0.0, 1e7])?;
+        check_range(
+            "learning.discount",
+            self.learning.discount,
+            [0.0, 0.999_999_9],
+        )?;
+        check_range(
+            "learning.soft_update",
+            f64::from(self.learning.tau),
+            [0.0, 1.0],
+        )?;
+        check_range(
+            "learning.batch",
+            self.learning.batch as f64,
+            [1.0, 65_536.0],
+        )?;
+        check_range(
+            "learning.decisions_per_update",
+            f64::from(self.learning.decisions_per_update),
+            [1.0, 1e6],
+        )?;
+        check_penalty(
+            "learning.saturation_penalty",
+            self.learning.saturation_penalty,
+        )?;
+        check_penalty(
+            "learning.smoothness_penalty",
+            self.learning.smoothness_penalty,
+        )?;
+        check_range(
+            "exploration.random_episodes",
+            self.exploration.learning_starts_episode as f64,
+            [0.0, 1e7],
+        )?;
         let random = self.exploration.learning_starts_episode;
-        if let Some(fall) = self.learning.lr_decay.as_ref().filter(|fall| fall.until_episode <= random) {
+        if let Some(fall) = self
+            .learning
+            .lr_decay
+            .as_ref()
+            .filter(|fall| fall.until_episode <= random)
+        {
             let problem = format!(
                 "must be above exploration.random_episodes, after which learning starts: above {random}, found {}",
                 fall.until_episode
             );
-            return Err(TrainingConfigError::field("learning.rates_fall.until_episode", problem));
+            return Err(TrainingConfigError::field(
+                "learning.rates_fall.until_episode",
+                problem,
+            ));
         }
-        check_range("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
+        check_range(
+            "exploration.random_hold_steps",
+            f64::from(self.exploration.random_hold_steps),
+            [1.0, 1500.0],
+        )?;
         check_range("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
-        check_range("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
+        check_range(
+            "exploration.noise_decay",
+            self.exploration.noise_decay,
+            [0.0, 1.0],
+        )?;
         check_range("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
         if self.replay.capacity < self.learning.batch {
-            let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
+            let problem = format!(
+                "holds {} transitions, less than learning.batch",
+                self.replay.capacity
+            );
             return Err(TrainingConfigError::field("replay.capacity", problem));
         }
-        check_range("replay.contact_share", self.replay.collision_fraction, [0.0, 1.0])?;
-        check_range("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
-        check_range("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
-        check_range("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
-        check_range("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
-        check_range("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
-        check_range("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
-        check_range("evaluation.useful_draws", self.evaluation.usefulness_draws as f64, [0.0, 1e4])?;
-        check_range("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
-        check_range("evaluation.mean_over_updates", self.evaluation.weight_average_updates as f64, [0.0, 1e9])?;
+        check_range(
+            "replay.contact_share",
+            self.replay.collision_fraction,
+            [0.0, 1.0],
+        )?;
+        check_range(
+            "td3.actor_every",
+            f64::from(self.td3.actor_every),
+            [1.0, 1e6],
+        )?;
+        check_range(
+            "td3.target_noise",
+            f64::from(self.td3.target_noise),
+            [0.0, 10.0],
+        )?;
+        check_range(
+            "td3.target_noise_limit",
+            f64::from(self.td3.target_noise_limit),
+            [0.0, 10.0],
+        )?;
+        check_range(
+            "evaluation.every_episodes",
+            self.evaluation.every_episodes as f64,
+            [1.0, 1e9],
+        )?;
+        check_range(
+            "evaluation.screening_draws",
+            self.evaluation.screening_draws as f64,
+            [1.0, 1e6],
+        )?;
+        check_range(
+            "evaluation.ranking_draws",
+            self.evaluation.ranking_draws as f64,
+            [0.0, 1e6],
+        )?;
+        check_range(
+            "evaluation.useful_draws",
+            self.evaluation.usefulness_draws as f64,
+            [0.0, 1e4],
+        )?;
+        check_range(
+            "evaluation.master_gap_m",
+            self.evaluation.master_gap_m,
+            [0.0, 16.0],
+        )?;
+        check_range(
+            "evaluation.mean_over_updates",
+            self.evaluation.weight_average_updates as f64,
+            [0.0, 1e9],
+        )?;
         space_mixture::check_spaces(&self.spaces)?;
         self.check_memory()
     }
@@ -108,27 +248,46 @@ impl TrainingConfig {
     /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
     fn check_memory(&self) -> Result<(), TrainingConfigError> {
         let parts = self.memory_by_field();
-        let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
+        let found = parts
+            .iter()
+            .fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
         let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
-        let Some((field, _)) = largest.filter(|_| found > MAX_MEMORY_BYTES) else { return Ok(()) };
+        let Some((field, _)) = largest.filter(|_| found > MAX_MEMORY_BYTES) else {
+            return Ok(());
+        };
         let (found, allowed) = (found >> 20, MAX_MEMORY_BYTES >> 20);
-        let problem = format!("training takes about {found} MiB of memory, and at most {allowed} MiB are allowed");
+        let problem = format!(
+            "training takes about {found} MiB of memory, and at most {allowed} MiB are allowed"
+        );
         Err(TrainingConfigError::field(*field, problem))
     }
 
     /// Returns an upper bound of the bytes of each part of a training, with the field that determines it.
     fn memory_by_field(&self) -> [(&'static str, u64); 5] {
         let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
-        let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
+        let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]]
+            .concat()
+            .iter()
+            .map(|&w| w as u64)
+            .collect();
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
-        let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.usefulness_draws;
+        let draws = self.evaluation.screening_draws
+            + self.evaluation.ranking_draws
+            + self.evaluation.usefulness_draws;
         let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
         // The replay memory and its checkpoint. Without episodes it stays empty.
-        let capacity = if self.episodes > 0 { self.replay.capacity as u64 } else { 0 };
+        let capacity = if self.episodes > 0 {
+            self.replay.capacity as u64
+        } else {
+            0
+        };
         let replay = 2 * (self.transition_layout().width() as u64 + 1) * capacity;
         [
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
-            ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
+            (
+                "learning.batch",
+                float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>()),
+            ),
             ("replay.capacity", float_bytes(replay)),
             ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
             (
@@ -136,7 +295,10 @@ impl TrainingConfig {
                 float_bytes(self.imitation.as_ref().map_or(0, |imitation| {
                     // Observation, action, weight, end of the episode, and place in the order of a pass.
                     let row = self.environment.observation.width() as u64 + 5;
-                    imitation.rows.saturating_mul(u64::from(imitation.rounds)).saturating_mul(row)
+                    imitation
+                        .rows
+                        .saturating_mul(u64::from(imitation.rounds))
+                        .saturating_mul(row)
                 })),
             ),
         ]
@@ -155,7 +317,10 @@ mod tests {
             let bytes = preset.memory_by_field().map(|(_, bytes)| bytes);
             // The rows of an imitation take more than transitions.
             let share = if preset.imitation.is_some() { 2 } else { 16 };
-            assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / share, "{name}: {bytes:?}");
+            assert!(
+                bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / share,
+                "{name}: {bytes:?}"
+            );
         }
         let mut large = TrainingConfig::preset("paper").unwrap();
         large.network.hidden = vec![1024; 4];
@@ -164,16 +329,33 @@ mod tests {
             let mut config = TrainingConfig::preset("paper").unwrap();
             change(&mut config);
             let error = config.check().unwrap_err().to_string();
-            assert!(error.starts_with(&format!("{field}: training takes about ")), "{error}");
-            assert!(error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"), "{error}");
+            assert!(
+                error.starts_with(&format!("{field}: training takes about ")),
+                "{error}"
+            );
+            assert!(
+                error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"),
+                "{error}"
+            );
         };
-        refused("network.hidden", &|config| config.network.hidden = vec![4096; 16]);
-        refused("replay.capacity", &|config| config.replay.capacity = 100_000_000);
+        refused("network.hidden", &|config| {
+            config.network.hidden = vec![4096; 16]
+        });
+        refused("replay.capacity", &|config| {
+            config.replay.capacity = 100_000_000
+        });
         refused("evaluation.ranking_draws", &|config| {
-            (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (900_000, 1_000_000);
+            (
+                config.evaluation.screening_draws,
+                config.evaluation.ranking_draws,
+            ) = (900_000, 1_000_000);
         });
         refused("learning.batch", &|config| {
-            (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
+            (
+                config.network.hidden,
+                config.learning.batch,
+                config.replay.capacity,
+            ) = (vec![2048; 8], 65_536, 65_536);
         });
     }
 }

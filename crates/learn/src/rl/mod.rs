@@ -35,13 +35,15 @@ pub use adam::Adam;
 #[cfg(feature = "schema")]
 pub use config::json_schema;
 pub use config::{
-    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, LrDecay, NetworkConfig, PRESETS,
-    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
+    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, LrDecay, NetworkConfig,
+    PRESETS, ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
 pub use config_error::TrainingConfigError;
 pub use costs::CostConfig;
 pub use curve::{learning_curve, parse_episode};
-pub use environment::{EpisodeConstants, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds};
+pub use environment::{
+    EpisodeConstants, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds,
+};
 pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
 pub use imitation::{ImitationConfig, ImitationLoss, ImitationRound};
@@ -55,7 +57,9 @@ pub use source::{CaseMixture, PaperSource, ScenarioSource, SourceMixture, unsuit
 pub use space_mixture::{SpaceMixture, TrainingSpace};
 pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};
 pub use usefulness::TrafficUsefulness;
-pub(crate) use usefulness::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficBenchmark, measure_usefulness};
+pub(crate) use usefulness::{
+    EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficBenchmark, measure_usefulness,
+};
 
 #[cfg(test)]
 mod tests;

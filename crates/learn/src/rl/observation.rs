@@ -4,7 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use super::serde_helpers::{is_one, one};
-use crumple_world::policy::{ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN};
+use crumple_world::policy::{
+    ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN,
+};
 
 /// Inputs of the networks, each as `(x - offset) / scale`, clipped to ±`limit`. Quantities that `inputs` omits are 0.
 ///
@@ -88,7 +90,10 @@ pub struct InputScaling {
 }
 
 /// Scaling that maps every value to 0.
-const MASKED_INPUT: InputScaling = InputScaling { offset: 0.0, scale: f64::MAX };
+const MASKED_INPUT: InputScaling = InputScaling {
+    offset: 0.0,
+    scale: f64::MAX,
+};
 
 impl ObservationInputs {
     /// Returns field and scaling of each input in the order of the network inputs, which is that of the paper.
@@ -101,23 +106,45 @@ impl ObservationInputs {
             ("speed_behind_mps", &mut self.speed_behind_mps),
             ("acceleration_ahead_mps2", &mut self.acceleration_ahead_mps2),
             ("acceleration_mps2", &mut self.acceleration_mps2),
-            ("acceleration_behind_mps2", &mut self.acceleration_behind_mps2),
+            (
+                "acceleration_behind_mps2",
+                &mut self.acceleration_behind_mps2,
+            ),
         ]
     }
 
     fn to_array(&self) -> [(&'static str, Option<InputScaling>); STATE_LEN] {
-        self.clone().fields_mut().map(|(name, input)| (name, *input))
+        self.clone()
+            .fields_mut()
+            .map(|(name, input)| (name, *input))
     }
 }
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        let ObservationScaling { offset, scale, limit, empty_gap_m, .. } = ObservationScaling::default();
+        let ObservationScaling {
+            offset,
+            scale,
+            limit,
+            empty_gap_m,
+            ..
+        } = ObservationScaling::default();
         let mut inputs = ObservationInputs::default();
-        for ((_, input), (offset, scale)) in inputs.fields_mut().into_iter().zip(offset.into_iter().zip(scale)) {
+        for ((_, input), (offset, scale)) in inputs
+            .fields_mut()
+            .into_iter()
+            .zip(offset.into_iter().zip(scale))
+        {
             *input = Some(InputScaling { offset, scale });
         }
-        Self { limit, empty_gap_m, history: 1, history_every: 1, inputs, extra: Vec::new() }
+        Self {
+            limit,
+            empty_gap_m,
+            history: 1,
+            history_every: 1,
+            inputs,
+            extra: Vec::new(),
+        }
     }
 }
 
@@ -129,7 +156,10 @@ impl ObservationConfig {
     /// Returns the scaling for a policy file.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
-        let all = self.inputs.to_array().map(|(_, input)| input.unwrap_or(MASKED_INPUT));
+        let all = self
+            .inputs
+            .to_array()
+            .map(|(_, input)| input.unwrap_or(MASKED_INPUT));
         ObservationScaling {
             offset: all.map(|input| input.offset),
             scale: all.map(|input| input.scale),
@@ -143,18 +173,35 @@ impl ObservationConfig {
 
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let inputs = self.inputs.to_array().into_iter().filter_map(|(name, input)| Some((name, input?)));
-        let inputs = inputs.map(|(name, input)| (format!("inputs.{name}"), input.offset, input.scale));
+        let inputs = self
+            .inputs
+            .to_array()
+            .into_iter()
+            .filter_map(|(name, input)| Some((name, input?)));
+        let inputs =
+            inputs.map(|(name, input)| (format!("inputs.{name}"), input.offset, input.scale));
         let extra = self.extra.iter().enumerate();
-        let extra = extra.map(|(index, input)| (format!("extra[{index}]"), input.offset, input.scale));
+        let extra =
+            extra.map(|(index, input)| (format!("extra[{index}]"), input.offset, input.scale));
         let scaled = inputs.chain(extra).flat_map(|(input, offset, scale)| {
-            [(format!("{input}.offset"), offset, [-1e4, 1e4]), (format!("{input}.scale"), scale, [1e-3, 1e4])]
+            [
+                (format!("{input}.offset"), offset, [-1e4, 1e4]),
+                (format!("{input}.scale"), scale, [1e-3, 1e4]),
+            ]
         });
         let whole = [
             ("limit".to_owned(), self.limit, [0.1, 1000.0]),
             ("empty_gap_m".to_owned(), self.empty_gap_m, [1.0, 1e4]),
-            ("history".to_owned(), f64::from(self.history), [1.0, MAX_HISTORY as f64]),
-            ("history_every".to_owned(), f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
+            (
+                "history".to_owned(),
+                f64::from(self.history),
+                [1.0, MAX_HISTORY as f64],
+            ),
+            (
+                "history_every".to_owned(),
+                f64::from(self.history_every),
+                [1.0, MAX_HISTORY as f64],
+            ),
         ];
         let all = whole.into_iter().chain(scaled);
         all.map(|(name, value, range)| (format!("environment.observation.{name}"), value, range))
@@ -163,17 +210,28 @@ impl ObservationConfig {
     /// Refuses an observation without inputs, and an interval without a history.
     pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
         if self.history_every > 1 && self.history == 1 {
-            let problem =
-                "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
-            return Err(TrainingConfigError::field("environment.observation.history_every", problem));
+            let problem = "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
+            return Err(TrainingConfigError::field(
+                "environment.observation.history_every",
+                problem,
+            ));
         }
         if self.extra.len() > MAX_EXTRA_INPUTS {
-            let problem = format!("must have at most {MAX_EXTRA_INPUTS} inputs, found {}", self.extra.len());
-            return Err(TrainingConfigError::field("environment.observation.extra", problem));
+            let problem = format!(
+                "must have at most {MAX_EXTRA_INPUTS} inputs, found {}",
+                self.extra.len()
+            );
+            return Err(TrainingConfigError::field(
+                "environment.observation.extra",
+                problem,
+            ));
         }
         if self.inputs == ObservationInputs::default() {
             let problem = "the observation is empty; name at least one input";
-            return Err(TrainingConfigError::field("environment.observation.inputs", problem));
+            return Err(TrainingConfigError::field(
+                "environment.observation.inputs",
+                problem,
+            ));
         }
         Ok(())
     }
@@ -186,13 +244,24 @@ mod tests {
 
     #[test]
     fn the_default_observation_is_unchanged_and_omitted_values_are_0() {
-        assert_eq!(ObservationConfig::default().scaling(), ObservationScaling::default());
+        assert_eq!(
+            ObservationConfig::default().scaling(),
+            ObservationScaling::default()
+        );
         let mut config = ObservationConfig::default();
         config.inputs.gap_behind_m = None;
         config.inputs.acceleration_ahead_mps2 = None;
-        let neighbour = Neighbour { gap_m: 24.0, speed_mps: 25.0, acceleration_mps2: -5.0 };
-        let seen =
-            Observation { speed_mps: 0.0, acceleration_mps2: 5.0, ahead: Some(neighbour), behind: Some(neighbour) };
+        let neighbour = Neighbour {
+            gap_m: 24.0,
+            speed_mps: 25.0,
+            acceleration_mps2: -5.0,
+        };
+        let seen = Observation {
+            speed_mps: 0.0,
+            acceleration_mps2: 5.0,
+            ahead: Some(neighbour),
+            behind: Some(neighbour),
+        };
         let mut state = [0.0; STATE_LEN];
         config.scaling().write_state(&seen, 0.0, &mut state);
         assert_eq!(state, [0.5, 0.0, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0]);

@@ -20,7 +20,12 @@ const MIN_COST_MULTIPLIER: f64 = 0.01;
 /// their leader.
 pub(super) fn has_unaware_follower(scenario: &Scenario) -> bool {
     let behind = scenario.vehicles().get(EGO + 1);
-    behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))))
+    behind.is_some_and(|vehicle| {
+        matches!(
+            vehicle.driver,
+            Driver::Controller(ControllerSpec::Baseline(_))
+        )
+    })
 }
 
 /// Constants of an episode, and the scenario with the leader's script.
@@ -45,22 +50,29 @@ impl<'s> PrivilegedInfo<'s> {
             flag(behind.is_some()),
             flag(has_unaware_follower(scenario)),
         ];
-        Self { scenario, episode_constants: of_episode.map(|number| number as f32) }
+        Self {
+            scenario,
+            episode_constants: of_episode.map(|number| number as f32),
+        }
     }
 
     /// Returns the inputs of the critic at the present step of an episode.
     pub(super) fn observe(&self, episode: &TrainingEpisode) -> [f32; PRIVILEGED_WIDTH] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
-        let [soon, later] =
-            LOOKAHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
+        let [soon, later] = LOOKAHEAD_S.map(|ahead_s| {
+            match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
                 Some((Driver::Profile(script), speed_mps)) => {
-                    (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps) / FULL_BRAKE_MPS2) as f32
+                    (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps)
+                        / FULL_BRAKE_MPS2) as f32
                 }
                 _ => 0.0,
-            });
+            }
+        });
         let [costs, friction, ahead, own, behind, delay, is_there, holds] = self.episode_constants;
-        [costs, friction, ahead, own, behind, delay, is_there, holds, soon, later]
+        [
+            costs, friction, ahead, own, behind, delay, is_there, holds, soon, later,
+        ]
     }
 }
 
@@ -76,16 +88,41 @@ mod tests {
     fn a_critic_observes_road_drivers_and_future_leader_motion() {
         let config = TrainingConfig::preset("fast").unwrap().environment;
         // Speed 25 m/s, a leader that brakes at 3 m/s² from 1 s on, and a lorry that can brake at 6 m/s².
-        let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+        let scenario = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.environment.friction = 0.5)
+            .unwrap();
+        let run = Run::new(
+            &scenario,
+            RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+        )
+        .unwrap();
         let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));
         let privileged = PrivilegedInfo::new(&scenario, 10.0);
         let expected = |soon: f64, later: f64| {
-            [1.0, 0.5, 0.5, 0.5, 0.4, 0.0, 1.0, 1.0, soon / 7.5, later / 7.5].map(|number| number as f32)
+            [
+                1.0,
+                0.5,
+                0.5,
+                0.5,
+                0.4,
+                0.0,
+                1.0,
+                1.0,
+                soon / 7.5,
+                later / 7.5,
+            ]
+            .map(|number| number as f32)
         };
-        assert_eq!(privileged.observe(&episode), expected(0.0, -3.0 * 2.0 / 3.0));
+        assert_eq!(
+            privileged.observe(&episode),
+            expected(0.0, -3.0 * 2.0 / 3.0)
+        );
         (0..5).for_each(|_| _ = episode.step(0.0));
-        assert_eq!(privileged.observe(&episode), expected(-1.5, -3.0 * 2.5 / 3.0));
+        assert_eq!(
+            privileged.observe(&episode),
+            expected(-1.5, -3.0 * 2.5 / 3.0)
+        );
         (0..5).for_each(|_| _ = episode.step(0.0));
         assert_eq!(privileged.observe(&episode), expected(-3.0, -3.0));
     }
@@ -93,10 +130,15 @@ mod tests {
     #[test]
     fn an_absent_follower_has_no_brake_no_delay_and_no_driver() {
         let scenario = built_in_space("alone").unwrap().draw(1, 2).unwrap();
-        let [costs, .., behind, delay, is_there, holds] = PrivilegedInfo::new(&scenario, 0.0).episode_constants;
-        assert_eq!([costs, behind, delay, is_there, holds], [-2.0, 0.0, 0.0, 0.0, 0.0]);
+        let [costs, .., behind, delay, is_there, holds] =
+            PrivilegedInfo::new(&scenario, 0.0).episode_constants;
+        assert_eq!(
+            [costs, behind, delay, is_there, holds],
+            [-2.0, 0.0, 0.0, 0.0, 0.0]
+        );
         let followed = built_in_space("assisted").unwrap().draw(1, 2).unwrap();
-        let [.., behind, _, is_there, holds] = PrivilegedInfo::new(&followed, 1.0).episode_constants;
+        let [.., behind, _, is_there, holds] =
+            PrivilegedInfo::new(&followed, 1.0).episode_constants;
         assert!(behind > 0.0);
         assert_eq!([is_there, holds], [1.0, 0.0]);
     }

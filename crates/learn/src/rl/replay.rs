@@ -115,11 +115,15 @@ impl Batch {
         self.actions.push(transition.action);
         self.rewards.push(transition.reward);
         self.next_states.extend_from_slice(transition.next_state);
-        let (now, next) = transition.privileged.split_at(transition.privileged.len() / 2);
+        let (now, next) = transition
+            .privileged
+            .split_at(transition.privileged.len() / 2);
         self.privileged.extend_from_slice(now);
         self.next_privileged.extend_from_slice(next);
-        self.continues.push(f32::from(u8::from(transition.continues)));
-        self.expert_actions.push(transition.expert_action.unwrap_or(NO_EXPERT_ACTION));
+        self.continues
+            .push(f32::from(u8::from(transition.continues)));
+        self.expert_actions
+            .push(transition.expert_action.unwrap_or(NO_EXPERT_ACTION));
     }
 }
 
@@ -145,8 +149,16 @@ impl ReplayBuffer {
     /// Stores a transition; a full memory overwrites the oldest one.
     pub(crate) fn push(&mut self, transition: &Transition<'_>) {
         let place = (self.total_stored % self.capacity as u64) as usize;
-        let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
-        let [continues, contact] = [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
+        let known = [
+            transition.state,
+            transition.next_state,
+            transition.privileged,
+        ]
+        .into_iter()
+        .flatten()
+        .copied();
+        let [continues, contact] =
+            [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
         let scalars: [f32; SCALAR_COUNT] = [
             transition.action,
             transition.reward,
@@ -161,7 +173,10 @@ impl ReplayBuffer {
                 if self.contact_indices.front() == Some(&(place as u32)) {
                     self.contact_indices.pop_front();
                 }
-                oldest.iter_mut().zip(numbers).for_each(|(of_oldest, number)| *of_oldest = number);
+                oldest
+                    .iter_mut()
+                    .zip(numbers)
+                    .for_each(|(of_oldest, number)| *of_oldest = number);
             }
             None => {
                 self.reserve_capacity();
@@ -177,19 +192,31 @@ impl ReplayBuffer {
     /// Tries to reserve the full capacity at once, because growing would hold the data twice.
     fn reserve_capacity(&mut self) {
         if self.data.len() == self.data.capacity() {
-            let missing = self.capacity.saturating_mul(self.width).saturating_sub(self.data.len());
+            let missing = self
+                .capacity
+                .saturating_mul(self.width)
+                .saturating_sub(self.data.len());
             let _ = self.data.try_reserve_exact(missing);
         }
     }
 
     /// Samples with replacement; a `contact_share` from transitions that ended in a collision, if any.
-    pub(crate) fn sample(&self, stream: &mut Stream, count: usize, contact_share: f64, batch: &mut Batch) {
+    pub(crate) fn sample(
+        &self,
+        stream: &mut Stream,
+        count: usize,
+        contact_share: f64,
+        batch: &mut Batch,
+    ) {
         batch.clear();
         if self.data.is_empty() {
             return;
         }
-        let of_contacts =
-            if self.contact_indices.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
+        let of_contacts = if self.contact_indices.is_empty() {
+            0
+        } else {
+            (contact_share * count as f64).round() as usize
+        };
         for index in 0..count {
             let place = if index < of_contacts {
                 self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize
@@ -214,25 +241,53 @@ impl ReplayBuffer {
         stored: u64,
         numbers: Vec<f32>,
     ) -> Option<Self> {
-        let mut replay = Self { total_stored: stored, data: numbers, ..Self::new(capacity, remembered) };
-        if !replay.data.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
+        let mut replay = Self {
+            total_stored: stored,
+            data: numbers,
+            ..Self::new(capacity, remembered)
+        };
+        if !replay.data.len().is_multiple_of(replay.width)
+            || replay.len() as u64 != stored.min(capacity as u64)
+        {
             return None;
         }
-        let oldest = if replay.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
+        let oldest = if replay.len() < capacity {
+            0
+        } else {
+            (stored % capacity as u64) as usize
+        };
         let places = (oldest..replay.len()).chain(0..oldest);
-        let is_contact = |&place: &usize| replay.transition(place).is_some_and(|transition| transition.contact);
-        replay.contact_indices = places.filter(is_contact).map(|place| place as u32).collect();
+        let is_contact = |&place: &usize| {
+            replay
+                .transition(place)
+                .is_some_and(|transition| transition.contact)
+        };
+        replay.contact_indices = places
+            .filter(is_contact)
+            .map(|place| place as u32)
+            .collect();
         Some(replay)
     }
 
     fn transition(&self, place: usize) -> Option<Transition<'_>> {
-        let row = self.data.get(place * self.width..(place + 1) * self.width)?;
+        let row = self
+            .data
+            .get(place * self.width..(place + 1) * self.width)?;
         let (known, &[action, reward, continues, contact, expert]) = row.split_last_chunk()?;
         let (state, known) = known.split_at_checked(self.layout.state_width)?;
         let (next_state, privileged) = known.split_at_checked(self.layout.state_width)?;
         let (continues, contact) = (continues != 0.0, contact != 0.0);
         let expert_action = Some(expert).filter(|&action| action != NO_EXPERT_ACTION);
-        Some(Transition { state, next_state, privileged, action, reward, continues, contact, expert_action })
+        Some(Transition {
+            state,
+            next_state,
+            privileged,
+            action,
+            reward,
+            continues,
+            contact,
+            expert_action,
+        })
     }
 }
 
@@ -242,7 +297,10 @@ mod tests {
     use crumple_world::random::{Purpose, stream};
     use proptest::prelude::*;
 
-    const LAYOUT: TransitionLayout = TransitionLayout { state_width: 24, privileged_width: 2 };
+    const LAYOUT: TransitionLayout = TransitionLayout {
+        state_width: 24,
+        privileged_width: 2,
+    };
     const STATE_ROW: [f32; LAYOUT.state_width] = [0.25; LAYOUT.state_width];
     const PRIVILEGED_ROW: [f32; 2 * LAYOUT.privileged_width] = [0.5; 2 * LAYOUT.privileged_width];
 
@@ -288,13 +346,34 @@ mod tests {
         (0..70).for_each(|number| replay.push(&numbered_transition(number)));
         let mut batch = Batch::default();
         let mut counts = [0_u32; 70];
-        replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 70_000, 0.0, &mut batch);
-        batch.rewards.iter().for_each(|&number| counts[number as usize] += 1);
+        replay.sample(
+            &mut stream(1, Purpose::ReplaySampling, 0),
+            70_000,
+            0.0,
+            &mut batch,
+        );
+        batch
+            .rewards
+            .iter()
+            .for_each(|&number| counts[number as usize] += 1);
         // The 99.9 % quantile of χ² with 69 degrees of freedom is 111.
-        let chi_squared: f64 = counts.iter().map(|&n| (f64::from(n) - 1000.0).powi(2) / 1000.0).sum();
+        let chi_squared: f64 = counts
+            .iter()
+            .map(|&n| (f64::from(n) - 1000.0).powi(2) / 1000.0)
+            .sum();
         assert!(chi_squared < 111.0, "{chi_squared}");
-        replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 1000, 0.25, &mut batch);
-        let contacts = batch.rewards.iter().take(250).filter(|&&number| (number as usize).is_multiple_of(7)).count();
+        replay.sample(
+            &mut stream(1, Purpose::ReplaySampling, 0),
+            1000,
+            0.25,
+            &mut batch,
+        );
+        let contacts = batch
+            .rewards
+            .iter()
+            .take(250)
+            .filter(|&&number| (number as usize).is_multiple_of(7))
+            .count();
         assert_eq!((contacts, batch.len()), (250, 1000));
     }
 }

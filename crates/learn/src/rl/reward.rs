@@ -20,7 +20,8 @@ impl CostConfig {
     /// Returns the cost as a share of the step's reward. `before_mps2` is the ego vehicle's last acceleration.
     fn step_cost(&self, now: &StepView<'_>, before_mps2: f64, step_s: f64) -> f64 {
         let motion = now.motion;
-        let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
+        let ([Some(front), Some(ego)], Some(gap_m)) =
+            ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
         else {
             return 0.0;
         };
@@ -35,16 +36,19 @@ impl CostConfig {
             front_acceleration_mps2: front.acceleration_mps2,
             rear_acceleration_mps2: ego.acceleration_mps2,
         };
-        let imposed_mps2 =
-            motion.get(EGO + 1).map_or(0.0, |behind| -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0));
+        let imposed_mps2 = motion.get(EGO + 1).map_or(0.0, |behind| {
+            -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0)
+        });
         self.far * off.clamp(0.0, 1.0)
             + self.near * (-off).clamp(0.0, 1.0)
-            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_RELATIVE_SPEED_MPS).min(1.0)
+            + self.relative_speed
+                * ((front.speed_mps - ego.speed_mps).abs() / FULL_RELATIVE_SPEED_MPS).min(1.0)
             + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
             + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
             + self.induced_braking * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
             + self.unnecessary_braking
-                * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2).max(0.0)
+                * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2)
+                    .max(0.0)
                 / FULL_BRAKE_MPS2
     }
 }
@@ -57,7 +61,11 @@ pub(super) struct RewardTracker {
 
 impl RewardTracker {
     pub(super) fn new(stepper: &Stepper, step_s: f64, costs: &CostConfig) -> Self {
-        Self { step_s, previous_accel_mps2: ego_accel_mps2(stepper.motion()), is_free: costs.is_free() }
+        Self {
+            step_s,
+            previous_accel_mps2: ego_accel_mps2(stepper.motion()),
+            is_free: costs.is_free(),
+        }
     }
 
     #[inline]
@@ -68,7 +76,9 @@ impl RewardTracker {
         if self.is_free {
             return config.step_reward;
         }
-        let cost = config.costs.step_cost(now, self.previous_accel_mps2, self.step_s);
+        let cost = config
+            .costs
+            .step_cost(now, self.previous_accel_mps2, self.step_s);
         self.previous_accel_mps2 = ego_accel_mps2(now.motion);
         config.step_reward * (1.0 - cost)
     }
@@ -90,9 +100,16 @@ mod tests {
 
     /// Simulates one step of paper-1: 25 m/s, braking at 4 m/s², gap 16 m, leader of constant speed.
     fn relative_step_reward(costs: CostConfig) -> f64 {
-        let config = EnvironmentConfig { costs, ..TrainingConfig::preset("fast").unwrap().environment };
+        let config = EnvironmentConfig {
+            costs,
+            ..TrainingConfig::preset("fast").unwrap().environment
+        };
         let scenario = built_in_scenario("paper-1").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+        let run = Run::new(
+            &scenario,
+            RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+        )
+        .unwrap();
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
         let mut reward_tracker = RewardTracker::new(&stepper, 0.01, &config.costs);
         let mut earned = 0.0;
@@ -112,13 +129,57 @@ mod tests {
             let found = relative_step_reward(costs);
             assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
         };
-        costs(CostConfig { near: 1.0, ..none() }, (34.5 - 16.0) / 34.5);
-        costs(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }, (16.0 - 13.5) / 13.5);
-        costs(CostConfig { relative_speed: 10.0, ..none() }, 0.04);
-        costs(CostConfig { acceleration: 2.0, ..none() }, 2.0 * (4.0_f64 / 7.5).powi(2));
-        costs(CostConfig { jerk: 0.5, ..none() }, 0.5 * 400.0 / 75.0);
+        costs(
+            CostConfig {
+                near: 1.0,
+                ..none()
+            },
+            (34.5 - 16.0) / 34.5,
+        );
+        costs(
+            CostConfig {
+                far: 1.0,
+                standstill_m: 1.0,
+                headway_s: 0.5,
+                ..none()
+            },
+            (16.0 - 13.5) / 13.5,
+        );
+        costs(
+            CostConfig {
+                relative_speed: 10.0,
+                ..none()
+            },
+            0.04,
+        );
+        costs(
+            CostConfig {
+                acceleration: 2.0,
+                ..none()
+            },
+            2.0 * (4.0_f64 / 7.5).powi(2),
+        );
+        costs(
+            CostConfig {
+                jerk: 0.5,
+                ..none()
+            },
+            0.5 * 400.0 / 75.0,
+        );
         // The reference driver wants 42 m, so it brakes at 0.73 (42 / 16)² m/s², which exceeds 4 m/s².
-        costs(CostConfig { unnecessary_braking: 1.0, ..none() }, 0.0);
-        costs(CostConfig { induced_braking: 1.0, ..none() }, 0.0);
+        costs(
+            CostConfig {
+                unnecessary_braking: 1.0,
+                ..none()
+            },
+            0.0,
+        );
+        costs(
+            CostConfig {
+                induced_braking: 1.0,
+                ..none()
+            },
+            0.0,
+        );
     }
 }

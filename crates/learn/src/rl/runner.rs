@@ -108,7 +108,10 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     recorder.checkpoint(trainer)?;
     // This evaluation takes place only because the training ends. It comes after the checkpoint, so that a longer
     // training can resume without it.
-    if trainer.episode() > 0 && trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
+    if trainer.episode() > 0
+        && trainer.is_evaluation_due()
+        && !trainer.is_evaluation_episode(trainer.episode())
+    {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
     Ok(())
@@ -122,14 +125,22 @@ fn evaluate_and_record<E: From<TrainingError>>(
     let result = trainer.evaluate(held_out)?;
     let episode = trainer.episode();
     let best = trainer.best().is_some_and(|best| best.episode == episode);
-    recorder.record(&TrainingEvent::Evaluation { episode, best, result })
+    recorder.record(&TrainingEvent::Evaluation {
+        episode,
+        best,
+        result,
+    })
 }
 
 /// Applies `work` to each item on `threads` threads and returns the results in order.
 ///
 /// Several items run at once, each in its own pool of some of the threads, so that none waits for another. A pool that
 /// is done takes the next item.
-pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
+pub fn parallel_map<I: Sync, R: Send>(
+    items: &[I],
+    threads: usize,
+    work: impl Fn(&I) -> R + Sync,
+) -> Vec<R> {
     let at_once = threads.clamp(1, items.len().max(1));
     let next = AtomicUsize::new(0);
     let results: Mutex<Vec<(usize, R)>> = Mutex::new(Vec::with_capacity(items.len()));
@@ -139,18 +150,23 @@ pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn
             items.get(index).map(|item| (index, item))
         } {
             let result = work(item);
-            results.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+            results
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push((index, result));
         }
     };
     std::thread::scope(|scope| {
         let take_turns = &take_turns;
         for place in 0..at_once {
             let share = threads.max(1) / at_once + usize::from(place < threads % at_once);
-            scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
-                Ok(pool) => pool.install(take_turns),
-                // Without its own pool the thread uses the global one: slower, with the same results.
-                Err(_) => take_turns(),
-            });
+            scope.spawn(
+                move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
+                    Ok(pool) => pool.install(take_turns),
+                    // Without its own pool the thread uses the global one: slower, with the same results.
+                    Err(_) => take_turns(),
+                },
+            );
         }
     });
     let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);

@@ -59,7 +59,10 @@ impl ScenarioSource for ScenarioSpace {
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let digest = sha256(serde_json::to_string(self.spec())?);
-        Ok(Some(format!("the space `{}` (sha256 {digest})", self.name())))
+        Ok(Some(format!(
+            "the space `{}` (sha256 {digest})",
+            self.name()
+        )))
     }
 }
 
@@ -75,14 +78,29 @@ impl SourceMixture {
     /// Creates a mixture that draws a `share` of the episodes, clipped to `[0, 1]`, from `first`, the others from
     /// `otherwise`. Each episode equals that of its source alone.
     #[must_use]
-    pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
-        Self { first, first_share: share.clamp(0.0, 1.0), second: otherwise }
+    pub fn new(
+        first: Arc<dyn ScenarioSource>,
+        share: f64,
+        otherwise: Arc<dyn ScenarioSource>,
+    ) -> Self {
+        Self {
+            first,
+            first_share: share.clamp(0.0, 1.0),
+            second: otherwise,
+        }
     }
 
     fn source_for(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
-        let mut stream =
-            random::stream(random::derived_seed(seed, MIXTURE_SEED_INDEX), Purpose::ScenarioSampling, index);
-        if stream.random::<f64>() < self.first_share { &self.first } else { &self.second }
+        let mut stream = random::stream(
+            random::derived_seed(seed, MIXTURE_SEED_INDEX),
+            Purpose::ScenarioSampling,
+            index,
+        );
+        if stream.random::<f64>() < self.first_share {
+            &self.first
+        } else {
+            &self.second
+        }
     }
 }
 
@@ -99,17 +117,24 @@ impl ScenarioSource for SourceMixture {
     }
 
     fn max_cost_multiplier(&self) -> f64 {
-        self.first.max_cost_multiplier().max(self.second.max_cost_multiplier())
+        self.first
+            .max_cost_multiplier()
+            .max(self.second.max_cost_multiplier())
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let (first, otherwise) = (source_name(&self.first)?, source_name(&self.second)?);
-        Ok(Some(format!("a share of {} of {first}, otherwise {otherwise}", self.first_share)))
+        Ok(Some(format!(
+            "a share of {} of {first}, otherwise {otherwise}",
+            self.first_share
+        )))
     }
 }
 
 fn source_name(source: &Arc<dyn ScenarioSource>) -> Result<String, serde_json::Error> {
-    Ok(source.identity()?.unwrap_or_else(|| "the paper's distribution".to_owned()))
+    Ok(source
+        .identity()?
+        .unwrap_or_else(|| "the paper's distribution".to_owned()))
 }
 
 /// List of scenarios, such as counterexamples, mixed into another source.
@@ -124,14 +149,26 @@ impl CaseMixture {
     /// Creates a mixture: a `share` of the episodes are `cases`, uniformly chosen; the rest are of `otherwise`.
     #[must_use]
     pub fn new(cases: Vec<Scenario>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
-        Self { cases, case_share: share.clamp(0.0, 1.0), base: otherwise }
+        Self {
+            cases,
+            case_share: share.clamp(0.0, 1.0),
+            base: otherwise,
+        }
     }
 
     /// Returns the case of an episode; none if the other source provides it.
     fn case_for(&self, seed: u64, index: u64) -> Option<&Scenario> {
-        let mut stream = random::stream(random::derived_seed(seed, CASE_SEED_INDEX), Purpose::ScenarioSampling, index);
+        let mut stream = random::stream(
+            random::derived_seed(seed, CASE_SEED_INDEX),
+            Purpose::ScenarioSampling,
+            index,
+        );
         let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.case_share;
-        if is_turn { self.cases.get(stream.random_range(0..self.cases.len())) } else { None }
+        if is_turn {
+            self.cases.get(stream.random_range(0..self.cases.len()))
+        } else {
+            None
+        }
     }
 }
 
@@ -140,11 +177,13 @@ const CASE_SEED_INDEX: u64 = u64::MAX - 1;
 
 impl ScenarioSource for CaseMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        self.case_for(seed, index).map_or_else(|| self.base.draw(seed, index), |case| Ok(case.clone()))
+        self.case_for(seed, index)
+            .map_or_else(|| self.base.draw(seed, index), |case| Ok(case.clone()))
     }
 
     fn cost_multiplier(&self, seed: u64, index: u64) -> f64 {
-        self.case_for(seed, index).map_or_else(|| self.base.cost_multiplier(seed, index), |_| 1.0)
+        self.case_for(seed, index)
+            .map_or_else(|| self.base.cost_multiplier(seed, index), |_| 1.0)
     }
 
     fn max_cost_multiplier(&self) -> f64 {
@@ -158,7 +197,9 @@ impl ScenarioSource for CaseMixture {
         }
         let (digest, otherwise) = (digest.hexadecimal(), source_name(&self.base)?);
         let (share, count) = (self.case_share, self.cases.len());
-        Ok(Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}")))
+        Ok(Some(format!(
+            "a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"
+        )))
     }
 }
 
@@ -166,10 +207,14 @@ impl ScenarioSource for CaseMixture {
 #[must_use]
 pub fn unsuitability(scenario: &Scenario) -> Option<String> {
     let vehicles = scenario.vehicles().iter().enumerate();
-    let agents: Vec<usize> =
-        vehicles.filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest).map(|(index, _)| index).collect();
+    let agents: Vec<usize> = vehicles
+        .filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest)
+        .map(|(index, _)| index)
+        .collect();
     if agents != [EGO] {
-        return Some(format!("only vehicle {EGO} must be under test, found {agents:?}"));
+        return Some(format!(
+            "only vehicle {EGO} must be under test, found {agents:?}"
+        ));
     }
     if !scenario.keeps_lanes() {
         return Some("every vehicle must stay in the lane".to_owned());
@@ -185,7 +230,10 @@ mod tests {
 
     #[test]
     fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
-        let cases = vec![built_in_scenario("paper-1").unwrap(), built_in_scenario("paper-2").unwrap()];
+        let cases = vec![
+            built_in_scenario("paper-1").unwrap(),
+            built_in_scenario("paper-2").unwrap(),
+        ];
         let mixed = CaseMixture::new(cases.clone(), 0.3, Arc::new(PaperSource));
         let mut counts = [0_u32; 2];
         for index in 0..4000 {
@@ -196,7 +244,10 @@ mod tests {
             }
         }
         // Four standard deviations of a count of mean 600.
-        assert!(counts.iter().all(|count| count.abs_diff(600) < 4 * 23), "{counts:?}");
+        assert!(
+            counts.iter().all(|count| count.abs_diff(600) < 4 * 23),
+            "{counts:?}"
+        );
         let none = CaseMixture::new(Vec::new(), 1.0, Arc::new(PaperSource));
         assert_eq!(none.draw(7, 0).unwrap(), PaperSource.draw(7, 0).unwrap());
     }
@@ -214,14 +265,21 @@ mod tests {
         // Four standard deviations of a count of mean 500.
         assert!(nominal.count().abs_diff(500) < 4 * 20);
         let identity = blend.identity().unwrap().unwrap();
-        let expected = "a share of 0.25 of the paper's distribution, otherwise the space `high-risk`";
+        let expected =
+            "a share of 0.25 of the paper's distribution, otherwise the space `high-risk`";
         assert!(identity.starts_with(expected), "{identity}");
     }
 
     #[test]
     fn a_source_is_known_by_its_cases_and_their_share() {
         let of = |name: &str, share| {
-            CaseMixture::new(vec![built_in_scenario(name).unwrap()], share, Arc::new(PaperSource)).identity().unwrap()
+            CaseMixture::new(
+                vec![built_in_scenario(name).unwrap()],
+                share,
+                Arc::new(PaperSource),
+            )
+            .identity()
+            .unwrap()
         };
         assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
         assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
@@ -231,8 +289,15 @@ mod tests {
     #[test]
     fn scenarios_that_the_agent_cannot_drive_are_known() {
         assert_eq!(unsuitability(&PaperSource.draw(0, 0).unwrap()), None);
-        assert!(unsuitability(&built_in_scenario("paper-3").unwrap()).unwrap().contains("found [1, 2, 3]"));
-        let coarse = built_in_scenario("paper-1").unwrap().edited(|spec| spec.step_s = 0.02).unwrap();
+        assert!(
+            unsuitability(&built_in_scenario("paper-3").unwrap())
+                .unwrap()
+                .contains("found [1, 2, 3]")
+        );
+        let coarse = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.step_s = 0.02)
+            .unwrap();
         assert!(unsuitability(&coarse).unwrap().contains("found 0.02"));
     }
 }

@@ -29,7 +29,11 @@ pub struct TrainingSpace {
     /// Relative share of the episodes that are drawn from it.
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
-    #[serde(rename = "costs_times", default = "one::<f64>", skip_serializing_if = "is_one")]
+    #[serde(
+        rename = "costs_times",
+        default = "one::<f64>",
+        skip_serializing_if = "is_one"
+    )]
     pub cost_multiplier: f64,
     /// Share of its episodes, from 0 to 1, at points that are uniform over the ranges of its parameters, so that rare
     /// values are learned, too.
@@ -67,23 +71,44 @@ impl SpaceMixture {
         check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
-        for (index, TrainingSpace { space: name, weight, cost_multiplier, uniform_share }) in shares.iter().enumerate()
+        for (
+            index,
+            TrainingSpace {
+                space: name,
+                weight,
+                cost_multiplier,
+                uniform_share,
+            },
+        ) in shares.iter().enumerate()
         {
-            let problem = |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
+            let problem =
+                |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
-            let first =
-                space.draw(0, 0).map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
+            let first = space
+                .draw(0, 0)
+                .map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
             if let Some(reason) = unsuitability(&first) {
                 return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
             }
             // Two files can hold the same space.
-            if let Some(same) = parts.iter().position(|part| part.space.spec() == space.spec()) {
-                return Err(problem(format!("`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}")));
+            if let Some(same) = parts
+                .iter()
+                .position(|part| part.space.spec() == space.spec())
+            {
+                return Err(problem(format!(
+                    "`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}"
+                )));
             }
             let share = weight / total;
             below += share;
             let (cost_multiplier, uniform_share) = (*cost_multiplier, *uniform_share);
-            parts.push(SpaceComponent { space, share, cumulative_share: below, cost_multiplier, uniform_share });
+            parts.push(SpaceComponent {
+                space,
+                share,
+                cumulative_share: below,
+                cost_multiplier,
+                uniform_share,
+            });
         }
         Ok(Self { components: parts })
     }
@@ -94,11 +119,17 @@ impl SpaceMixture {
     }
 
     fn component_for(&self, seed: u64, index: u64) -> Option<&SpaceComponent> {
-        let mut stream =
-            random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
+        let mut stream = random::stream(
+            random::derived_seed(seed, COMPONENT_SEED_INDEX),
+            Purpose::ScenarioSampling,
+            index,
+        );
         let turn = stream.random::<f64>();
         // Rounding can leave the sum of the shares below 1: the last space takes the rest.
-        self.components.iter().find(|part| turn < part.cumulative_share).or(self.components.last())
+        self.components
+            .iter()
+            .find(|part| turn < part.cumulative_share)
+            .or(self.components.last())
     }
 }
 
@@ -109,8 +140,11 @@ impl SpaceComponent {
         if stream.random::<f64>() >= self.uniform_share {
             return self.space.draw(seed, index);
         }
-        let point: Vec<f64> = (0..self.space.dimension()).map(|_| stream.random()).collect();
-        self.space.scenario_at_with_seed(&point, random::derived_seed(seed_of_points, index))
+        let point: Vec<f64> = (0..self.space.dimension())
+            .map(|_| stream.random())
+            .collect();
+        self.space
+            .scenario_at_with_seed(&point, random::derived_seed(seed_of_points, index))
     }
 }
 
@@ -123,11 +157,14 @@ impl ScenarioSource for SpaceMixture {
     }
 
     fn cost_multiplier(&self, seed: u64, index: u64) -> f64 {
-        self.component_for(seed, index).map_or(1.0, |part| part.cost_multiplier)
+        self.component_for(seed, index)
+            .map_or(1.0, |part| part.cost_multiplier)
     }
 
     fn max_cost_multiplier(&self) -> f64 {
-        self.components.iter().fold(1.0, |most, part| most.max(part.cost_multiplier))
+        self.components
+            .iter()
+            .fold(1.0, |most, part| most.max(part.cost_multiplier))
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
@@ -142,25 +179,59 @@ impl ScenarioSource for SpaceMixture {
                 0.0 => String::new(),
                 share => format!(", {share} of them uniform over its ranges"),
             };
-            Ok(format!("a share of {} of {name}{costs}{uniform}", part.share))
+            Ok(format!(
+                "a share of {} of {name}{costs}{uniform}",
+                part.share
+            ))
         });
-        Ok(Some(named.collect::<Result<Vec<_>, serde_json::Error>>()?.join(", ")))
+        Ok(Some(
+            named
+                .collect::<Result<Vec<_>, serde_json::Error>>()?
+                .join(", "),
+        ))
     }
 }
 
 /// Checks the ranges of weights and factors, and that no space is listed twice, without reading a file.
 pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
-        let problem = format!("must have at most {MAX_SPACES} spaces, found {}", shares.len());
+        let problem = format!(
+            "must have at most {MAX_SPACES} spaces, found {}",
+            shares.len()
+        );
         return Err(TrainingConfigError::field("spaces", problem));
     }
-    for (index, TrainingSpace { space, weight, cost_multiplier, uniform_share }) in shares.iter().enumerate() {
+    for (
+        index,
+        TrainingSpace {
+            space,
+            weight,
+            cost_multiplier,
+            uniform_share,
+        },
+    ) in shares.iter().enumerate()
+    {
         check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
-        check_range(&format!("spaces[{index}].costs_times"), *cost_multiplier, [0.0, MAX_COST_MULTIPLIER])?;
-        check_range(&format!("spaces[{index}].uniform_share"), *uniform_share, [0.0, 1.0])?;
-        if shares.iter().take(index).any(|earlier| earlier.space == *space) {
+        check_range(
+            &format!("spaces[{index}].costs_times"),
+            *cost_multiplier,
+            [0.0, MAX_COST_MULTIPLIER],
+        )?;
+        check_range(
+            &format!("spaces[{index}].uniform_share"),
+            *uniform_share,
+            [0.0, 1.0],
+        )?;
+        if shares
+            .iter()
+            .take(index)
+            .any(|earlier| earlier.space == *space)
+        {
             let problem = format!("`{space}` is named twice: {ONE_WEIGHT_HINT}");
-            return Err(TrainingConfigError::field(format!("spaces[{index}].space"), problem));
+            return Err(TrainingConfigError::field(
+                format!("spaces[{index}].space"),
+                problem,
+            ));
         }
     }
     Ok(())
@@ -172,25 +243,41 @@ mod tests {
     use crate::rl::{EpisodeConstants, TrainingConfig};
 
     fn training_space(space: &str, weight: f64) -> TrainingSpace {
-        TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0, uniform_share: 0.0 }
+        TrainingSpace {
+            space: space.to_owned(),
+            weight,
+            cost_multiplier: 1.0,
+            uniform_share: 0.0,
+        }
     }
 
     #[test]
     fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
         let spaces = [("traffic", 3.0), ("paper", 1.0), ("high-risk", 4.0)];
-        let blend = SpaceMixture::new(&spaces.map(|(space, weight)| training_space(space, weight))).unwrap();
+        let blend = SpaceMixture::new(&spaces.map(|(space, weight)| training_space(space, weight)))
+            .unwrap();
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
-            let place = blend.spaces().position(|space| space.draw(7, index).unwrap() == drawn).unwrap();
+            let place = blend
+                .spaces()
+                .position(|space| space.draw(7, index).unwrap() == drawn)
+                .unwrap();
             counts[place] += 1;
         }
         // Four standard deviations.
-        for (found, expected, four) in [(counts[0], 750, 87), (counts[1], 250, 60), (counts[2], 1000, 90)] {
+        for (found, expected, four) in [
+            (counts[0], 750, 87),
+            (counts[1], 250, 60),
+            (counts[2], 1000, 90),
+        ] {
             assert!(found.abs_diff(expected) < four, "{counts:?}");
         }
         let identity = blend.identity().unwrap().unwrap();
-        assert!(identity.starts_with("a share of 0.375 of the space `traffic` (sha256 "), "{identity}");
+        assert!(
+            identity.starts_with("a share of 0.375 of the space `traffic` (sha256 "),
+            "{identity}"
+        );
     }
 
     #[test]
@@ -199,7 +286,10 @@ mod tests {
             let found = SpaceMixture::new(shares).unwrap_err().to_string();
             assert!(found.starts_with(expected), "{found}");
         };
-        refused(&vec![training_space("paper", 1.0); 33], "spaces: must have at most 32 spaces, found 33");
+        refused(
+            &vec![training_space("paper", 1.0); 33],
+            "spaces: must have at most 32 spaces, found 33",
+        );
         let expected = "spaces[0].weight: must be between 0.000001 and 1000000, found inf";
         refused(&[training_space("paper", f64::INFINITY)], expected);
     }
@@ -216,13 +306,19 @@ mod tests {
         });
         let refused = SpaceMixture::new(&shares).unwrap_err().to_string();
         assert!(refused.starts_with("spaces[1].space: `"), "{refused}");
-        assert!(refused.ends_with("other.toml` is the space of spaces[0]: give it one weight"), "{refused}");
+        assert!(
+            refused.ends_with("other.toml` is the space of spaces[0]: give it one weight"),
+            "{refused}"
+        );
     }
 
     /// A cost multiplier affects only the episodes of its space, and changes the identity of the source.
     #[test]
     fn costs_are_weighted_by_the_space_multiplier() {
-        let ten = TrainingSpace { cost_multiplier: 10.0, ..training_space("traffic", 1.0) };
+        let ten = TrainingSpace {
+            cost_multiplier: 10.0,
+            ..training_space("traffic", 1.0)
+        };
         let blend = SpaceMixture::new(&[ten, training_space("paper", 1.0)]).unwrap();
         let weight = 1.0;
         let mut config = TrainingConfig::preset("road").unwrap().environment;
@@ -230,13 +326,26 @@ mod tests {
         let constants = EpisodeConstants::new(config, 0.99);
         let mut counts = [0; 2];
         for index in 0..100 {
-            let is_traffic = blend.spaces().position(|space| space.draw(3, index) == blend.draw(3, index)) == Some(0);
+            let is_traffic = blend
+                .spaces()
+                .position(|space| space.draw(3, index) == blend.draw(3, index))
+                == Some(0);
             counts[usize::from(is_traffic)] += 1;
             let times = if is_traffic { 10.0 } else { 1.0 };
-            assert_eq!(constants.for_episode(&blend, 3, index).environment().costs.jerk, times * weight);
+            assert_eq!(
+                constants
+                    .for_episode(&blend, 3, index)
+                    .environment()
+                    .costs
+                    .jerk,
+                times * weight
+            );
         }
         assert!(counts.iter().all(|count| *count > 20), "{counts:?}");
         let identity = blend.identity().unwrap().unwrap();
-        assert!(identity.contains("whose costs count 10 times, a share of 0.5"), "{identity}");
+        assert!(
+            identity.contains("whose costs count 10 times, a share of 0.5"),
+            "{identity}"
+        );
     }
 }

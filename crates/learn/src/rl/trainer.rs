@@ -19,7 +19,9 @@ use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::{FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
+use crumple_world::policy::{
+    FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader,
+};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S, Scenario};
 use crumple_world::sim::{Run, RunError, RunOptions};
@@ -148,7 +150,11 @@ impl Trainer {
     /// Creates a training on any source. The spaces in `config` must be those of the source, because policy files name
     /// the spaces of `config`.
     #[must_use]
-    pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
+    pub fn with_source(
+        config: &TrainingConfig,
+        seed: u64,
+        source: Arc<dyn ScenarioSource>,
+    ) -> Self {
         Self {
             learner: Learner::new(config, seed),
             replay: ReplayBuffer::new(config.replay.capacity, config.transition_layout()),
@@ -240,11 +246,18 @@ impl Trainer {
         };
         let options = RunOptions::new(controller).with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
-        let mut episode = TrainingEpisode::new(&run, &constants.for_episode(self.source.as_ref(), draws_seed, index));
+        let constants = EpisodeConstants::new(
+            self.config.environment.clone(),
+            self.config.learning.discount,
+        );
+        let mut episode = TrainingEpisode::new(
+            &run,
+            &constants.for_episode(self.source.as_ref(), draws_seed, index),
+        );
         if let Some(imitation) = imitation {
             episode = episode.with_expert(imitation.expert_estimator);
-            self.learner.imitation_weight = imitation.weight * libm::pow(imitation.weight_decay, index as f64) as f32;
+            self.learner.imitation_weight =
+                imitation.weight * libm::pow(imitation.weight_decay, index as f64) as f32;
         }
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplaySampling, index);
@@ -257,16 +270,21 @@ impl Trainer {
             (self.config.exploration.noise * decay) as f32
         });
         if let Some(fall) = &self.config.learning.lr_decay {
-            self.learner.lr_factor = fall.factor(index, self.config.exploration.learning_starts_episode) as f32;
+            self.learner.lr_factor =
+                fall.factor(index, self.config.exploration.learning_starts_episode) as f32;
         }
         let (mut sums, mut updates) = (Losses::default(), 0_u32);
-        let decisions_held =
-            u64::from(self.config.exploration.random_hold_steps / self.config.environment.action_repeat).max(1);
+        let decisions_held = u64::from(
+            self.config.exploration.random_hold_steps / self.config.environment.action_repeat,
+        )
+        .max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
         let mut past = FrameStack::default();
-        let privileged = PrivilegedInfo::new(&scenario, self.source.cost_multiplier(draws_seed, index));
+        let privileged =
+            PrivilegedInfo::new(&scenario, self.source.cost_multiplier(draws_seed, index));
         let is_privileged = self.config.learning.privileged_critic;
-        let known_besides = |episode: &TrainingEpisode| is_privileged.then(|| privileged.observe(episode));
+        let known_besides =
+            |episode: &TrainingEpisode| is_privileged.then(|| privileged.observe(episode));
         let mut state = episode.observe(&mut past).to_vec();
         let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {
@@ -279,7 +297,12 @@ impl Trainer {
                 }
                 Some(noise) => {
                     let normal: f32 = StandardNormal.sample(&mut trials);
-                    let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
+                    let chosen = self
+                        .learner
+                        .act(&state)
+                        .first()
+                        .copied()
+                        .unwrap_or_default();
                     (chosen + noise * normal).clamp(-1.0, 1.0)
                 }
             };
@@ -300,10 +323,13 @@ impl Trainer {
             besides.drain(..besides.len() / 2);
             self.decisions += 1;
             let learning = &self.config.learning;
-            let is_due = self.decisions.is_multiple_of(u64::from(learning.decisions_per_update));
+            let is_due = self
+                .decisions
+                .is_multiple_of(u64::from(learning.decisions_per_update));
             if noise.is_some() && is_due && self.replay.len() >= learning.batch {
                 let share = self.config.replay.collision_fraction;
-                self.replay.sample(&mut draws, learning.batch, share, &mut self.batch);
+                self.replay
+                    .sample(&mut draws, learning.batch, share, &mut self.batch);
                 let losses = self.learner.update(&self.batch, &mut target_noise);
                 sums.critic_loss += losses.critic_loss;
                 sums.mean_value += losses.mean_value;
@@ -332,7 +358,10 @@ impl Trainer {
     pub(super) fn draw(&self, seed: u64, index: u64) -> Result<Scenario, TrainingError> {
         let scenario = self.source.draw(seed, index)?;
         match unsuitability(&scenario) {
-            Some(problem) => Err(TrainingError::UnsuitableScenario { name: scenario.spec().name.clone(), problem }),
+            Some(problem) => Err(TrainingError::UnsuitableScenario {
+                name: scenario.spec().name.clone(),
+                problem,
+            }),
             None => Ok(scenario),
         }
     }
@@ -352,13 +381,24 @@ impl Trainer {
         let largest_value = environment.reward_scale * most_cost * paid.max(dearest_contact);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // ReLU turns NaN into 0, so the outputs of a broken network can be finite.
-        let is_whole =
-            self.learner.networks().all(|network| network.parameters().iter().all(|value| value.is_finite()));
-        if is_whole && critic_loss.is_finite() && mean_value.abs() <= DIVERGENCE_FACTOR * largest_value {
+        let is_whole = self
+            .learner
+            .networks()
+            .all(|network| network.parameters().iter().all(|value| value.is_finite()));
+        if is_whole
+            && critic_loss.is_finite()
+            && mean_value.abs() <= DIVERGENCE_FACTOR * largest_value
+        {
             return Ok(());
         }
         let (seed, episode) = (self.seed, record.episode);
-        Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
+        Err(TrainingError::Diverged {
+            seed,
+            episode,
+            critic_loss,
+            mean_value,
+            largest_value,
+        })
     }
 
     /// Evaluates the actor and keeps it if it is the best so far. Before the first episode, an actor that masters the
@@ -366,16 +406,27 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
-    pub fn evaluate(&mut self, held_out: &EvaluationSet) -> Result<PolicyEvaluation, TrainingError> {
+    pub fn evaluate(
+        &mut self,
+        held_out: &EvaluationSet,
+    ) -> Result<PolicyEvaluation, TrainingError> {
         let network = self.evaluation_network().clone();
         let policy = Arc::new(self.build_policy(network.clone(), self.episode)?);
         let evaluation = held_out.evaluate(&policy)?;
-        let better = self.best.as_ref().is_none_or(|best| evaluation.score() > best.evaluation.score());
+        let better = self
+            .best
+            .as_ref()
+            .is_none_or(|best| evaluation.score() > best.evaluation.score());
         if better {
-            self.best = Some(BestPolicy { episode: self.episode, evaluation, network });
+            self.best = Some(BestPolicy {
+                episode: self.episode,
+                evaluation,
+                network,
+            });
         }
         let master_gap_m = self.config.evaluation.master_gap_m;
-        self.mastered |= self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
+        self.mastered |=
+            self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
         Ok(evaluation)
     }
 
@@ -391,7 +442,9 @@ impl Trainer {
     }
 
     fn evaluation_network(&self) -> &Network {
-        self.weight_average.as_ref().unwrap_or(&self.learner.actor.network)
+        self.weight_average
+            .as_ref()
+            .unwrap_or(&self.learner.actor.network)
     }
 
     /// Adds the actor's weights to their mean: a plain mean over the first updates, an exponential one after that.
@@ -408,9 +461,15 @@ impl Trainer {
         }
     }
 
-    pub(super) fn build_policy(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
-        let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
-        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?) {
+    pub(super) fn build_policy(
+        &self,
+        network: Network,
+        episode: u64,
+    ) -> Result<Policy, TrainingError> {
+        let mut training = serde_json::to_value(&self.config)
+            .map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
+        if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?)
+        {
             training.insert("scenarios".to_owned(), source.into());
         }
         let header = PolicyHeader {

@@ -8,7 +8,8 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{
-    ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate, simulate_batch,
+    ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
+    simulate_batch,
 };
 
 use super::source::EGO;
@@ -55,10 +56,13 @@ impl TrafficUsefulness {
     /// Returns the share of faulty drives, plus a penalty for discomfort and for an unusual time gap. 0 is best.
     pub(crate) fn penalty(&self) -> f64 {
         let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
-        let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
+        let off_s = (closest_s - self.mean_time_gap_s)
+            .max(self.mean_time_gap_s - furthest_s)
+            .max(0.0);
         let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
-        (self.contacts + self.hard_braking + self.fell_behind) as f64 / self.scenario_count.max(1) as f64
+        (self.contacts + self.hard_braking + self.fell_behind) as f64
+            / self.scenario_count.max(1) as f64
             + EXCESS_WEIGHT * excess
     }
 }
@@ -76,20 +80,38 @@ impl TrafficBenchmark {
     /// Samples the first scenarios of the built-in space `traffic`.
     pub(crate) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
         let space = built_in_space("traffic");
-        let draws =
-            space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
-        let mut traffic = Self { draws, line: speed_dip(LINE.0, LINE.1).ok(), estimator, idm_rms: [1.0; 2] };
-        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
+        let draws = space
+            .iter()
+            .flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok()))
+            .collect();
+        let mut traffic = Self {
+            draws,
+            line: speed_dip(LINE.0, LINE.1).ok(),
+            estimator,
+            idm_rms: [1.0; 2],
+        };
+        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(
+            Default::default(),
+        )))?;
         traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
         Ok(traffic)
     }
 
-    pub(crate) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
+    pub(crate) fn evaluate(
+        &self,
+        controller: &ControllerKind,
+    ) -> Result<TrafficUsefulness, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
-        let runs =
-            self.draws.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let runs = self
+            .draws
+            .iter()
+            .map(|scenario| Run::new(scenario, options.clone()))
+            .collect::<Result<Vec<_>, _>>()?;
         let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            (result.outcome.contact().is_some(), measure_usefulness(&result))
+            (
+                result.outcome.contact().is_some(),
+                measure_usefulness(&result),
+            )
         });
         let (mut contacts, mut hard_braking, mut fell_behind, mut moving_drives) = (0, 0, 0, 0_u64);
         let (mut sum_squares, mut time_gap_sum_s) = ([0.0; 2], 0.0);
@@ -99,14 +121,17 @@ impl TrafficBenchmark {
             hard_braking += u64::from(!found.hard.is_empty());
             sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
             sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            let Some(following) = found.following else { continue };
+            let Some(following) = found.following else {
+                continue;
+            };
             fell_behind += u64::from(following.fell_behind);
             if let Some(time_gap_s) = following.mean_time_gap_s {
                 time_gap_sum_s += time_gap_s;
                 moving_drives += 1;
             }
         }
-        let [acceleration, jerk] = sum_squares.map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
+        let [acceleration, jerk] =
+            sum_squares.map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
         let [idm_acceleration, idm_jerk] = self.idm_rms;
         Ok(TrafficUsefulness {
             scenario_count: runs.len() as u64,
@@ -116,7 +141,11 @@ impl TrafficBenchmark {
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
             mean_time_gap_s: time_gap_sum_s / moving_drives.max(1) as f64,
-            line_gain: self.line.as_ref().and_then(|line| line_gain(line, options).transpose()).transpose()?,
+            line_gain: self
+                .line
+                .as_ref()
+                .and_then(|line| line_gain(line, options).transpose())
+                .transpose()?,
         })
     }
 }
@@ -124,7 +153,9 @@ impl TrafficBenchmark {
 fn line_gain(line: &Scenario, options: RunOptions) -> Result<Option<f64>, RunError> {
     let result = simulate(&Run::new(line, options)?, RecordingLevel::Trace);
     let trace = result.trace.as_ref().filter(|_| result.outcome.is_safe());
-    Ok(trace.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S)).map(|found| found.overall))
+    Ok(trace
+        .and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S))
+        .map(|found| found.overall))
 }
 
 /// Measures the usefulness of a run; none without its trace.
@@ -140,11 +171,20 @@ mod tests {
     #[test]
     fn idm_is_useful_and_the_reference_policy_is_not() {
         let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
-        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
+        let idm = traffic
+            .evaluate(&ControllerKind::from(ControllerSpec::Idm(
+                Default::default(),
+            )))
+            .unwrap();
         assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
         assert!(idm.penalty() < 0.02, "{idm:?}");
-        let policy = traffic.evaluate(&ControllerKind::Policy(Policy::reference())).unwrap();
-        assert!(policy.penalty() > 0.3 && policy.fell_behind > 0, "{policy:?}");
+        let policy = traffic
+            .evaluate(&ControllerKind::Policy(Policy::reference()))
+            .unwrap();
+        assert!(
+            policy.penalty() > 0.3 && policy.fell_behind > 0,
+            "{policy:?}"
+        );
     }
 }

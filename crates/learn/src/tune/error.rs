@@ -77,6 +77,10 @@ impl TuneError {
 /// Returns the names of the built-in controllers with settings.
 fn tunable_controllers() -> String {
     let all = ControllerSpec::all();
-    let names: Vec<_> = all.iter().filter(|spec| !spec.fields().is_empty()).map(ControllerSpec::name).collect();
+    let names: Vec<_> = all
+        .iter()
+        .filter(|spec| !spec.fields().is_empty())
+        .map(ControllerSpec::name)
+        .collect();
     names.join(", ")
 }

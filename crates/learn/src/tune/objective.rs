@@ -66,11 +66,20 @@ impl ScoringSet {
         with_traffic: bool,
     ) -> Result<Self, TuneError> {
         let sample = |TuningSpace { space, weight }: &TuningSpace| {
-            let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<_, _>>()?;
+            let scenarios = (0..runs)
+                .map(|index| space.draw(seed, index))
+                .collect::<Result<_, _>>()?;
             Ok::<_, TuneError>((scenarios, *weight))
         };
-        let traffic = with_traffic.then(|| TrafficBenchmark::new(seed, runs, estimator)).transpose()?;
-        Ok(Self { objective, estimator, spaces: spaces.iter().map(sample).collect::<Result<_, _>>()?, traffic })
+        let traffic = with_traffic
+            .then(|| TrafficBenchmark::new(seed, runs, estimator))
+            .transpose()?;
+        Ok(Self {
+            objective,
+            estimator,
+            spaces: spaces.iter().map(sample).collect::<Result<_, _>>()?,
+            traffic,
+        })
     }
 
     /// Simulates a controller in all scenarios.
@@ -78,14 +87,23 @@ impl ScoringSet {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let (mut collisions, mut share, mut total_weight) = (Vec::new(), 0.0, 0.0);
         for (scenarios, weight) in &self.spaces {
-            let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
-            let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, found| found.outcome.contact().is_some());
+            let runs = scenarios
+                .iter()
+                .map(|one| Run::new(one, options.clone()))
+                .collect::<Result<Vec<_>, _>>()?;
+            let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, found| {
+                found.outcome.contact().is_some()
+            });
             let count = collided.into_iter().filter(|&collided| collided).count() as u64;
             collisions.push(count);
             share += weight * count as f64 / runs.len().max(1) as f64;
             total_weight += weight;
         }
-        let traffic = self.traffic.as_ref().map(|traffic| traffic.evaluate(&controller.clone().into())).transpose()?;
+        let traffic = self
+            .traffic
+            .as_ref()
+            .map(|traffic| traffic.evaluate(&controller.clone().into()))
+            .transpose()?;
         let penalty = match (self.objective, &traffic) {
             (TuningObjective::Both, Some(found)) => found.penalty(),
             _ => 0.0,

@@ -96,10 +96,19 @@ impl TuningPlan {
 
     /// Samples a set of scenarios. The test set always measures both sides.
     pub(super) fn scoring_set(&self, kind: SetKind) -> Result<ScoringSet, TuneError> {
-        let runs = if kind == SetKind::Test { self.test_runs } else { self.runs };
+        let runs = if kind == SetKind::Test {
+            self.test_runs
+        } else {
+            self.runs
+        };
         let seed = derived_seed(self.seed, SEED_BASE + kind as u64);
         let with_traffic = kind == SetKind::Test || self.objective == TuningObjective::Both;
-        ScoringSet::new((self.objective, &self.spaces), (seed, runs), self.estimator, with_traffic)
+        ScoringSet::new(
+            (self.objective, &self.spaces),
+            (seed, runs),
+            self.estimator,
+            with_traffic,
+        )
     }
 
     /// Returns the number of simulations that one candidate needs.
@@ -110,15 +119,28 @@ impl TuningPlan {
 
     /// Checks everything that would fail later, before any file is written.
     pub(super) fn check(&self) -> Result<(), TuneError> {
-        let error = |space: &str, problem| Err(TuneError::Space { space: space.to_owned(), problem });
+        let error = |space: &str, problem| {
+            Err(TuneError::Space {
+                space: space.to_owned(),
+                problem,
+            })
+        };
         if self.spaces.is_empty() {
             return error("", "at least one scenario space is needed");
         }
         for (index, TuningSpace { space, weight }) in self.spaces.iter().enumerate() {
             if !WEIGHT_RANGE.contains(weight) {
-                return error(space.name(), "the weight must be between 0.000001 and 1000000");
+                return error(
+                    space.name(),
+                    "the weight must be between 0.000001 and 1000000",
+                );
             }
-            if self.spaces.iter().take(index).any(|other| other.space.name() == space.name()) {
+            if self
+                .spaces
+                .iter()
+                .take(index)
+                .any(|other| other.space.name() == space.name())
+            {
                 return error(space.name(), "occurs twice: give it one weight");
             }
             if !space.draw(0, 0)?.has_vehicle_under_test() {
@@ -134,9 +156,15 @@ impl TuningPlan {
     /// [`TuneError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, TuneError> {
         let space = |TuningSpace { space, weight }: &'_ TuningSpace| {
-            serde_json::to_string(space.spec()).map(|json| (sha256(json), *weight)).map_err(TuneError::encoding)
+            serde_json::to_string(space.spec())
+                .map(|json| (sha256(json), *weight))
+                .map_err(TuneError::encoding)
         };
-        let hashes = self.spaces.iter().map(space).collect::<Result<Vec<_>, _>>()?;
+        let hashes = self
+            .spaces
+            .iter()
+            .map(space)
+            .collect::<Result<Vec<_>, _>>()?;
         let names = self.spaces.iter().map(|one| one.space.name());
         let searched = self.search.searched().iter();
         let file = TuningFile {
@@ -150,14 +178,30 @@ impl TuningPlan {
             runs: self.runs,
             test_runs: self.test_runs,
             estimator: self.estimator,
-            settings: searched.map(|one| SettingRecord { name: one.field.name, range: one.range }).collect(),
-            spaces: names.zip(hashes).map(|(space, (sha256, weight))| SpaceRecord { space, weight, sha256 }).collect(),
+            settings: searched
+                .map(|one| SettingRecord {
+                    name: one.field.name,
+                    range: one.range,
+                })
+                .collect(),
+            spaces: names
+                .zip(hashes)
+                .map(|(space, (sha256, weight))| SpaceRecord {
+                    space,
+                    weight,
+                    sha256,
+                })
+                .collect(),
         };
         toml::to_string(&file).map_err(TuneError::encoding)
     }
 
     /// Opens the folder if it is empty or belongs to this plan; otherwise the error names the first difference.
-    pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<RunFolder, TuneError> {
+    pub(super) fn open_run_folder(
+        &self,
+        folder: &Path,
+        resume: bool,
+    ) -> Result<RunFolder, TuneError> {
         let configuration = self.to_toml()?;
         let options = RunFolderOptions {
             kind: "tuning",

@@ -91,7 +91,11 @@ impl TuningReport {
         let default = ControllerSpec::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
         let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
             let field: &crumple_world::control::SettingField = field;
-            let searched = plan.search.searched().iter().find(|searched| searched.field.name == field.name);
+            let searched = plan
+                .search
+                .searched()
+                .iter()
+                .find(|searched| searched.field.name == field.name);
             TunedSetting {
                 name: field.name.to_owned(),
                 unit: field.unit().to_owned(),
@@ -113,7 +117,11 @@ impl TuningReport {
             evaluations: plan.evaluations,
             runs: plan.runs,
             test_runs: plan.test_runs,
-            spaces: plan.spaces.iter().map(|one| one.space.name().to_owned()).collect(),
+            spaces: plan
+                .spaces
+                .iter()
+                .map(|one| one.space.name().to_owned())
+                .collect(),
             weights: plan.spaces.iter().map(|one| one.weight).collect(),
             settings: tuned.values().zip(default.values()).map(setting).collect(),
             finalists,
@@ -125,7 +133,8 @@ impl TuningReport {
     #[must_use]
     pub fn is_confirmed(&self) -> bool {
         let objectives: Vec<f64> = self.test.iter().map(|score| score.objective).collect();
-        self.tuned == self.initial || matches!(objectives[..], [initial, tuned, ..] if tuned < initial)
+        self.tuned == self.initial
+            || matches!(objectives[..], [initial, tuned, ..] if tuned < initial)
     }
 
     /// Returns the text of `report.md`.
@@ -139,12 +148,20 @@ impl TuningReport {
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
         let spaces = self.spaces.iter().zip(&self.weights);
-        let spaces: Vec<_> = spaces.map(|(name, weight)| format!("{} ({weight})", MarkdownText(name))).collect();
+        let spaces: Vec<_> = spaces
+            .map(|(name, weight)| format!("{} ({weight})", MarkdownText(name)))
+            .collect();
         let result = match self.tuned == self.initial {
-            true => "No candidate was better than the initial settings in both the tuning and the selection set.",
+            true => {
+                "No candidate was better than the initial settings in both the tuning and the selection set."
+            }
             false => "The tuned controller:",
         };
-        writeln!(out, "# Tuning of `{}`\n\n{result}\n\n```text\n{}\n```\n", self.initial, self.tuned)?;
+        writeln!(
+            out,
+            "# Tuning of `{}`\n\n{result}\n\n```text\n{}\n```\n",
+            self.initial, self.tuned
+        )?;
         writeln!(
             out,
             "{} candidates of the method {} (seed {}), each in {} random scenarios of each space. Spaces, with their \
@@ -156,7 +173,14 @@ impl TuningReport {
             spaces.join(", "),
             self.objective_sentence()
         )?;
-        for TunedSetting { name, unit, range, default, tuned } in &self.settings {
+        for TunedSetting {
+            name,
+            unit,
+            range,
+            default,
+            tuned,
+        } in &self.settings
+        {
             let range = range.map_or("fixed".to_owned(), |[low, high]| format!("{low} to {high}"));
             writeln!(out, "| `{name}` | {unit} | {range} | {default} | {tuned} |")?;
         }
@@ -166,7 +190,9 @@ impl TuningReport {
     fn objective_sentence(&self) -> String {
         let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
         match self.objective {
-            TuningObjective::Safety => "The objective is the weighted mean of their collision shares.".to_owned(),
+            TuningObjective::Safety => {
+                "The objective is the weighted mean of their collision shares.".to_owned()
+            }
             TuningObjective::Both => format!(
                 "The objective is the weighted mean of their collision shares, plus a penalty in `traffic`: the shares \
                  of drives with a collision, with unnecessary hard braking and left behind, and {} times the relative \
@@ -188,23 +214,49 @@ impl TuningReport {
             100.0 * CONFIDENCE
         )?;
         for (index, space) in self.spaces.iter().enumerate() {
-            self.write_row(out, &format!("collisions in {}", MarkdownText(space)), |score| {
-                score.collisions.get(index).map(|&count| self.format_share(count))
-            })?;
+            self.write_row(
+                out,
+                &format!("collisions in {}", MarkdownText(space)),
+                |score| {
+                    score
+                        .collisions
+                        .get(index)
+                        .map(|&count| self.format_share(count))
+                },
+            )?;
         }
-        type Measure = (&'static str, fn(&TrafficUsefulness, &TuningReport) -> String);
+        type Measure = (
+            &'static str,
+            fn(&TrafficUsefulness, &TuningReport) -> String,
+        );
         let measures: [Measure; 6] = [
-            ("collisions in `traffic`", |found, report| report.format_share(found.contacts)),
-            ("unnecessary hard braking in `traffic`", |found, report| report.format_share(found.hard_braking)),
-            ("left behind in `traffic`", |found, report| report.format_share(found.fell_behind)),
-            ("RMS acceleration, relative to `idm`", |found, _| format!("{:.2}", found.acceleration_times_idm)),
-            ("RMS jerk, relative to `idm`", |found, _| format!("{:.2}", found.jerk_times_idm)),
-            ("mean time gap, s", |found, _| format!("{:.2}", found.mean_time_gap_s)),
+            ("collisions in `traffic`", |found, report| {
+                report.format_share(found.contacts)
+            }),
+            ("unnecessary hard braking in `traffic`", |found, report| {
+                report.format_share(found.hard_braking)
+            }),
+            ("left behind in `traffic`", |found, report| {
+                report.format_share(found.fell_behind)
+            }),
+            ("RMS acceleration, relative to `idm`", |found, _| {
+                format!("{:.2}", found.acceleration_times_idm)
+            }),
+            ("RMS jerk, relative to `idm`", |found, _| {
+                format!("{:.2}", found.jerk_times_idm)
+            }),
+            ("mean time gap, s", |found, _| {
+                format!("{:.2}", found.mean_time_gap_s)
+            }),
         ];
         for (name, measure) in measures {
-            self.write_row(out, name, |score| score.traffic.as_ref().map(|found| measure(found, self)))?;
+            self.write_row(out, name, |score| {
+                score.traffic.as_ref().map(|found| measure(found, self))
+            })?;
         }
-        self.write_row(out, "objective", |score| Some(format!("{:.4}", score.objective)))?;
+        self.write_row(out, "objective", |score| {
+            Some(format!("{:.4}", score.objective))
+        })?;
         match self.is_confirmed() {
             true => Ok(()),
             false => out.write_str(
@@ -220,13 +272,23 @@ impl TuningReport {
         name: &str,
         cell: impl Fn(&ControllerScore) -> Option<String>,
     ) -> std::fmt::Result {
-        let cells: Vec<_> = self.test.iter().map(|score| cell(score).unwrap_or_default()).collect();
+        let cells: Vec<_> = self
+            .test
+            .iter()
+            .map(|score| cell(score).unwrap_or_default())
+            .collect();
         writeln!(out, "| {name} | {} |", cells.join(" | "))
     }
 
     fn format_share(&self, count: u64) -> String {
-        let RateInterval { lower, upper } = RateInterval::clopper_pearson(count, self.test_runs, CONFIDENCE);
+        let RateInterval { lower, upper } =
+            RateInterval::clopper_pearson(count, self.test_runs, CONFIDENCE);
         let share = count as f64 / self.test_runs.max(1) as f64;
-        format!("{:.2} ({:.2} to {:.2})", 100.0 * share, 100.0 * lower, 100.0 * upper)
+        format!(
+            "{:.2} ({:.2} to {:.2})",
+            100.0 * share,
+            100.0 * lower,
+            100.0 * upper
+        )
     }
 }

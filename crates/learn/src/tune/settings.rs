@@ -31,13 +31,21 @@ impl SearchedSetting {
     /// a thousandth of the range or less, so that results can be written as short text.
     fn value(&self, coordinate: f64) -> f64 {
         let [low, high] = self.range;
-        let middle = if low < self.initial && self.initial < high { self.initial } else { 0.5 * (low + high) };
+        let middle = if low < self.initial && self.initial < high {
+            self.initial
+        } else {
+            0.5 * (low + high)
+        };
         let value = match coordinate {
             ..0.5 => low + 2.0 * coordinate * (middle - low),
             _ => middle + (2.0 * coordinate - 1.0) * (high - middle),
         };
         let decimals = (3.0 - libm::log10(high - low).floor()).clamp(0.0, 12.0) as usize;
-        format!("{value:.decimals$}").parse().unwrap_or(value).clamp(low, high) + 0.0 // Turns -0 into 0.
+        format!("{value:.decimals$}")
+            .parse()
+            .unwrap_or(value)
+            .clamp(low, high)
+            + 0.0 // Turns -0 into 0.
     }
 }
 
@@ -64,35 +72,72 @@ impl SettingSearch {
     /// # Errors
     /// [`TuneError`] for a controller that is not built in or has no settings, or an invalid setting or range.
     pub fn parse(controller: &str, requests: &[SettingRequest]) -> Result<Self, TuneError> {
-        let mut initial =
-            ControllerSpec::parse(controller).ok_or_else(|| TuneError::NotBuiltIn(controller.to_owned()))??;
+        let mut initial = ControllerSpec::parse(controller)
+            .ok_or_else(|| TuneError::NotBuiltIn(controller.to_owned()))??;
         if initial.fields().is_empty() {
             return Err(TuneError::NoSettings(initial.name()));
         }
-        let fixed: Vec<&str> = controller.split(',').skip(1).filter_map(|word| word.split('=').next()).collect();
+        let fixed: Vec<&str> = controller
+            .split(',')
+            .skip(1)
+            .filter_map(|word| word.split('=').next())
+            .collect();
         let mut searched = Vec::new();
         for (index, (field, value)) in initial.values().enumerate() {
-            let requested: Vec<_> = requests.iter().filter(|request| request.name == field.name).collect();
-            let range = requested.iter().find_map(|request| request.range).unwrap_or(field.typical_range);
-            let (is_fixed, error) = (fixed.contains(&field.name), |problem| setting_error(field.name, problem));
+            let requested: Vec<_> = requests
+                .iter()
+                .filter(|request| request.name == field.name)
+                .collect();
+            let range = requested
+                .iter()
+                .find_map(|request| request.range)
+                .unwrap_or(field.typical_range);
+            let (is_fixed, error) = (fixed.contains(&field.name), |problem| {
+                setting_error(field.name, problem)
+            });
             if requested.len() > 1 {
                 return Err(error("is requested twice".to_owned()));
             }
             if is_fixed && !requested.is_empty() {
-                return Err(error("is fixed in the controller, and requested".to_owned()));
+                return Err(error(
+                    "is fixed in the controller, and requested".to_owned(),
+                ));
             }
             let [least, most] = field.range;
             if !(least <= range[0] && range[0] < range[1] && range[1] <= most) {
-                return Err(error(format!("a range must be LOW..HIGH, with LOW below HIGH, in {least}..{most}")));
+                return Err(error(format!(
+                    "a range must be LOW..HIGH, with LOW below HIGH, in {least}..{most}"
+                )));
             }
             if !is_fixed && (requests.is_empty() || !requested.is_empty()) {
-                searched.push(SearchedSetting { field, range, index, initial: value });
+                searched.push(SearchedSetting {
+                    field,
+                    range,
+                    index,
+                    initial: value,
+                });
             }
         }
-        let names = || initial.fields().iter().map(|field| field.name).collect::<Vec<_>>().join(", ");
-        let is_known = |request: &&SettingRequest| initial.fields().iter().any(|field| field.name == request.name);
+        let names = || {
+            initial
+                .fields()
+                .iter()
+                .map(|field| field.name)
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        let is_known = |request: &&SettingRequest| {
+            initial
+                .fields()
+                .iter()
+                .any(|field| field.name == request.name)
+        };
         if let Some(unknown) = requests.iter().find(|request| !is_known(request)) {
-            let problem = format!("is not a setting of {}: there are {}", initial.name(), names());
+            let problem = format!(
+                "is not a setting of {}: there are {}",
+                initial.name(),
+                names()
+            );
             return Err(setting_error(&unknown.name, problem));
         }
         if searched.is_empty() {
@@ -100,7 +145,10 @@ impl SettingSearch {
         }
         for setting in &searched {
             let [low, high] = setting.range;
-            if let Some(value) = initial.get_mut(setting.index).filter(|value| !(low..=high).contains(&**value)) {
+            if let Some(value) = initial
+                .get_mut(setting.index)
+                .filter(|value| !(low..=high).contains(&**value))
+            {
                 *value = setting.value(0.5);
             }
         }
@@ -137,7 +185,10 @@ impl SettingSearch {
 }
 
 fn setting_error(setting: &str, problem: String) -> TuneError {
-    TuneError::Setting { setting: setting.to_owned(), problem }
+    TuneError::Setting {
+        setting: setting.to_owned(),
+        problem,
+    }
 }
 
 #[cfg(test)]
@@ -175,15 +226,25 @@ mod tests {
 
     #[test]
     fn requests_that_do_not_fit_are_named() {
-        let request = |name: &str, range| SettingRequest { name: name.to_owned(), range };
+        let request = |name: &str, range| SettingRequest {
+            name: name.to_owned(),
+            range,
+        };
         let refused = |controller: &str, requests: &[SettingRequest]| {
-            SettingSearch::parse(controller, requests).unwrap_err().to_string()
+            SettingSearch::parse(controller, requests)
+                .unwrap_err()
+                .to_string()
         };
         let ttc = |range| request("ttc_s", Some(range));
         assert!(refused("acc-aeb", &[ttc([-1.0, 1.0])]).ends_with("in 0..100"));
         assert!(refused("acc-aeb", &[ttc([0.0, f64::NAN])]).contains("a range must be"));
-        assert!(refused("acc-aeb", &[ttc([0.0, 1.0]), ttc([0.0, 1.0])]).ends_with("is requested twice"));
-        assert!(refused("acc-aeb,ttc_s=2", &[ttc([0.0, 1.0])]).starts_with("ttc_s: is fixed in the controller"));
+        assert!(
+            refused("acc-aeb", &[ttc([0.0, 1.0]), ttc([0.0, 1.0])]).ends_with("is requested twice")
+        );
+        assert!(
+            refused("acc-aeb,ttc_s=2", &[ttc([0.0, 1.0])])
+                .starts_with("ttc_s: is fixed in the controller")
+        );
         let search = SettingSearch::parse("acc-aeb", &[ttc([1.0, 2.0])]).unwrap();
         assert_eq!(search.controller_at(&[1.0]).to_arg(), "acc-aeb,ttc_s=2");
     }

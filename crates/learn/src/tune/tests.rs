@@ -13,9 +13,15 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 
 fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
-    let request = |name: &&str| SettingRequest { name: (*name).to_owned(), range: None };
+    let request = |name: &&str| SettingRequest {
+        name: (*name).to_owned(),
+        range: None,
+    };
     let requests: Vec<_> = settings.iter().map(request).collect();
-    let space = |(name, weight)| TuningSpace { space: built_in_space(name).unwrap(), weight };
+    let space = |(name, weight)| TuningSpace {
+        space: built_in_space(name).unwrap(),
+        weight,
+    };
     TuningPlan {
         search: SettingSearch::parse(controller, &requests).unwrap(),
         spaces: [("high-risk", 2.0), ("paper", 1.0)].map(space).into(),
@@ -31,7 +37,14 @@ fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
 
 fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
-    entries.map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap())).collect()
+    entries
+        .map(|entry| {
+            (
+                entry.file_name().into_string().unwrap(),
+                fs::read(entry.path()).unwrap(),
+            )
+        })
+        .collect()
 }
 
 /// A tuning that stops after every single step and resumes, on another number of threads, writes the same files.
@@ -39,17 +52,25 @@ fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 fn interruptions_and_threads_change_no_byte() {
     let plan = plan("acc-aeb", &["ttc_s", "time_headway_s"], Method::CmaEs);
     let [whole, parts] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-    let on_threads = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let expected = on_threads(1).install(|| plan.run(whole.path(), false, &Quiet)).unwrap();
-    let (pool, reached) = (on_threads(2), AtomicU64::new(0));
-    let stop_at_progress = |progress: &TuningProgress| match progress.done > reached.load(Ordering::Relaxed) {
-        true => {
-            assert!(progress.done <= progress.total);
-            reached.store(progress.done, Ordering::Relaxed);
-            ControlFlow::Break(())
-        }
-        false => ControlFlow::Continue(()),
+    let on_threads = |threads| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
     };
+    let expected = on_threads(1)
+        .install(|| plan.run(whole.path(), false, &Quiet))
+        .unwrap();
+    let (pool, reached) = (on_threads(2), AtomicU64::new(0));
+    let stop_at_progress =
+        |progress: &TuningProgress| match progress.done > reached.load(Ordering::Relaxed) {
+            true => {
+                assert!(progress.done <= progress.total);
+                reached.store(progress.done, Ordering::Relaxed);
+                ControlFlow::Break(())
+            }
+            false => ControlFlow::Continue(()),
+        };
     let mut stops = 0;
     let report = loop {
         match pool.install(|| plan.run(parts.path(), true, &stop_at_progress)) {
@@ -59,24 +80,50 @@ fn interruptions_and_threads_change_no_byte() {
     };
     assert!(stops > plan.evaluations, "{stops}");
     assert_eq!(report, expected);
-    assert_eq!(plan.run(parts.path(), true, &Quiet).unwrap(), expected, "a complete tuning is read");
+    assert_eq!(
+        plan.run(parts.path(), true, &Quiet).unwrap(),
+        expected,
+        "a complete tuning is read"
+    );
     let files = read_files(whole.path());
-    let names = ["candidates.jsonl", "report.json", "report.md", "tune.toml", "work.json", "work.lock"];
+    let names = [
+        "candidates.jsonl",
+        "report.json",
+        "report.md",
+        "tune.toml",
+        "work.json",
+        "work.lock",
+    ];
     assert!(files.keys().eq(names.iter()), "{:?}", files.keys());
     assert!(files == read_files(parts.path()), "the files are the same");
-    let other = TuningPlan { seed: 6, ..plan.clone() };
-    let refused = other.run(parts.path(), true, &Quiet).unwrap_err().to_string();
-    assert!(refused.ends_with("the tuning there has a different configuration"), "{refused}");
+    let other = TuningPlan {
+        seed: 6,
+        ..plan.clone()
+    };
+    let refused = other
+        .run(parts.path(), true, &Quiet)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.ends_with("the tuning there has a different configuration"),
+        "{refused}"
+    );
 }
 
 /// Both methods improve a brake that is too late, and the tuned settings are never worse on the sets that decide.
 #[test]
 fn a_late_emergency_brake_is_tuned_to_brake_earlier() {
     for method in [Method::CmaEs, Method::CrossEntropy] {
-        let request = SettingRequest { name: "ttc_s".to_owned(), range: Some([0.0, 3.0]) };
+        let request = SettingRequest {
+            name: "ttc_s".to_owned(),
+            range: Some([0.0, 3.0]),
+        };
         let plan = TuningPlan {
             search: SettingSearch::parse("baseline", &[request]).unwrap(),
-            spaces: vec![TuningSpace { space: built_in_space("standing").unwrap(), weight: 1.0 }],
+            spaces: vec![TuningSpace {
+                space: built_in_space("standing").unwrap(),
+                weight: 1.0,
+            }],
             objective: TuningObjective::Safety,
             runs: 20,
             ..plan("baseline", &[], method)
@@ -85,10 +132,20 @@ fn a_late_emergency_brake_is_tuned_to_brake_earlier() {
         let report = plan.run(folder.path(), false, &Quiet).unwrap();
         let (initial, best) = (&report.finalists[0], report.finalists.last().unwrap());
         assert_eq!(initial.tuning.controller, "baseline");
-        assert!(report.finalists.len() > 1 && best.tuning.objective <= initial.tuning.objective, "{report:?}");
-        let tuned = report.finalists.iter().find(|finalist| finalist.tuning.controller == report.tuned).unwrap();
+        assert!(
+            report.finalists.len() > 1 && best.tuning.objective <= initial.tuning.objective,
+            "{report:?}"
+        );
+        let tuned = report
+            .finalists
+            .iter()
+            .find(|finalist| finalist.tuning.controller == report.tuned)
+            .unwrap();
         assert!(tuned.selection.objective <= initial.selection.objective);
         assert!(report.to_markdown().contains(&report.tuned) && report.test.len() == 3);
-        assert!(report.test[1].traffic.is_some(), "the report has both sides");
+        assert!(
+            report.test[1].traffic.is_some(),
+            "the report has both sides"
+        );
     }
 }

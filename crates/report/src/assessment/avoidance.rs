@@ -5,7 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::gather_context::GatherContext;
 use super::{CacheError, CaseResult, Rounded};
 use crumple_search::confirmation::escape_survives;
-use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario};
+use crumple_search::worst_case::{
+    AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario,
+};
 use crumple_verify::{Certificate, ProvedClaim, check};
 use crumple_world::scenario::{Scenario, file};
 
@@ -44,7 +46,12 @@ pub enum RoundedAvoidance {
 impl RoundedAvoidance {
     fn from_avoidance(
         scenario: &Scenario,
-        Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance,
+        Avoidance {
+            verdict,
+            min_gap_bound_m,
+            bound_certificate,
+            ..
+        }: &Avoidance,
     ) -> Self {
         match verdict {
             AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
@@ -55,7 +62,9 @@ impl RoundedAvoidance {
                 survives_multi_body: escape_survives(scenario, &escape.acceleration_mps2),
             },
             AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
-            AvoidanceVerdict::Undecided(reason) => Self::Undecided { reason: reason.to_string() },
+            AvoidanceVerdict::Undecided(reason) => Self::Undecided {
+                reason: reason.to_string(),
+            },
         }
     }
 
@@ -64,9 +73,9 @@ impl RoundedAvoidance {
     /// escape within its grid.
     pub(super) fn regret_m(&self, case: &CaseResult) -> Option<Rounded<2>> {
         match self {
-            Self::Avoidable { min_gap_m, .. } if case.verdict.is_conclusive() => {
-                Some(Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)))
-            }
+            Self::Avoidable { min_gap_m, .. } if case.verdict.is_conclusive() => Some(
+                Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)),
+            ),
             _ => None,
         }
     }
@@ -80,10 +89,15 @@ impl RoundedAvoidance {
                 follower_brakes_s,
                 survives_multi_body,
             } => {
-                let fires =
-                    follower_brakes_s.map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
-                let by = if *min_gap_bound_is_certified { "proved" } else { "computed, without a certificate" };
-                let bound = min_gap_bound_m.map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
+                let fires = follower_brakes_s
+                    .map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
+                let by = if *min_gap_bound_is_certified {
+                    "proved"
+                } else {
+                    "computed, without a certificate"
+                };
+                let bound = min_gap_bound_m
+                    .map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
                 let replay = survives_multi_body.map_or("", |survives| match survives {
                     true => " With the multi-body plant, this escape has no collision either.",
                     false => " With the multi-body plant, this escape COLLIDES.",
@@ -94,14 +108,22 @@ impl RoundedAvoidance {
                     bound.unwrap_or_default()
                 )
             }
-            Self::Unavoidable => "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned(),
-            Self::Undecided { reason } => format!("Undecided if a driver could avoid the collision: {reason}."),
+            Self::Unavoidable => {
+                "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned()
+            }
+            Self::Undecided { reason } => {
+                format!("Undecided if a driver could avoid the collision: {reason}.")
+            }
         }
     }
 
     pub(super) fn label(&self) -> String {
         match self {
-            Self::Avoidable { min_gap_m, survives_multi_body: Some(false), .. } => {
+            Self::Avoidable {
+                min_gap_m,
+                survives_multi_body: Some(false),
+                ..
+            } => {
                 format!("{min_gap_m} m; {COLLIDING_ESCAPE}")
             }
             Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
@@ -121,13 +143,30 @@ pub(super) struct CertifiedAvoidance {
 
 impl CertifiedAvoidance {
     /// Loads the avoidance of a scenario from the cache and checks its certificate again, or computes it.
-    pub(super) fn load_or_compute(scenario: &Scenario, work: &GatherContext<'_>) -> Result<Self, CacheError> {
+    pub(super) fn load_or_compute(
+        scenario: &Scenario,
+        work: &GatherContext<'_>,
+    ) -> Result<Self, CacheError> {
         let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
-        let find = || Self::compute(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
-        let found: Self = work
-            .cache
-            .get_or_gather(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, CacheError>(find()))?;
-        Ok(if found.is_valid_for(scenario) { found } else { find() })
+        let find = || {
+            Self::compute(
+                scenario,
+                AvoidOptions {
+                    certify_bound: true,
+                    ..AvoidOptions::default()
+                },
+            )
+        };
+        let found: Self = work.cache.get_or_gather(
+            &format!("best of {}", scenario.spec().name),
+            &text,
+            || Ok::<_, CacheError>(find()),
+        )?;
+        Ok(if found.is_valid_for(scenario) {
+            found
+        } else {
+            find()
+        })
     }
 
     fn compute(scenario: &Scenario, options: AvoidOptions) -> Self {
@@ -136,33 +175,47 @@ impl CertifiedAvoidance {
                 let best = RoundedAvoidance::from_avoidance(scenario, &avoidance);
                 let certificate = match avoidance.verdict {
                     AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
-                    AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => avoidance.bound_certificate,
+                    AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => {
+                        avoidance.bound_certificate
+                    }
                 };
-                Self { avoidance: best, certificate: certificate.map(|certificate| *certificate) }
+                Self {
+                    avoidance: best,
+                    certificate: certificate.map(|certificate| *certificate),
+                }
             }
-            Err(error) => {
-                Self { avoidance: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None }
-            }
+            Err(error) => Self {
+                avoidance: RoundedAvoidance::Undecided {
+                    reason: error.to_string(),
+                },
+                certificate: None,
+            },
         }
     }
 
     /// True if the certificate supports what the avoidance claims about every driver.
     fn is_valid_for(&self, scenario: &Scenario) -> bool {
-        let shown =
-            self.certificate.as_ref().map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
+        let shown = self
+            .certificate
+            .as_ref()
+            .map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
         match (&self.avoidance, shown) {
             (RoundedAvoidance::Unavoidable, shown) => {
                 matches!(shown, Some((Ok(ProvedClaim::Unavoidable { .. }), true)))
             }
             (
                 RoundedAvoidance::Avoidable {
-                    min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, ..
+                    min_gap_bound_m: Some(bound_m),
+                    min_gap_bound_is_certified: true,
+                    ..
                 },
                 shown,
             ) => {
                 matches!(shown, Some((Ok(ProvedClaim::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
             }
-            (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => shown.is_none(),
+            (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => {
+                shown.is_none()
+            }
         }
     }
 }

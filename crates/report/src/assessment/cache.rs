@@ -130,7 +130,8 @@ impl EvidenceCache {
     /// [`CacheError`] if the folder cannot be created, or is in use.
     pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, CacheError> {
         disk::make_folder(folder)?;
-        let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
+        let lock =
+            FolderLock::try_acquire(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
         Ok(Self {
             folder: Some(folder.to_owned()),
             program: program.to_owned(),
@@ -157,8 +158,10 @@ impl EvidenceCache {
         let inputs_sha256 = sha256(to_json(inputs)?);
         let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
         let path = self.folder.as_ref().map(|folder| folder.join(file));
-        if let Some((evidence, value)) =
-            path.as_deref().filter(|_| !self.is_fresh).and_then(|path| self.read_entry(path, name, &inputs_sha256))
+        if let Some((evidence, value)) = path
+            .as_deref()
+            .filter(|_| !self.is_fresh)
+            .and_then(|path| self.read_entry(path, name, &inputs_sha256))
         {
             self.record(name, inputs_sha256, &evidence, true);
             return Ok(value);
@@ -184,17 +187,27 @@ impl EvidenceCache {
     ///
     /// # Errors
     /// [`CacheError`] if the folder cannot be created.
-    pub(super) fn scratch_folder(&self, name: &str, inputs: &impl Serialize) -> Result<ScratchFolder, CacheError> {
+    pub(super) fn scratch_folder(
+        &self,
+        name: &str,
+        inputs: &impl Serialize,
+    ) -> Result<ScratchFolder, CacheError> {
         let Some(folder) = &self.folder else {
             let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
-            return Ok(ScratchFolder { path: made.path().to_owned(), _temporary: Some(made) });
+            return Ok(ScratchFolder {
+                path: made.path().to_owned(),
+                _temporary: Some(made),
+            });
         };
         let path = folder.join(self.file_stem(name, &sha256(to_json(inputs)?)));
         if self.is_fresh && path.is_dir() {
             fs::remove_dir_all(&path).map_err(DiskError::at(&path))?;
         }
         disk::make_folder(&path)?;
-        Ok(ScratchFolder { path, _temporary: None })
+        Ok(ScratchFolder {
+            path,
+            _temporary: None,
+        })
     }
 
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
@@ -203,18 +216,31 @@ impl EvidenceCache {
     }
 
     /// Returns the text and value of an entry if the file exists and matches its name.
-    fn read_entry<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+    fn read_entry<T: DeserializeOwned>(
+        &self,
+        path: &Path,
+        name: &str,
+        inputs_sha256: &str,
+    ) -> Option<(String, T)> {
         let found = fs::symlink_metadata(path).ok()?;
         let is_plain = found.is_file() && found.len() <= MAX_ENTRY_BYTES;
-        let value = is_plain.then(|| self.read_verified(path, name, inputs_sha256)).flatten();
+        let value = is_plain
+            .then(|| self.read_verified(path, name, inputs_sha256))
+            .flatten();
         if value.is_none() {
             self.lock_log().damaged_files.push(path.to_owned());
         }
         value
     }
 
-    fn read_verified<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
-        let kept: CacheEntry = serde_json::from_slice(&regular_file::read(path, MAX_ENTRY_BYTES).ok()?).ok()?;
+    fn read_verified<T: DeserializeOwned>(
+        &self,
+        path: &Path,
+        name: &str,
+        inputs_sha256: &str,
+    ) -> Option<(String, T)> {
+        let kept: CacheEntry =
+            serde_json::from_slice(&regular_file::read(path, MAX_ENTRY_BYTES).ok()?).ok()?;
         let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
         let value = (is_asked_for && kept.is_intact(&self.program))
             .then(|| serde_json::from_str(&kept.evidence).ok())
@@ -223,7 +249,11 @@ impl EvidenceCache {
     }
 
     fn record(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
-        let hash = EvidenceHash { name: name.to_owned(), inputs_sha256, evidence_sha256: sha256(evidence) };
+        let hash = EvidenceHash {
+            name: name.to_owned(),
+            inputs_sha256,
+            evidence_sha256: sha256(evidence),
+        };
         let mut gathered = self.lock_log();
         gathered.hashes.push(hash);
         gathered.reused_count += usize::from(reused);

@@ -9,8 +9,8 @@ use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, NamedController, RecordingLevel, Run,
-    RunError, RunOptions, SimulationResult, Trace, simulate_batch,
+    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, NamedController,
+    RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, simulate_batch,
 };
 
 /// The result of one controller in one scenario. With several vehicles under test, each measure is the worst among
@@ -134,14 +134,25 @@ impl CaseVerdict {
     /// Determines the verdict on a run of a scenario. Without a trace, `closing_ttc_s` is `None`.
     #[must_use]
     pub fn new(simulated: &SimulationResult, scenario: &Scenario) -> Self {
-        if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed_controller() {
-            return Self::ControllerFailed { time_s: (*time_s).into(), vehicle: *vehicle, reason: failure.to_string() };
+        if let Some(FailedController {
+            time_s,
+            vehicle,
+            failure,
+        }) = simulated.outcome.failed_controller()
+        {
+            return Self::ControllerFailed {
+                time_s: (*time_s).into(),
+                vehicle: *vehicle,
+                reason: failure.to_string(),
+            };
         }
         let Some(contact) = simulated.outcome.contact() else {
             let tested = (1..scenario.vehicles().len())
                 .filter(|&rear| scenario.is_under_test(rear) || scenario.is_under_test(rear - 1));
             let closing = tested.map(|rear| closing_ttc_s(simulated.trace.as_ref()?, rear));
-            return Self::Safe { closing_ttc_s: smallest(closing).map(Rounded::new) };
+            return Self::Safe {
+                closing_ttc_s: smallest(closing).map(Rounded::new),
+            };
         };
         match ContactRole::new(contact, scenario) {
             ContactRole::Hits => Self::Hit(contact.into()),
@@ -153,16 +164,20 @@ impl CaseVerdict {
     /// True if a vehicle under test collided, or its controller gave no answer.
     #[must_use]
     pub fn is_failure(&self) -> bool {
-        matches!(self, Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. })
+        matches!(
+            self,
+            Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. }
+        )
     }
 
     /// Returns the failure of the controller to answer, if any.
     #[must_use]
     pub(crate) fn unanswered(&self) -> Option<FailedControllerRuns> {
         match self {
-            Self::ControllerFailed { time_s, reason, .. } => {
-                Some(FailedControllerRuns { runs: 1, because: format!("at {time_s} s, {reason}") })
-            }
+            Self::ControllerFailed { time_s, reason, .. } => Some(FailedControllerRuns {
+                runs: 1,
+                because: format!("at {time_s} s, {reason}"),
+            }),
             Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::OthersCollided(_) => None,
         }
     }
@@ -184,21 +199,46 @@ impl CaseVerdict {
     /// Describes the verdict in a few words.
     #[must_use]
     pub fn describe(&self) -> String {
-        let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
+        let at = |contact: &RoundedContact| {
+            format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps)
+        };
         match self {
-            Self::Safe { closing_ttc_s: None } => "no collision".to_owned(),
-            Self::Safe { closing_ttc_s: Some(ttc_s) } => {
+            Self::Safe {
+                closing_ttc_s: None,
+            } => "no collision".to_owned(),
+            Self::Safe {
+                closing_ttc_s: Some(ttc_s),
+            } => {
                 format!("no collision, but TTC {ttc_s} s at the end")
             }
-            Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
+            Self::Hit(contact) => format!(
+                "{} hits {} at {}",
+                contact.rear_vehicle,
+                contact.front_vehicle,
+                at(contact)
+            ),
             Self::WasHit(contact) => {
-                format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
+                format!(
+                    "{} hit from behind by {} at {}",
+                    contact.front_vehicle,
+                    contact.rear_vehicle,
+                    at(contact)
+                )
             }
-            Self::ControllerFailed { time_s, vehicle, reason } => {
+            Self::ControllerFailed {
+                time_s,
+                vehicle,
+                reason,
+            } => {
                 format!("controller of {vehicle} failed at {time_s} s: {reason}")
             }
             Self::OthersCollided(contact) => {
-                format!("other vehicles: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
+                format!(
+                    "other vehicles: {} hits {} at {}",
+                    contact.rear_vehicle,
+                    contact.front_vehicle,
+                    at(contact)
+                )
             }
         }
     }
@@ -209,7 +249,8 @@ fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
     let pairs = trace.pairs(rear);
     let pair = pairs.last().filter(|pair| pair.span_s[1].is_infinite())?;
     let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
-    measure::ttc_s(pair.gaps_m().last()?.1, closing_mps).filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
+    measure::ttc_s(pair.gaps_m().last()?.1, closing_mps)
+        .filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 
 impl From<&Contact> for RoundedContact {
@@ -237,12 +278,19 @@ pub(super) fn run_cases(
     motion: MotionRetention,
 ) -> Result<Vec<Vec<CaseResult>>, RunError> {
     let prepare = |scenario, controller: &NamedController, after_contact| {
-        let options =
-            RunOptions::new(controller.kind.clone()).with_estimator(estimator).with_after_contact(after_contact);
+        let options = RunOptions::new(controller.kind.clone())
+            .with_estimator(estimator)
+            .with_after_contact(after_contact);
         Run::new(scenario, options)
     };
-    let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
-    let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
+    let pairs: Vec<_> = scenarios
+        .iter()
+        .flat_map(|&s| controllers.iter().map(move |c| (s, c)))
+        .collect();
+    let runs = pairs
+        .iter()
+        .map(|(s, c)| prepare(s, c, AfterContact::Stop))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
         let mut case = CaseResult::new(pairs[index].0, pairs[index].1, simulated);
         if motion == MotionRetention::Drop {
@@ -250,17 +298,24 @@ pub(super) fn run_cases(
         }
         case
     });
-    let collided = (0..cases.len()).filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }));
+    let collided =
+        (0..cases.len()).filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }));
     let collided: Vec<usize> = collided.collect();
-    let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
+    let to_the_end = collided
+        .iter()
+        .map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
     let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
-    let pile_ups =
-        simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::from_simulated(&simulated));
+    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| {
+        PileUp::from_simulated(&simulated)
+    });
     for (index, pile_up) in collided.into_iter().zip(pile_ups) {
         cases[index].pile_up = pile_up;
     }
     let mut cases = cases.into_iter();
-    Ok(scenarios.iter().map(|_| cases.by_ref().take(controllers.len()).collect()).collect())
+    Ok(scenarios
+        .iter()
+        .map(|_| cases.by_ref().take(controllers.len()).collect())
+        .collect())
 }
 
 impl PileUp {
@@ -277,22 +332,35 @@ impl PileUp {
 impl CaseResult {
     fn new(scenario: &Scenario, controller: &NamedController, simulated: SimulationResult) -> Self {
         let trace = simulated.trace.as_ref();
-        let measured = |index: usize| trace.and_then(|trace| Measures::from_trace(trace, &simulated.impacts, index));
-        let under_test: Vec<usize> =
-            (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
-        let own: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index)).collect();
-        let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
+        let measured = |index: usize| {
+            trace.and_then(|trace| Measures::from_trace(trace, &simulated.impacts, index))
+        };
+        let under_test: Vec<usize> = (0..scenario.vehicles().len())
+            .filter(|&index| scenario.is_under_test(index))
+            .collect();
+        let own: Vec<Measures> = under_test
+            .iter()
+            .filter_map(|&index| measured(index))
+            .collect();
+        let followers: Vec<Measures> = under_test
+            .iter()
+            .filter_map(|&index| measured(index + 1))
+            .collect();
         Self {
             controller: controller.name.clone(),
             verdict: CaseVerdict::new(&simulated, scenario),
             ahead: RoundedLeadMeasures::worst(&own),
             behind: RoundedLeadMeasures::worst(&followers),
-            min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m)).map(Rounded::new),
+            min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m))
+                .map(Rounded::new),
             regret_m: None,
             peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
             peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
-            induced_brake_mps2: largest(own.iter().map(|m| m.induced.and_then(|imposed| imposed.peak_brake_mps2)))
-                .map(Rounded::new),
+            induced_brake_mps2: largest(
+                own.iter()
+                    .map(|m| m.induced.and_then(|imposed| imposed.peak_brake_mps2)),
+            )
+            .map(Rounded::new),
             pile_up: None,
             controller_arg: controller_arg(&controller.kind),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
@@ -302,21 +370,33 @@ impl CaseResult {
 
 impl RoundedLeadMeasures {
     fn worst(vehicles: &[Measures]) -> Self {
-        let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
+        let ahead: Vec<_> = vehicles
+            .iter()
+            .filter_map(|measures| measures.ahead)
+            .collect();
         // At a collision the required deceleration is infinite, so there is no maximum.
         let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
         let demand = |of: fn(&measure::LeadMeasures) -> Option<f64>| {
-            if touched { None } else { largest(ahead.iter().map(of)).map(Rounded::new) }
+            if touched {
+                None
+            } else {
+                largest(ahead.iter().map(of)).map(Rounded::new)
+            }
         };
         Self {
             min_gap_m: smallest(ahead.iter().map(|a| a.min_gap_m)).map(Rounded::new),
             min_ttc_s: smallest(ahead.iter().map(|a| a.min_ttc_s)).map(Rounded::new),
-            min_time_headway_s: smallest(ahead.iter().map(|a| a.min_time_headway_s)).map(Rounded::new),
+            min_time_headway_s: smallest(ahead.iter().map(|a| a.min_time_headway_s))
+                .map(Rounded::new),
             min_time_gap_s: smallest(ahead.iter().map(|a| a.min_time_gap_s)).map(Rounded::new),
             max_drac_mps2: demand(|a| a.max_drac_mps2),
             max_required_brake_mps2: demand(|a| a.max_required_brake_mps2),
-            tet_s: largest(ahead.iter().map(|a| Some(a.tet_s))).unwrap_or(0.0).into(),
-            tit_s2: largest(ahead.iter().map(|a| Some(a.tit_s2))).unwrap_or(0.0).into(),
+            tet_s: largest(ahead.iter().map(|a| Some(a.tet_s)))
+                .unwrap_or(0.0)
+                .into(),
+            tit_s2: largest(ahead.iter().map(|a| Some(a.tit_s2)))
+                .unwrap_or(0.0)
+                .into(),
             standstill_gap_m: smallest(ahead.iter().map(|a| a.standstill_gap_m)).map(Rounded::new),
         }
     }

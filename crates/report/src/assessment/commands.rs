@@ -40,16 +40,25 @@ pub struct CommandFile {
 
 impl CrumpleCommand {
     pub(super) fn new<W: Into<String>>(arguments: impl IntoIterator<Item = W>) -> Self {
-        Self { arguments: arguments.into_iter().map(Into::into).collect() }
+        Self {
+            arguments: arguments.into_iter().map(Into::into).collect(),
+        }
     }
 
-    pub(super) fn with_args<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
+    pub(super) fn with_args<W: Into<String>>(
+        mut self,
+        arguments: impl IntoIterator<Item = W>,
+    ) -> Self {
         self.arguments.extend(arguments.into_iter().map(Into::into));
         self
     }
 
     pub(super) fn shell_quoted(&self) -> String {
-        self.arguments.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ")
+        self.arguments
+            .iter()
+            .map(|word| ShellWord(word).to_string())
+            .collect::<Vec<_>>()
+            .join(" ")
     }
 }
 
@@ -65,11 +74,19 @@ pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     match kind {
         ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
         ControllerKind::Policy(policy) => Some(policy_path(policy)),
-        ControllerKind::Shielded(shielded) => {
-            Some(format!("shield{}:{}", shielded.settings.to_arg(), controller_arg(&shielded.controller)?))
+        ControllerKind::Shielded(shielded) => Some(format!(
+            "shield{}:{}",
+            shielded.settings.to_arg(),
+            controller_arg(&shielded.controller)?
+        )),
+        ControllerKind::Network(network) => {
+            Some(network_path(&controller_file::file_name(network)))
         }
-        ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
-        ControllerKind::Process(process) => Some(format!("{}/{}", process_folder(process)?, process.portable_file()?)),
+        ControllerKind::Process(process) => Some(format!(
+            "{}/{}",
+            process_folder(process)?,
+            process.portable_file()?
+        )),
         ControllerKind::Custom(_) => None,
     }
 }
@@ -92,12 +109,19 @@ fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
 
 fn policy_path(policy: &Policy) -> String {
     let digest = policy.digest();
-    format!("controllers/{}.safetensors", digest.get(..16).unwrap_or(&digest))
+    format!(
+        "controllers/{}.safetensors",
+        digest.get(..16).unwrap_or(&digest)
+    )
 }
 
 impl NamedSpace {
     pub(super) fn to_arg(&self) -> String {
-        if self.is_built_in() { self.name.clone() } else { self.path() }
+        if self.is_built_in() {
+            self.name.clone()
+        } else {
+            self.path()
+        }
     }
 
     fn is_built_in(&self) -> bool {
@@ -130,35 +154,61 @@ impl AssessmentPlan {
         };
         for controller in &self.controllers {
             // Only policies that were read from files need to be stored.
-            if let (Some(word), Some(policy)) = (controller_arg(&controller.kind), controller.policy())
+            if let (Some(word), Some(policy)) =
+                (controller_arg(&controller.kind), controller.policy())
                 && word.ends_with(&policy_path(&policy))
             {
-                add(policy_path(&policy), policy.to_bytes().map_err(CacheError::encoding)?);
+                add(
+                    policy_path(&policy),
+                    policy.to_bytes().map_err(CacheError::encoding)?,
+                );
             }
         }
-        for network in self.controllers.iter().filter_map(|controller| find_network(&controller.kind)) {
-            for (name, contents) in controller_file::to_files(network).map_err(CacheError::encoding)? {
+        for network in self
+            .controllers
+            .iter()
+            .filter_map(|controller| find_network(&controller.kind))
+        {
+            for (name, contents) in
+                controller_file::to_files(network).map_err(CacheError::encoding)?
+            {
                 add(network_path(&name), contents);
             }
         }
         for controller in &self.controllers {
-            let ControllerKind::Process(process) = controller.kind.unshielded() else { continue };
-            let Some(folder) = process_folder(process) else { continue };
-            let copied = |problem| CacheError::Copy { controller: controller.name.clone(), problem };
+            let ControllerKind::Process(process) = controller.kind.unshielded() else {
+                continue;
+            };
+            let Some(folder) = process_folder(process) else {
+                continue;
+            };
+            let copied = |problem| CacheError::Copy {
+                controller: controller.name.clone(),
+                problem,
+            };
             for (name, contents) in process.portable_files().map_err(copied)? {
                 add(format!("{folder}/{name}"), contents);
             }
         }
-        for own in self.rate_spaces.iter().chain(&self.search_spaces).filter(|named| !named.is_built_in()) {
+        for own in self
+            .rate_spaces
+            .iter()
+            .chain(&self.search_spaces)
+            .filter(|named| !named.is_built_in())
+        {
             add(own.path(), own.text.clone().into_bytes());
         }
         for given in &self.certificates {
             // A certificate may name any file. The checker looks for one of that name in the certificate's folder.
-            if let (Some((file, digest)), Some(policy)) = (given.certificate.policy_reference(), &given.policy)
+            if let (Some((file, digest)), Some(policy)) =
+                (given.certificate.policy_reference(), &given.policy)
                 && sha256(policy) == digest
                 && let Some(name) = Path::new(file).file_name()
             {
-                add(format!("certificates/{}", name.to_string_lossy()), policy.clone());
+                add(
+                    format!("certificates/{}", name.to_string_lossy()),
+                    policy.clone(),
+                );
             }
         }
         for (_, scenario) in &self.file_scenarios {

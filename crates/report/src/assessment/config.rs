@@ -16,7 +16,10 @@ pub const CONFIG_VERSION: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "schema", schemars(rename = "Assessment", title = "crumple assessment, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "Assessment", title = "crumple assessment, version 1")
+)]
 #[non_exhaustive]
 pub struct AssessConfig {
     /// Version of the file format: 1.
@@ -94,7 +97,10 @@ pub struct SearchConfig {
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { spaces: None, budget: 400 }
+        Self {
+            spaces: None,
+            budget: 400,
+        }
     }
 }
 
@@ -112,7 +118,10 @@ pub struct RatesConfig {
 
 impl Default for RatesConfig {
     fn default() -> Self {
-        Self { runs: 4000, confidence: 0.999 }
+        Self {
+            runs: 4000,
+            confidence: 0.999,
+        }
     }
 }
 
@@ -130,7 +139,15 @@ pub struct HarmConfig {
 }
 
 /// Controllers of the built-in report, the baseline first.
-const COMPARED: [&str; 7] = ["baseline", "idm", "acc-aeb", "predictive", "policy", "shield:policy", "road"];
+const COMPARED: [&str; 7] = [
+    "baseline",
+    "idm",
+    "acc-aeb",
+    "predictive",
+    "policy",
+    "shield:policy",
+    "road",
+];
 
 fn compared_controllers() -> Vec<String> {
     COMPARED.map(str::to_owned).into()
@@ -160,7 +177,12 @@ impl AssessConfig {
     #[must_use]
     pub fn search_spaces(&self) -> Vec<String> {
         let of_the_paper = self.paper.then(|| "paper".to_owned());
-        let unless_named = || of_the_paper.into_iter().chain(["high-risk".to_owned()]).collect();
+        let unless_named = || {
+            of_the_paper
+                .into_iter()
+                .chain(["high-risk".to_owned()])
+                .collect()
+        };
         self.search.spaces.clone().unwrap_or_else(unless_named)
     }
 }
@@ -186,8 +208,14 @@ impl Default for AssessConfig {
             harm: None,
             certificates: None,
             gates: vec![
-                AssessmentGate::NoContactInPaperScenarios { controller: road.clone() },
-                AssessmentGate::RateNotAbove { controller: road, than: baseline, space: None },
+                AssessmentGate::NoContactInPaperScenarios {
+                    controller: road.clone(),
+                },
+                AssessmentGate::RateNotAbove {
+                    controller: road,
+                    than: baseline,
+                    space: None,
+                },
                 AssessmentGate::ProofsAccepted {},
             ],
         }

@@ -11,8 +11,8 @@ pub(super) fn follower_drivers(scenarios: &[Scenario]) -> BTreeSet<String> {
 
 fn drivers_behind(scenario: &Scenario) -> impl Iterator<Item = String> {
     let vehicles = scenario.vehicles();
-    let behind =
-        (1..vehicles.len()).filter(|index| scenario.is_under_test(index - 1) && !scenario.is_under_test(*index));
+    let behind = (1..vehicles.len())
+        .filter(|index| scenario.is_under_test(index - 1) && !scenario.is_under_test(*index));
     behind.map(|index| vehicles[index].driver.name().to_owned())
 }
 
@@ -34,13 +34,21 @@ mod tests {
     fn followers_of_built_in_spaces_are_named() {
         let described = |space: &str| {
             let space = built_in_space(space).unwrap();
-            let scenarios: Vec<_> = (0..100).map(|index| space.draw(0, index).unwrap()).collect();
+            let scenarios: Vec<_> = (0..100)
+                .map(|index| space.draw(0, index).unwrap())
+                .collect();
             let drivers: Vec<_> = follower_drivers(&scenarios).into_iter().collect();
             describe_followers(&drivers)
         };
         assert_eq!(described("high-risk"), "`baseline` drives the follower");
         assert_eq!(described("high-risk-human"), "`human` drives the follower");
-        assert_eq!(described("traffic"), "`acc-aeb` or `idm` drives the follower");
-        assert_eq!(described("alone"), "no vehicle follows, so no collision from behind can happen");
+        assert_eq!(
+            described("traffic"),
+            "`acc-aeb` or `idm` drives the follower"
+        );
+        assert_eq!(
+            described("alone"),
+            "no vehicle follows, so no collision from behind can happen"
+        );
     }
 }

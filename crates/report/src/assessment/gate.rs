@@ -93,7 +93,9 @@ pub enum AssessmentGate {
 impl AssessmentGate {
     pub(super) fn controllers_mut(&mut self) -> Vec<(&'static str, &mut String)> {
         match self {
-            Self::RateNotAbove { controller, than, .. } => vec![("controller", controller), ("than", than)],
+            Self::RateNotAbove {
+                controller, than, ..
+            } => vec![("controller", controller), ("than", than)],
             Self::NoContactInPaperScenarios { controller }
             | Self::NoCollisionInScenarioFiles { controller }
             | Self::NoCollisionInSpace { controller, .. }
@@ -109,8 +111,10 @@ impl AssessmentGate {
 
     /// Returns the field, and the problem, that prevents any assessment of this configuration from evaluating the gate.
     pub(super) fn config_problem(&self, config: &AssessConfig) -> Option<(&'static str, String)> {
-        let needs_drives =
-            || (config.everyday_draws == 0).then(|| ("require", "needs `everyday_draws` above 0".to_owned()));
+        let needs_drives = || {
+            (config.everyday_draws == 0)
+                .then(|| ("require", "needs `everyday_draws` above 0".to_owned()))
+        };
         match self {
             Self::NoContactInPaperScenarios { .. } if !config.paper => {
                 Some(("require", "needs `paper = true`".to_owned()))
@@ -118,17 +122,27 @@ impl AssessmentGate {
             Self::NoAvoidableFailure { space, .. } if !config.search_spaces().contains(space) => {
                 Some(("space", format!("`{space}` is not among `search.spaces`")))
             }
-            Self::RateAtMost { percent, space, .. } => share_problem(*percent).or_else(|| space_problem(space, config)),
-            Self::RateNotAbove { controller, than, .. } if controller == than => {
-                Some(("than", "is the controller itself: name another one".to_owned()))
+            Self::RateAtMost { percent, space, .. } => {
+                share_problem(*percent).or_else(|| space_problem(space, config))
             }
-            Self::RateNotAbove { .. } if config.draws == 0 => Some(("require", "needs `draws` above 0".to_owned())),
+            Self::RateNotAbove {
+                controller, than, ..
+            } if controller == than => Some((
+                "than",
+                "is the controller itself: name another one".to_owned(),
+            )),
+            Self::RateNotAbove { .. } if config.draws == 0 => {
+                Some(("require", "needs `draws` above 0".to_owned()))
+            }
             Self::RateNotAbove { space, .. } => space_problem(space, config),
             Self::NoCollisionInSpace { space, .. } => simulated_space_problem(space, config),
-            Self::NoCollisionInScenarioFiles { .. } if config.scenarios.is_empty() && config.recordings.is_empty() => {
+            Self::NoCollisionInScenarioFiles { .. }
+                if config.scenarios.is_empty() && config.recordings.is_empty() =>
+            {
                 Some(("require", "needs `scenarios` or `recordings`".to_owned()))
             }
-            Self::UnnecessaryBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
+            Self::UnnecessaryBrakingAtMost { percent, .. }
+            | Self::LeftBehindAtMost { percent, .. } => {
                 share_problem(*percent).or_else(needs_drives)
             }
             Self::StringStable { .. } => needs_drives(),
@@ -138,12 +152,24 @@ impl AssessmentGate {
     }
 }
 
-fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Option<(&'static str, String)> {
+fn suite_problem(
+    config: &AssessConfig,
+    controller: &String,
+    suite: &str,
+) -> Option<(&'static str, String)> {
     let Some(named) = config.suites.iter().find(|named| named.suite == suite) else {
         return Some(("suite", format!("`{suite}` is not among `suites`")));
     };
-    let is_tested = named.controllers.as_ref().is_none_or(|tested| tested.contains(controller));
-    (!is_tested).then(|| ("controller", format!("`{controller}` is not tested by suite `{suite}`")))
+    let is_tested = named
+        .controllers
+        .as_ref()
+        .is_none_or(|tested| tested.contains(controller));
+    (!is_tested).then(|| {
+        (
+            "controller",
+            format!("`{controller}` is not tested by suite `{suite}`"),
+        )
+    })
 }
 
 fn share_problem(percent: f64) -> Option<(&'static str, String)> {
@@ -155,10 +181,13 @@ fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'sta
     let known = config.rate_spaces();
     match space {
         _ if known.is_empty() => Some(("require", "needs `distributions`".to_owned())),
-        Some(space) if !known.contains(space) => Some(("space", format!("`{space}` is not among `distributions`"))),
-        None if known.len() > 1 => {
-            Some(("space", "must be named, because there are several `distributions`".to_owned()))
+        Some(space) if !known.contains(space) => {
+            Some(("space", format!("`{space}` is not among `distributions`")))
         }
+        None if known.len() > 1 => Some((
+            "space",
+            "must be named, because there are several `distributions`".to_owned(),
+        )),
         _ => None,
     }
 }
@@ -169,12 +198,18 @@ fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'stat
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,
         false if is_drawn => Some(("require", "needs `draws` above 0".to_owned())),
-        false if is_driven => {
-            Some(("require", format!("needs `everyday_draws` above 0, or `{space}` in `distributions`")))
-        }
+        false if is_driven => Some((
+            "require",
+            format!("needs `everyday_draws` above 0, or `{space}` in `distributions`"),
+        )),
         false => {
             let [traffic, high_risk] = EVERYDAY_SPACES;
-            Some(("space", format!("`{space}` is neither among `distributions` nor `{traffic}` or `{high_risk}`")))
+            Some((
+                "space",
+                format!(
+                    "`{space}` is neither among `distributions` nor `{traffic}` or `{high_risk}`"
+                ),
+            ))
         }
     }
 }

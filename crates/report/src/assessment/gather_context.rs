@@ -16,13 +16,21 @@ pub(super) struct GatherContext<'a> {
 }
 
 impl<'a> GatherContext<'a> {
-    pub(super) fn new(plan: &'a AssessmentPlan, cache: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
+    pub(super) fn new(
+        plan: &'a AssessmentPlan,
+        cache: &'a EvidenceCache,
+        runs: ProgressCounter<'a>,
+    ) -> Self {
         Self { plan, cache, runs }
     }
 
     /// Fails if a controller contradicted itself or can no longer be started.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), AssessError> {
-        Ok(self.plan.controllers.iter().try_for_each(NamedController::ensure_trusted)?)
+        Ok(self
+            .plan
+            .controllers
+            .iter()
+            .try_for_each(NamedController::ensure_trusted)?)
     }
 
     /// Calls [`EvidenceCache::get_or_gather`], but caches nothing if the observer stops the assessment: runs may be

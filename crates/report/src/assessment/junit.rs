@@ -5,13 +5,24 @@ use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 
 /// Renders gates as test cases, and claims about controllers as properties.
 pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
-    let mut gates = JunitSuite { name: "gates".to_owned(), ..JunitSuite::default() };
+    let mut gates = JunitSuite {
+        name: "gates".to_owned(),
+        ..JunitSuite::default()
+    };
     gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
     for row in &assessment.summary.claims {
-        let made = row.claims.iter().zip(&row.statuses).filter(|(claim, _)| claim.is_some());
+        let made = row
+            .claims
+            .iter()
+            .zip(&row.statuses)
+            .filter(|(claim, _)| claim.is_some());
         for (claim, status) in made {
-            let controller = claim.as_ref().map_or("", |claim| claim.subject.controller.name.as_str());
-            gates.properties.push((format!("{controller}: {}", row.claim), status.describe()));
+            let controller = claim
+                .as_ref()
+                .map_or("", |claim| claim.subject.controller.name.as_str());
+            gates
+                .properties
+                .push((format!("{controller}: {}", row.claim), status.describe()));
         }
     }
     junit::render_xml("crumple assess", &[gates])
@@ -20,7 +31,11 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
 fn gate_case(gate: &GateResult) -> JunitCase {
     JunitCase {
         name: gate.gate.to_string(),
-        status: if gate.holds { JunitStatus::Passed } else { JunitStatus::Failed },
+        status: if gate.holds {
+            JunitStatus::Passed
+        } else {
+            JunitStatus::Failed
+        },
         message: (!gate.holds).then(|| gate.reason.clone()),
         output: gate.reason.clone(),
     }

@@ -33,25 +33,30 @@ use serde::Serialize;
 pub use crate::markdown::Markdown;
 pub use avoidance::RoundedAvoidance;
 pub use cache::{CacheError, EvidenceCache, EvidenceHash};
-pub use case::{CaseResult, CaseVerdict, PileUp, RoundedContact, RoundedLeadMeasures, STILL_CLOSING_TTC_S};
+pub use case::{
+    CaseResult, CaseVerdict, PileUp, RoundedContact, RoundedLeadMeasures, STILL_CLOSING_TTC_S,
+};
 pub use claims::{
-    AssuranceClaim, ClaimStatus, ContentId, Domain, Evidence, EvidenceSource, InferenceRule, Ledger,
-    MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, Subject, UncomparedText,
+    AssuranceClaim, ClaimStatus, ContentId, Domain, Evidence, EvidenceSource, InferenceRule,
+    Ledger, MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, Subject, UncomparedText,
 };
 pub use commands::{CommandFile, CrumpleCommand};
-pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig};
+pub use config::{
+    AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig,
+};
 pub use document::ReportDocument;
 pub use gate::AssessmentGate;
 pub use gate_evaluation::GateResult;
 pub use parts::{
-    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance,
-    CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ControllerHarm,
-    ControllerSample, ControllerUsefulness, DistinctFailure, EarlierAssessment, EscapeFile, FailureSearch,
-    FailureSearches, FileScenarios, FirstPage, GainCurve, Glossary, HarmGroup, HarmReport, LargestGain,
-    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
-    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases,
-    SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SuiteFailure, SuiteFindings,
-    SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
+    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits,
+    AssessmentProvenance, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow,
+    ClaimSummary, ControllerHarm, ControllerSample, ControllerUsefulness, DistinctFailure,
+    EarlierAssessment, EscapeFile, FailureSearch, FailureSearches, FileScenarios, FirstPage,
+    GainCurve, Glossary, HarmGroup, HarmReport, LargestGain, LimitingAssumption,
+    MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
+    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer,
+    ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
+    SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -164,10 +169,18 @@ pub struct ReportSection<'a> {
 
 impl<'a> ReportSection<'a> {
     fn new(anchor: &'static str, title: &'static str, part: &'a dyn ReportPart) -> Self {
-        Self { anchor, title, part }
+        Self {
+            anchor,
+            title,
+            part,
+        }
     }
 
-    fn optional(anchor: &'static str, title: &'static str, part: Option<&'a impl ReportPart>) -> Option<Self> {
+    fn optional(
+        anchor: &'static str,
+        title: &'static str,
+        part: Option<&'a impl ReportPart>,
+    ) -> Option<Self> {
         part.map(|part| Self::new(anchor, title, part))
     }
 }
@@ -236,8 +249,16 @@ pub fn assess(
     observer: &dyn Observer<RunProgress>,
 ) -> Result<AssessmentReport, AssessError> {
     let disabled = EvidenceCache::disabled();
-    let cache = if plan.first_without_identity().is_none() { cache } else { &disabled };
-    let work = GatherContext::new(plan, cache, ProgressCounter::new(observer, Some(plan.runs())));
+    let cache = if plan.first_without_identity().is_none() {
+        cache
+    } else {
+        &disabled
+    };
+    let work = GatherContext::new(
+        plan,
+        cache,
+        ProgressCounter::new(observer, Some(plan.runs())),
+    );
     let paper_scenarios = PaperScenarios::gather(&work)?;
     let rate_spaces = SpaceSamples::gather(&work)?;
     let harm = HarmReport::gather(&work)?;
@@ -274,9 +295,15 @@ pub fn assess(
     assessment.summary = ClaimSummary::new(plan, &assessment);
     assessment.first_page = FirstPage::new(plan, &assessment);
     assessment.argument = Argument::new(plan, &assessment.summary, &assessment.limits);
-    assessment.comparison = against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
+    assessment.comparison =
+        against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
     // Gates come last: they evaluate all other results.
-    let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.evaluate(plan, &assessment)).collect();
+    let gates: Vec<_> = plan
+        .config
+        .gates
+        .iter()
+        .map(|gate| gate.evaluate(plan, &assessment))
+        .collect();
     assessment.first_page.gates.clone_from(&gates);
     assessment.summary.gates = gates;
     Ok(assessment)
@@ -287,25 +314,47 @@ impl AssessmentPlan {
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
-        let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.file_scenarios.len()) as u64;
+        let scenarios = (crumple_world::scenario::built_in_scenario_names().len()
+            + self.file_scenarios.len()) as u64;
         // A search has a method and two reference searches.
         let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget;
-        let drawn = self.config.draws * self.rate_spaces.len() as u64 * if self.config.harm.is_some() { 2 } else { 1 };
+        let drawn = self.config.draws
+            * self.rate_spaces.len() as u64
+            * if self.config.harm.is_some() { 2 } else { 1 };
         let each = scenarios + drawn + searches;
-        let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
+        let learned = self
+            .controllers
+            .iter()
+            .filter(|controller| controller.kind.is_learned())
+            .count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.rate_spaces.len() as u64 * (learned + 1);
-        let tested: u64 = self.suites.iter().map(planned_suite::PlannedSuite::run_count).sum();
-        tested + driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
+        let tested: u64 = self
+            .suites
+            .iter()
+            .map(planned_suite::PlannedSuite::run_count)
+            .sum();
+        tested
+            + driven
+            + controllers.saturating_mul(each)
+            + counted.saturating_mul(self.config.rates.runs)
     }
 }
 
 impl AssessmentReport {
     fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
         let mut all = Vec::new();
-        all.extend(self.paper_scenarios.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(
+            self.paper_scenarios
+                .iter()
+                .flat_map(|part| part.evidence(plan)),
+        );
         all.extend(self.rate_spaces.evidence(plan));
-        all.extend(self.file_scenarios.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(
+            self.file_scenarios
+                .iter()
+                .flat_map(|part| part.evidence(plan)),
+        );
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
@@ -329,14 +378,34 @@ impl AssessmentReport {
         let parts = [
             ReportSection::optional("answer", "Result", Some(&self.first_page)),
             ReportSection::optional("verdict", "Claims", Some(&self.summary)),
-            ReportSection::optional("changes", "Changes since the earlier assessment", self.comparison.as_ref()),
-            ReportSection::optional("paper", "The paper's scenarios", self.paper_scenarios.as_ref()),
-            ReportSection::optional("traffic", "Scenario files and recordings", self.file_scenarios.as_ref()),
-            ReportSection::optional("suites", "Tests modelled on regulations", self.suites.as_ref()),
+            ReportSection::optional(
+                "changes",
+                "Changes since the earlier assessment",
+                self.comparison.as_ref(),
+            ),
+            ReportSection::optional(
+                "paper",
+                "The paper's scenarios",
+                self.paper_scenarios.as_ref(),
+            ),
+            ReportSection::optional(
+                "traffic",
+                "Scenario files and recordings",
+                self.file_scenarios.as_ref(),
+            ),
+            ReportSection::optional(
+                "suites",
+                "Tests modelled on regulations",
+                self.suites.as_ref(),
+            ),
             ReportSection::optional("distribution", "Collision rates", rate_spaces),
             ReportSection::optional("harm", harm, self.harm.as_ref()),
             ReportSection::optional("search", "Counterexamples found by search", searches),
-            ReportSection::optional("usefulness", "Comfort and unnecessary braking", self.usefulness.as_ref()),
+            ReportSection::optional(
+                "usefulness",
+                "Comfort and unnecessary braking",
+                self.usefulness.as_ref(),
+            ),
             ReportSection::optional("proofs", "Proofs", Some(&self.proofs)),
             ReportSection::optional("limits", "Limits", Some(&self.limits)),
         ];
@@ -390,20 +459,44 @@ impl AssessmentReport {
             ("assessment.json".to_owned(), self.to_json()?),
             ("assessment.junit.xml".to_owned(), junit::render_junit(self)),
             ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
-            ("replay.sh".to_owned(), commands::replay_script(self.proofs.recount_command().as_ref(), self.commands())),
+            (
+                "replay.sh".to_owned(),
+                commands::replay_script(self.proofs.recount_command().as_ref(), self.commands()),
+            ),
         ];
-        texts.extend(self.harm.iter().map(|harm| ("runs.csv".to_owned(), harm.runs_csv.clone())));
-        let figures = self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files);
+        texts.extend(
+            self.harm
+                .iter()
+                .map(|harm| ("runs.csv".to_owned(), harm.runs_csv.clone())),
+        );
+        let figures = self
+            .paper_scenarios
+            .iter()
+            .flat_map(PaperScenarios::figure_files);
         texts.extend(figures.map(|(name, svg)| (name, svg.document())));
-        let written =
-            self.proofs.certificates.iter().filter_map(|proof| Some((proof.file.clone()?, proof.text.clone())));
+        let written = self
+            .proofs
+            .certificates
+            .iter()
+            .filter_map(|proof| Some((proof.file.clone()?, proof.text.clone())));
         texts.extend(written);
-        let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
-        let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
+        let texts = texts
+            .into_iter()
+            .map(|(name, text)| (name, text.into_bytes()));
+        let needed = self
+            .command_files
+            .iter()
+            .map(|needed| (needed.file.clone(), needed.contents.clone()));
         let failures = self.searches.failures().flat_map(DistinctFailure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
-        let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(needed).collect();
-        let contents = all.iter().map(|(name, contents)| (name.as_str(), contents.as_slice()));
+        let mut all: Vec<_> = texts
+            .chain(failures)
+            .chain(of_suites)
+            .chain(needed)
+            .collect();
+        let contents = all
+            .iter()
+            .map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
         all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
         Ok(all)
@@ -421,4 +514,10 @@ impl AssessmentReport {
 pub const REPORT_KIND: &str = "report of an assessment";
 
 /// Subfolders of a report whose files may differ between reports.
-pub const REPORT_FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
+pub const REPORT_FOLDERS: [&str; 5] = [
+    "counterexamples/",
+    "certificates/",
+    "controllers/",
+    "spaces/",
+    "scenarios/",
+];

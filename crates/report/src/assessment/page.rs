@@ -61,7 +61,10 @@ fn sections(parts: &[ReportSection<'_>]) -> Markup {
 
 pub(super) fn render_markdown(assessment: &AssessmentReport) -> String {
     let mut text = Markdown::default();
-    for (heading, parts) in [(TITLE, assessment.parts()), ("Appendix", assessment.appendix())] {
+    for (heading, parts) in [
+        (TITLE, assessment.parts()),
+        ("Appendix", assessment.appendix()),
+    ] {
         text.heading(1, heading);
         for ReportSection { title, part, .. } in parts {
             text.heading(2, title);

@@ -57,16 +57,23 @@ pub(super) struct NamedSpace {
 impl NamedSpace {
     fn new(name: &str, space: ScenarioSpace) -> Result<Self, toml::ser::Error> {
         let text = space_file::to_toml(&space)?;
-        Ok(Self { name: name.to_owned(), content_id: ContentId::new(space.name(), &text), space, text })
+        Ok(Self {
+            name: name.to_owned(),
+            content_id: ContentId::new(space.name(), &text),
+            space,
+            text,
+        })
     }
 
     /// True if two successive vehicles of the space's scenarios are both not under test.
     pub(super) fn can_others_collide(&self) -> bool {
         // A space whose nominal scenario is invalid has no runs.
-        self.space.scenario(&self.space.nominal()).is_ok_and(|scenario| {
-            let is_other = |index: usize| !scenario.is_under_test(index);
-            (1..scenario.vehicles().len()).any(|rear| is_other(rear) && is_other(rear - 1))
-        })
+        self.space
+            .scenario(&self.space.nominal())
+            .is_ok_and(|scenario| {
+                let is_other = |index: usize| !scenario.is_under_test(index);
+                (1..scenario.vehicles().len()).any(|rear| is_other(rear) && is_other(rear - 1))
+            })
     }
 }
 
@@ -104,14 +111,23 @@ impl AssessmentPlan {
         own: impl IntoIterator<Item = NamedController>,
         folder: &Path,
     ) -> Result<Self, AssessConfigError> {
-        let loading = PlanLoader { path: Path::new("configuration"), text: "", folder };
+        let loading = PlanLoader {
+            path: Path::new("configuration"),
+            text: "",
+            folder,
+        };
         let mut controllers = loading.load_controllers(&config)?;
         let first_own = controllers.len();
         for controller in own {
             loading.add_controller(&mut controllers, "controllers", controller)?;
         }
-        config.controllers = controllers.iter().map(|controller| controller.name.clone()).collect();
-        config.subject = config.subject.or_else(|| Some(controllers.get(first_own)?.name.clone()));
+        config.controllers = controllers
+            .iter()
+            .map(|controller| controller.name.clone())
+            .collect();
+        config.subject = config
+            .subject
+            .or_else(|| Some(controllers.get(first_own)?.name.clone()));
         loading.build_plan(config, controllers)
     }
 
@@ -122,16 +138,28 @@ impl AssessmentPlan {
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
         let config: AssessConfig = file::parse_toml(&text, path)?;
-        let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
+        let loading = PlanLoader {
+            path,
+            text: &text,
+            folder: path.parent().unwrap_or(Path::new("")),
+        };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)
     }
 
     /// Returns each scenario space of the assessment once.
     pub(super) fn all_spaces(&self) -> Vec<ScenarioSpace> {
-        let everyday = EVERYDAY_SPACES.iter().filter(|_| self.config.everyday_draws > 0);
-        let own = self.rate_spaces.iter().chain(&self.search_spaces).map(|named| named.space.clone());
-        let mut all: Vec<_> = own.chain(everyday.filter_map(|name| built_in_space(name))).collect();
+        let everyday = EVERYDAY_SPACES
+            .iter()
+            .filter(|_| self.config.everyday_draws > 0);
+        let own = self
+            .rate_spaces
+            .iter()
+            .chain(&self.search_spaces)
+            .map(|named| named.space.clone());
+        let mut all: Vec<_> = own
+            .chain(everyday.filter_map(|name| built_in_space(name)))
+            .collect();
         let mut names = BTreeSet::new();
         all.retain(|space| names.insert(space.name().to_owned()));
         all
@@ -140,19 +168,35 @@ impl AssessmentPlan {
     /// True if a gate needs an earlier assessment to compare with.
     #[must_use]
     pub fn needs_earlier_assessment(&self) -> bool {
-        self.config.gates.iter().any(|gate| matches!(gate, AssessmentGate::NothingWorse {}))
+        self.config
+            .gates
+            .iter()
+            .any(|gate| matches!(gate, AssessmentGate::NothingWorse {}))
     }
 
     /// Returns the subject of claims about a controller. A controller without identity equals no other one.
     pub(super) fn claim_subject(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
         let controller = self.controllers.get(index)?;
-        let unknown = || sha256(format!("controller {index} of one report, {}", controller.name));
+        let unknown = || {
+            sha256(format!(
+                "controller {index} of one report, {}",
+                controller.name
+            ))
+        };
         let sha256 = controller.kind.identity().unwrap_or_else(unknown);
-        Some(Subject { controller: ContentId { name: controller.name.clone(), sha256 }, estimator })
+        Some(Subject {
+            controller: ContentId {
+                name: controller.name.clone(),
+                sha256,
+            },
+            estimator,
+        })
     }
 
     pub(super) fn claim_subjects(&self) -> Vec<Subject> {
-        (0..self.controllers.len()).filter_map(|index| self.claim_subject(index, self.config.estimator)).collect()
+        (0..self.controllers.len())
+            .filter_map(|index| self.claim_subject(index, self.config.estimator))
+            .collect()
     }
 
     pub(super) fn subject(&self) -> Option<&NamedController> {
@@ -160,7 +204,10 @@ impl AssessmentPlan {
     }
 
     pub(super) fn identities(&self) -> Value {
-        self.controllers.iter().map(|controller| self.identity(controller)).collect()
+        self.controllers
+            .iter()
+            .map(|controller| self.identity(controller))
+            .collect()
     }
 
     /// Returns the controllers under test.
@@ -172,53 +219,89 @@ impl AssessmentPlan {
     /// Returns the first controller without identity. Its evidence cannot be attributed, so the assessment caches none.
     #[must_use]
     pub fn first_without_identity(&self) -> Option<&NamedController> {
-        self.controllers.iter().find(|controller| controller.kind.identity().is_none())
+        self.controllers
+            .iter()
+            .find(|controller| controller.kind.identity().is_none())
     }
 
     /// Returns the inputs of evidence about one controller: name, policy and estimator.
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
-        let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];
+        let mut identity = vec![
+            json!(controller.name),
+            json!(policy),
+            json!(self.config.estimator.name()),
+        ];
         identity.extend(controller.disambiguating_hash().map(Value::from));
         identity.into()
     }
 
     /// Returns the controller's name as part of a path, unique in the plan.
     pub(super) fn controller_slug(&self, index: usize) -> String {
-        let of = |index: usize| self.controllers.get(index).map(|controller| slug(&controller.name));
+        let of = |index: usize| {
+            self.controllers
+                .get(index)
+                .map(|controller| slug(&controller.name))
+        };
         let own = of(index).unwrap_or_default();
         let is_taken = (0..index).any(|other| of(other).as_deref() == Some(own.as_str()));
-        if is_taken { format!("{own}-{index}") } else { own }
+        if is_taken {
+            format!("{own}-{index}")
+        } else {
+            own
+        }
     }
 }
 
 /// Replaces every character of a name that is not ASCII alphanumeric by a hyphen.
 pub(super) fn slug(name: &str) -> String {
-    name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
+    name.chars()
+        .map(|letter| {
+            if letter.is_ascii_alphanumeric() {
+                letter
+            } else {
+                '-'
+            }
+        })
+        .collect()
 }
 
 /// Returns a name as a file name; different names have different file names.
 pub(super) fn file_stem(name: &str) -> String {
     let slug = slug(name);
-    if slug == name { slug } else { format!("{slug}-{}", sha256(name).get(..8).unwrap_or_default()) }
+    if slug == name {
+        slug
+    } else {
+        format!("{slug}-{}", sha256(name).get(..8).unwrap_or_default())
+    }
 }
 
 fn default_subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
         controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
     };
-    let road = controllers.iter().position(|controller| controller.name == "road");
-    road.or_else(|| controllers.iter().position(is_bare)).unwrap_or(controllers.len().saturating_sub(1))
+    let road = controllers
+        .iter()
+        .position(|controller| controller.name == "road");
+    road.or_else(|| controllers.iter().position(is_bare))
+        .unwrap_or(controllers.len().saturating_sub(1))
 }
 
 fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate> {
     let reference = ControllerSpec::Policy(Default::default()).identity();
-    if !controllers.iter().any(|controller| controller.kind.identity().as_deref() == Some(reference.as_str())) {
+    if !controllers
+        .iter()
+        .any(|controller| controller.kind.identity().as_deref() == Some(reference.as_str()))
+    {
         return Vec::new();
     }
     let given = |(name, text): &(&str, &str)| {
         let policy = Some(Policy::reference_bytes().to_vec());
-        Some(GivenCertificate { name: (*name).to_owned(), certificate: Certificate::from_json(text).ok()?, policy })
+        Some(GivenCertificate {
+            name: (*name).to_owned(),
+            certificate: Certificate::from_json(text).ok()?,
+            policy,
+        })
     };
     SHIPPED_CERTIFICATES.iter().filter_map(given).collect()
 }
@@ -243,8 +326,17 @@ impl PlanLoader<'_> {
         }
     }
 
-    fn ensure(&self, holds: bool, field: &str, problem: impl FnOnce() -> String) -> Result<(), AssessConfigError> {
-        if holds { Ok(()) } else { Err(self.field_error(field, problem())) }
+    fn ensure(
+        &self,
+        holds: bool,
+        field: &str,
+        problem: impl FnOnce() -> String,
+    ) -> Result<(), AssessConfigError> {
+        if holds {
+            Ok(())
+        } else {
+            Err(self.field_error(field, problem()))
+        }
     }
 
     fn build_plan(
@@ -258,18 +350,25 @@ impl PlanLoader<'_> {
             if let Ok(found) = NamedController::find_for_user(name, self.folder) {
                 *name = found.name;
             }
-            controllers.iter().position(|controller| controller.name == *name)
+            controllers
+                .iter()
+                .position(|controller| controller.name == *name)
         };
         let subject_index = match &mut config.subject {
             None => default_subject(&controllers),
-            Some(name) => place_of(name).ok_or_else(|| self.field_error("subject", not_among_controllers(name)))?,
+            Some(name) => place_of(name)
+                .ok_or_else(|| self.field_error("subject", not_among_controllers(name)))?,
         };
         let suites = PlannedSuite::from_config(&mut config, self.folder, &controllers, place_of)
             .map_err(|(field, problem)| self.field_error(&field, problem))?;
         for (index, gate) in config.gates.iter_mut().enumerate() {
             for (field, name) in gate.controllers_mut() {
-                place_of(name)
-                    .ok_or_else(|| self.field_error(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
+                place_of(name).ok_or_else(|| {
+                    self.field_error(
+                        &format!("gates[{index}].{field}"),
+                        not_among_controllers(name),
+                    )
+                })?;
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
@@ -282,12 +381,14 @@ impl PlanLoader<'_> {
         let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
         let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
         let clash = rate_spaces.iter().find(|one| {
-            search_spaces
-                .iter()
-                .any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id)
+            search_spaces.iter().any(|other| {
+                one.space.name() == other.space.name() && one.content_id != other.content_id
+            })
         });
         if let Some(one) = clash.map(|one| one.space.name()) {
-            let problem = format!("the name `{one}` belongs to another space in `search.spaces`; rename one of them");
+            let problem = format!(
+                "the name `{one}` belongs to another space in `search.spaces`; rename one of them"
+            );
             return Err(self.field_error("distributions", problem));
         }
         let given = config.certificates.clone();
@@ -305,7 +406,9 @@ impl PlanLoader<'_> {
         plan.certificates = match given {
             None if plan.config.paper => shipped_certificates(&plan.controllers),
             None => Vec::new(),
-            Some(paths) => self.load_certificates(&paths, &parts::generated_certificate_names(&plan))?,
+            Some(paths) => {
+                self.load_certificates(&paths, &parts::generated_certificate_names(&plan))?
+            }
         };
         Ok(plan)
     }
@@ -316,38 +419,63 @@ impl PlanLoader<'_> {
         field: &str,
         controller: NamedController,
     ) -> Result<(), AssessConfigError> {
-        let is_new = controllers.iter().all(|known| known.name != controller.name);
-        self.ensure(is_new, field, || format!("`{}` appears twice; remove one", controller.name))?;
+        let is_new = controllers
+            .iter()
+            .all(|known| known.name != controller.name);
+        self.ensure(is_new, field, || {
+            format!("`{}` appears twice; remove one", controller.name)
+        })?;
         controllers.push(controller);
         Ok(())
     }
 
     fn check_numbers(&self, config: &AssessConfig) -> Result<(), AssessConfigError> {
         self.ensure(config.version == CONFIG_VERSION, "version", || {
-            format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version)
+            format!(
+                "version {} is not supported: this release reads {CONFIG_VERSION}",
+                config.version
+            )
         })?;
-        for (field, draws) in [("draws", config.draws), ("everyday_draws", config.everyday_draws)] {
-            self.ensure(draws <= MAX_DRAWS, field, || format!("must be at most {MAX_DRAWS}, found {draws}"))?;
-        }
-        let (budget, runs) = (config.search.budget, config.rates.runs);
-        self.ensure((1..=MAX_EVALUATIONS).contains(&budget), "search.budget", || {
-            format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}")
-        })?;
-        self.ensure(runs <= MAX_DRAWS, "rates.runs", || format!("must be at most {MAX_DRAWS}, found {runs}"))?;
-        if let Some(harm) = &config.harm {
-            let rate = harm.emergencies_per_hour;
-            self.ensure((0.0..=3600.0).contains(&rate), "harm.emergencies_per_hour", || {
-                format!("must be from 0 to 3600, found {rate}")
+        for (field, draws) in [
+            ("draws", config.draws),
+            ("everyday_draws", config.everyday_draws),
+        ] {
+            self.ensure(draws <= MAX_DRAWS, field, || {
+                format!("must be at most {MAX_DRAWS}, found {draws}")
             })?;
         }
+        let (budget, runs) = (config.search.budget, config.rates.runs);
+        self.ensure(
+            (1..=MAX_EVALUATIONS).contains(&budget),
+            "search.budget",
+            || format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}"),
+        )?;
+        self.ensure(runs <= MAX_DRAWS, "rates.runs", || {
+            format!("must be at most {MAX_DRAWS}, found {runs}")
+        })?;
+        if let Some(harm) = &config.harm {
+            let rate = harm.emergencies_per_hour;
+            self.ensure(
+                (0.0..=3600.0).contains(&rate),
+                "harm.emergencies_per_hour",
+                || format!("must be from 0 to 3600, found {rate}"),
+            )?;
+        }
         let confidence = config.rates.confidence;
-        self.ensure(confidence > 0.5 && confidence < 1.0, "rates.confidence", || {
-            format!("must be between 0.5 and 1, found {confidence}")
-        })
+        self.ensure(
+            confidence > 0.5 && confidence < 1.0,
+            "rates.confidence",
+            || format!("must be between 0.5 and 1, found {confidence}"),
+        )
     }
 
-    fn load_controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, AssessConfigError> {
-        self.ensure(!config.controllers.is_empty(), "controllers", || "must name at least one controller".to_owned())?;
+    fn load_controllers(
+        &self,
+        config: &AssessConfig,
+    ) -> Result<Vec<NamedController>, AssessConfigError> {
+        self.ensure(!config.controllers.is_empty(), "controllers", || {
+            "must name at least one controller".to_owned()
+        })?;
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
@@ -364,7 +492,11 @@ impl PlanLoader<'_> {
         config: &AssessConfig,
     ) -> Result<(Vec<ImportedScenario>, Vec<DroppedItem>), AssessConfigError> {
         let wrong = |problem: String| self.field_error("recordings", problem);
-        let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
+        let paths: Vec<_> = config
+            .recordings
+            .iter()
+            .map(|named| self.folder.join(named))
+            .collect();
         let mut scenarios = Vec::new();
         let mut take = |scenario| {
             scenarios.push(scenario);
@@ -390,54 +522,94 @@ impl PlanLoader<'_> {
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
             let at = self.folder.join(named);
-            self.ensure(at.exists(), &field, || format!("{} does not exist", at.display()))?;
+            self.ensure(at.exists(), &field, || {
+                format!("{} does not exist", at.display())
+            })?;
             let found = file::load_all(&at)?;
-            self.ensure(!found.is_empty(), &field, || format!("the folder {} has no scenario file", named.display()))?;
-            let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
+            self.ensure(!found.is_empty(), &field, || {
+                format!("the folder {} has no scenario file", named.display())
+            })?;
+            let untested = found
+                .iter()
+                .find(|(_, scenario)| !scenario.has_vehicle_under_test());
             if let Some((path, _)) = untested {
-                return Err(self.field_error(&field, format!("{}: no vehicle is under test", path.display())));
+                return Err(self.field_error(
+                    &field,
+                    format!("{}: no vehicle is under test", path.display()),
+                ));
             }
             traffic.extend(found);
         }
-        traffic.extend(recorded.into_iter().map(|found| (PathBuf::from(found.file_name), found.scenario)));
-        let mut names: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| (*name).to_owned()).collect();
+        traffic.extend(
+            recorded
+                .into_iter()
+                .map(|found| (PathBuf::from(found.file_name), found.scenario)),
+        );
+        let mut names: Vec<_> = built_in_scenario_names()
+            .iter()
+            .map(|(name, _)| (*name).to_owned())
+            .collect();
         for (found_at, scenario) in &traffic {
             let name = &scenario.spec().name;
             self.ensure(!names.contains(name), "scenarios", || {
-                format!("{}: another scenario has the name `{name}`; rename one of them", found_at.display())
+                format!(
+                    "{}: another scenario has the name `{name}`; rename one of them",
+                    found_at.display()
+                )
             })?;
             names.push(name.clone());
         }
         Ok(traffic)
     }
 
-    fn load_spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, AssessConfigError> {
+    fn load_spaces(
+        &self,
+        list: &str,
+        names: &[String],
+    ) -> Result<Vec<NamedSpace>, AssessConfigError> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
             let wrong = |problem: String| self.field_error(&field, problem);
             let space = match built_in_space(name) {
                 Some(space) => space,
-                None if name.ends_with(".toml") => {
-                    space_file::load(&self.folder.join(name)).map_err(|error| wrong(error.to_string()))?
+                None if name.ends_with(".toml") => space_file::load(&self.folder.join(name))
+                    .map_err(|error| wrong(error.to_string()))?,
+                None => {
+                    return Err(wrong(format!(
+                        "`{name}` is neither a built-in space nor a .toml file"
+                    )));
                 }
-                None => return Err(wrong(format!("`{name}` is neither a built-in space nor a .toml file"))),
             };
             let nominal = space.scenario(&space.nominal());
-            let nominal =
-                nominal.map_err(|error| wrong(format!("{name}: the nominal scenario is invalid: {error}")))?;
+            let nominal = nominal.map_err(|error| {
+                wrong(format!("{name}: the nominal scenario is invalid: {error}"))
+            })?;
             let is_tested = nominal.has_vehicle_under_test();
-            self.ensure(is_tested, &field, || format!("{name}: no vehicle is under test"))?;
-            let is_new = spaces.iter().all(|known| known.space.name() != space.name());
+            self.ensure(is_tested, &field, || {
+                format!("{name}: no vehicle is under test")
+            })?;
+            let is_new = spaces
+                .iter()
+                .all(|known| known.space.name() != space.name());
             self.ensure(is_new, &field, || {
-                format!("another space has the name `{}`; rename one of them", space.name())
+                format!(
+                    "another space has the name `{}`; rename one of them",
+                    space.name()
+                )
             })?;
             let named = NamedSpace::new(name, space).map_err(|error| wrong(error.to_string()))?;
             let own = named.space.name();
             let built_in = built_in_space(own).and_then(|known| space_file::to_toml(&known).ok());
-            self.ensure(built_in.is_none_or(|built_in| built_in == named.text), &field, || {
-                format!("a built-in space with other contents has the name `{own}`; rename this one")
-            })?;
+            self.ensure(
+                built_in.is_none_or(|built_in| built_in == named.text),
+                &field,
+                || {
+                    format!(
+                        "a built-in space with other contents has the name `{own}`; rename this one"
+                    )
+                },
+            )?;
             spaces.push(named);
         }
         Ok(spaces)
@@ -452,18 +624,30 @@ impl PlanLoader<'_> {
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
-            let wrong = |error: String| self.field_error(&field, format!("{}: {error}", at.display()));
+            let wrong =
+                |error: String| self.field_error(&field, format!("{}: {error}", at.display()));
             let file = regular_file::open(&at).map_err(|error| wrong(error.to_string()))?;
-            let certificate = Certificate::from_reader(file).map_err(|error| wrong(error.to_string()))?;
-            let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+            let certificate =
+                Certificate::from_reader(file).map_err(|error| wrong(error.to_string()))?;
+            let name = at
+                .file_stem()
+                .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
             self.ensure(!made_here.contains(&name), &field, || {
-                format!("this assessment writes a certificate with the name `{name}`; rename the file")
+                format!(
+                    "this assessment writes a certificate with the name `{name}`; rename the file"
+                )
             })?;
             self.ensure(given.iter().all(|known| known.name != name), &field, || {
                 format!("another certificate has the name `{name}`; rename the file")
             })?;
-            let policy = certificate.read_policy(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
-            given.push(GivenCertificate { name, certificate, policy });
+            let policy = certificate
+                .read_policy(&at, None)
+                .or_else(|| Some(Policy::reference_bytes().to_vec()));
+            given.push(GivenCertificate {
+                name,
+                certificate,
+                policy,
+            });
         }
         Ok(given)
     }

@@ -17,21 +17,33 @@ impl<const D: usize> Rounded<D> {
         let scale = 10_f64.powi(D as i32);
         let rounded = (value * scale).round() / scale;
         // Keep numbers whose scaling overflows, and turn -0 into 0.
-        Self(if rounded.is_finite() { rounded + 0.0 } else { value })
+        Self(if rounded.is_finite() {
+            rounded + 0.0
+        } else {
+            value
+        })
     }
 
     /// Rounds up: for upper bounds, which must stay true.
     #[must_use]
     pub fn up(value: f64) -> Self {
         let nearest = Self::new(value);
-        if nearest.0 >= value { nearest } else { Self::new(value + 0.5 * 10_f64.powi(-(D as i32))) }
+        if nearest.0 >= value {
+            nearest
+        } else {
+            Self::new(value + 0.5 * 10_f64.powi(-(D as i32)))
+        }
     }
 
     /// Rounds down: for lower bounds.
     #[must_use]
     pub(crate) fn down(value: f64) -> Self {
         let nearest = Self::new(value);
-        if nearest.0 <= value { nearest } else { Self::new(value - 0.5 * 10_f64.powi(-(D as i32))) }
+        if nearest.0 <= value {
+            nearest
+        } else {
+            Self::new(value - 0.5 * 10_f64.powi(-(D as i32)))
+        }
     }
 
     /// Returns the rounded number.
@@ -71,10 +83,28 @@ mod tests {
     #[test]
     fn what_is_stored_is_what_is_shown() {
         let number = Rounded::<2>::new(-0.0012);
-        assert_eq!((number.to_string().as_str(), serde_json::to_string(&number).unwrap().as_str()), ("0.00", "0.0"));
+        assert_eq!(
+            (
+                number.to_string().as_str(),
+                serde_json::to_string(&number).unwrap().as_str()
+            ),
+            ("0.00", "0.0")
+        );
         assert_eq!(Rounded::<2>::new(1.005_000_1).value(), 1.01);
         assert_eq!(Rounded::<2>::new(1e300).value(), 1e300);
-        assert_eq!((Rounded::<2>::up(0.0037).value(), Rounded::<2>::down(0.0099).value()), (0.01, 0.0));
-        assert_eq!((Rounded::<2>::up(1.25).value(), Rounded::<2>::down(1.25).value()), (1.25, 1.25));
+        assert_eq!(
+            (
+                Rounded::<2>::up(0.0037).value(),
+                Rounded::<2>::down(0.0099).value()
+            ),
+            (0.01, 0.0)
+        );
+        assert_eq!(
+            (
+                Rounded::<2>::up(1.25).value(),
+                Rounded::<2>::down(1.25).value()
+            ),
+            (1.25, 1.25)
+        );
     }
 }

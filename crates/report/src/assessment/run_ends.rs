@@ -32,7 +32,10 @@ impl RunEnds {
     }
 
     pub(super) fn add(&mut self, verdict: &CaseVerdict) {
-        let (hit, was_hit) = (matches!(verdict, CaseVerdict::Hit(_)), matches!(verdict, CaseVerdict::WasHit(_)));
+        let (hit, was_hit) = (
+            matches!(verdict, CaseVerdict::Hit(_)),
+            matches!(verdict, CaseVerdict::WasHit(_)),
+        );
         self.collisions += u64::from(hit || was_hit);
         FailedControllerRuns::merge(&mut self.unanswered, verdict.unanswered());
         self.ended_by_others += u64::from(!verdict.is_conclusive());
@@ -43,7 +46,9 @@ impl RunEnds {
     /// Returns the number of scenarios in which the controller gave no answer.
     #[must_use]
     pub fn unanswered_runs(&self) -> u64 {
-        self.unanswered.as_ref().map_or(0, |unanswered| unanswered.runs)
+        self.unanswered
+            .as_ref()
+            .map_or(0, |unanswered| unanswered.runs)
     }
 
     /// Returns the number of failures: collisions and scenarios without an answer.
@@ -55,12 +60,21 @@ impl RunEnds {
     /// Returns the strength of the claim that no run fails. Runs that other vehicles ended do not count.
     pub(super) fn strength(&self, runs: u64) -> Strength {
         let conclusive = runs - self.ended_by_others;
-        Strength::from_counts_with_unanswered(self.collisions, conclusive, self.unanswered.as_ref(), true)
+        Strength::from_counts_with_unanswered(
+            self.collisions,
+            conclusive,
+            self.unanswered.as_ref(),
+            true,
+        )
     }
 }
 
 /// Notes that a controller gave no answer in some of its runs.
-pub(super) fn note_unanswered(controller: &str, unanswered: &FailedControllerRuns, runs: u64) -> String {
+pub(super) fn note_unanswered(
+    controller: &str,
+    unanswered: &FailedControllerRuns,
+    runs: u64,
+) -> String {
     let words = unanswered.describe(runs);
     format!("{controller} {words}. These are failures of the controller, but no collisions.")
 }

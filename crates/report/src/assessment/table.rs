@@ -60,38 +60,60 @@ impl ReportCell {
     }
 
     pub(super) fn text(text: impl ToString) -> Self {
-        Self { text: text.to_string(), mark: CellMark::Neutral }
+        Self {
+            text: text.to_string(),
+            mark: CellMark::Neutral,
+        }
     }
 
     pub(super) fn number(number: impl ToString) -> Self {
-        Self { text: number.to_string(), mark: CellMark::Number }
+        Self {
+            text: number.to_string(),
+            mark: CellMark::Number,
+        }
     }
 
     pub(super) fn with_mark(text: impl ToString, mark: CellMark) -> Self {
-        Self { text: text.to_string(), mark }
+        Self {
+            text: text.to_string(),
+            mark,
+        }
     }
 
     pub(super) fn with_verdict(text: impl ToString, good: bool) -> Self {
-        Self { text: text.to_string(), mark: if good { CellMark::Good } else { CellMark::Bad } }
+        Self {
+            text: text.to_string(),
+            mark: if good { CellMark::Good } else { CellMark::Bad },
+        }
     }
 }
 
 impl ReportTable {
     pub(super) fn new(header: &[&str]) -> Self {
-        Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
+        Self {
+            header: header.iter().map(|&name| name.to_owned()).collect(),
+            rows: Vec::new(),
+        }
     }
 
     /// Builds a table with a row for each item.
-    pub(super) fn from_items<T>(items: impl IntoIterator<Item = T>, columns: &[ReportColumn<'_, T>]) -> Self {
+    pub(super) fn from_items<T>(
+        items: impl IntoIterator<Item = T>,
+        columns: &[ReportColumn<'_, T>],
+    ) -> Self {
         let mut table = Self::new(&columns.iter().map(|(name, _)| *name).collect::<Vec<_>>());
-        items.into_iter().for_each(|item| table.push_row(columns.iter().map(|(_, cell)| cell(&item)).collect()));
+        items
+            .into_iter()
+            .for_each(|item| table.push_row(columns.iter().map(|(_, cell)| cell(&item)).collect()));
         table
     }
 
     pub(super) fn without_column(mut self, column: Option<usize>) -> Self {
         if let Some(column) = column {
             self.header.remove(column);
-            self.rows.iter_mut().for_each(|row| drop(row.remove(column)));
+            self.rows
+                .iter_mut()
+                .for_each(|row| drop(row.remove(column)));
         }
         self
     }
@@ -107,7 +129,10 @@ impl ReportTable {
     /// Renders the table in a frame that scrolls horizontally on a narrow page. The first column heads its row.
     pub(super) fn to_html(&self) -> Markup {
         let is_number = |column: usize| {
-            self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == CellMark::Number))
+            self.rows.iter().all(|row| {
+                row.get(column)
+                    .is_some_and(|cell| cell.mark == CellMark::Number)
+            })
         };
         html! {
             div.scroll tabindex="0" {
@@ -135,12 +160,17 @@ impl ReportTable {
 
     pub(super) fn write_markdown(&self, out: &mut Markdown) {
         let first = self.rows.first();
-        let set = |column: usize| match first.and_then(|row| row.get(column)).map(|cell| cell.mark) {
+        let set = |column: usize| match first.and_then(|row| row.get(column)).map(|cell| cell.mark)
+        {
             Some(CellMark::Number) => "---:",
             _ => "---",
         };
         let columns: Vec<_> = (0..self.header.len()).map(set).collect();
-        let cells = |row: &Vec<ReportCell>| row.iter().map(|cell| cell.mark.sign().to_owned() + &cell.text).collect();
+        let cells = |row: &Vec<ReportCell>| {
+            row.iter()
+                .map(|cell| cell.mark.sign().to_owned() + &cell.text)
+                .collect()
+        };
         out.table(&self.header, &columns, self.rows.iter().map(cells));
     }
 }

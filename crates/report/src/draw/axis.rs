@@ -29,28 +29,52 @@ impl Axis {
     pub fn numeric(title: &str, domain: (f64, f64), most: usize) -> Self {
         let domain = drawable_interval(domain);
         let marks = Ticks::new(domain, most).labels().collect();
-        Self { title: title.to_owned(), domain, ticks: marks, has_grid: true }
+        Self {
+            title: title.to_owned(),
+            domain,
+            ticks: marks,
+            has_grid: true,
+        }
     }
 
     /// Creates an axis with given labels, for scales that are not linear, such as logarithmic ones.
     #[must_use]
     pub fn with_ticks(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
-        Self { title: title.to_owned(), domain: drawable_interval(domain), ticks: marks, has_grid: true }
+        Self {
+            title: title.to_owned(),
+            domain: drawable_interval(domain),
+            ticks: marks,
+            has_grid: true,
+        }
     }
 
     /// Creates an axis of names: the `n`-th at the value `n`, with half a unit around. Vertical axes need space for
     /// them left of the frame: the [`text_width`](super::text_width) of the longest.
     #[must_use]
     pub fn categorical<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
-        let marks = names.iter().enumerate().map(|(index, name)| (index as f64, name.as_ref().to_owned())).collect();
+        let marks = names
+            .iter()
+            .enumerate()
+            .map(|(index, name)| (index as f64, name.as_ref().to_owned()))
+            .collect();
         let domain = (-0.5, names.len().max(1) as f64 - 0.5);
-        Self { title: title.to_owned(), domain, ticks: marks, has_grid: false }
+        Self {
+            title: title.to_owned(),
+            domain,
+            ticks: marks,
+            has_grid: false,
+        }
     }
 
     /// Creates an axis that is not drawn.
     #[must_use]
     pub fn hidden(domain: (f64, f64)) -> Self {
-        Self { title: String::new(), domain: drawable_interval(domain), ticks: Vec::new(), has_grid: false }
+        Self {
+            title: String::new(),
+            domain: drawable_interval(domain),
+            ticks: Vec::new(),
+            has_grid: false,
+        }
     }
 
     /// Reverses the axis, for names that read from top to bottom.

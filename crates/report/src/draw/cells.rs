@@ -24,16 +24,31 @@ pub enum CellStyle {
 /// Draws all cells of one style.
 pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
     let (mut outline, mut strokes) = (String::new(), String::new());
-    for PixelRect { left, top, width, height } in frames {
+    for PixelRect {
+        left,
+        top,
+        width,
+        height,
+    } in frames
+    {
         let (x, y) = (left + width / 2.0, top + height / 2.0);
         // Writing to a string cannot fail.
-        let _ = write!(outline, "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z", -width);
+        let _ = write!(
+            outline,
+            "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z",
+            -width
+        );
         match look {
             CellStyle::Blank => {}
             CellStyle::Crossed => {
                 let arm = 0.2 * width.min(height);
                 let (from, to) = (-2.0 * arm, 2.0 * arm);
-                let _ = write!(strokes, "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}", x - arm, y - arm);
+                let _ = write!(
+                    strokes,
+                    "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}",
+                    x - arm,
+                    y - arm
+                );
             }
         }
     }
@@ -58,7 +73,8 @@ pub fn draw_legend(entries: &[(Stroke, &str)], width: f64) -> (Markup, f64) {
             (x, row) = (0.0, row + 1.0);
         }
         let y = LEGEND_ROW_HEIGHT * (row + 0.5);
-        let sample = PixelRect::from_center((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
+        let sample =
+            PixelRect::from_center((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
         let after = x + SWATCH_SIZE + 7.0;
         drawn.push(html! {
             (draw_line((sample.left, y), (sample.right(), y), stroke))
@@ -66,5 +82,8 @@ pub fn draw_legend(entries: &[(Stroke, &str)], width: f64) -> (Markup, f64) {
         });
         x += wide + 16.0;
     }
-    (html! { @for entry in drawn { (entry) } }, LEGEND_ROW_HEIGHT * (row + 1.0))
+    (
+        html! { @for entry in drawn { (entry) } },
+        LEGEND_ROW_HEIGHT * (row + 1.0),
+    )
 }

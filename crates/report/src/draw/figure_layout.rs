@@ -43,22 +43,38 @@ impl FigureLayout {
             PanelArrangement::Stacked => 360.0,
             PanelArrangement::Column => 470.0,
         };
-        let title = if figure.title.is_empty() { vec![] } else { wrap_to_width(figure.title, TITLE_SIZE, width - 4.0) };
+        let title = if figure.title.is_empty() {
+            vec![]
+        } else {
+            wrap_to_width(figure.title, TITLE_SIZE, width - 4.0)
+        };
         let top = title.len() as f64 * TITLE_SIZE * 1.3;
         let ([position, speed, gap], labels_right) = match layout {
             PanelArrangement::Wide => {
                 let name = |index| text_width(&vehicle_name(figure, index), TEXT_SIZE);
-                let names = (0..vehicles).map(name).fold(0.0, f64::max).min(MAX_NAME_WIDTH);
+                let names = (0..vehicles)
+                    .map(name)
+                    .fold(0.0, f64::max)
+                    .min(MAX_NAME_WIDTH);
                 let labels = 14.0 + widest_tag + names;
                 let unit = (width - 3.0 * LEFT_MARGIN - labels - 36.0) / 3.3;
-                let frame = |left, width| PixelRect { left, top: top + HEADING_HEIGHT, width, height: tall(240.0) };
+                let frame = |left, width| PixelRect {
+                    left,
+                    top: top + HEADING_HEIGHT,
+                    width,
+                    height: tall(240.0),
+                };
                 let position = frame(LEFT_MARGIN, 1.3 * unit);
                 let speed = frame(position.right() + labels + LEFT_MARGIN + 8.0, unit);
                 let gap = frame(speed.right() + LEFT_MARGIN + 16.0, unit);
                 ([position, speed, gap], position.right() + labels)
             }
             PanelArrangement::Stacked | PanelArrangement::Column => {
-                let (first, others) = if layout == PanelArrangement::Stacked { (230.0, 190.0) } else { (190.0, 130.0) };
+                let (first, others) = if layout == PanelArrangement::Stacked {
+                    (230.0, 190.0)
+                } else {
+                    (190.0, 130.0)
+                };
                 let width_of_plot = width - LEFT_MARGIN - widest_tag - 18.0;
                 let frame = |above: f64, height| PixelRect {
                     left: LEFT_MARGIN,
@@ -66,14 +82,34 @@ impl FigureLayout {
                     width: width_of_plot,
                     height,
                 };
-                let position = frame(top + LEGEND_ROW_HEIGHT * legend_rows(figure, width).len() as f64, tall(first));
+                let position = frame(
+                    top + LEGEND_ROW_HEIGHT * legend_rows(figure, width).len() as f64,
+                    tall(first),
+                );
                 let speed = frame(position.bottom() + BOTTOM_MARGIN, others);
-                ([position, speed, frame(speed.bottom() + BOTTOM_MARGIN, others)], width)
+                (
+                    [
+                        position,
+                        speed,
+                        frame(speed.bottom() + BOTTOM_MARGIN, others),
+                    ],
+                    width,
+                )
             }
         };
         // In a row all panels end at the same height.
         let height = gap.bottom() + BOTTOM_MARGIN;
-        Self { arrangement: layout, width, height, title, position, speed, gap, labels_right, widest_tag }
+        Self {
+            arrangement: layout,
+            width,
+            height,
+            title,
+            position,
+            speed,
+            gap,
+            labels_right,
+            widest_tag,
+        }
     }
 
     /// Draws the title and, if names have no room beside the lines, a legend.
@@ -123,5 +159,7 @@ fn legend_rows(figure: &MotionFigure<'_>, width: f64) -> Vec<Vec<(f64, usize)>> 
 
 /// Returns the name of a vehicle, truncated to fit beside its line.
 pub(super) fn vehicle_name(figure: &MotionFigure<'_>, index: usize) -> String {
-    figure.labels.get(index).map_or_else(String::new, |name| truncate_to_width(name, TEXT_SIZE, MAX_NAME_WIDTH))
+    figure.labels.get(index).map_or_else(String::new, |name| {
+        truncate_to_width(name, TEXT_SIZE, MAX_NAME_WIDTH)
+    })
 }

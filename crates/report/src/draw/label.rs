@@ -19,7 +19,12 @@ impl PixelRect {
     /// Creates the rectangle of that size around a centre.
     #[must_use]
     pub fn from_center((x, y): PixelPoint, width: f64, height: f64) -> Self {
-        Self { left: x - width / 2.0, top: y - height / 2.0, width, height }
+        Self {
+            left: x - width / 2.0,
+            top: y - height / 2.0,
+            width,
+            height,
+        }
     }
 
     /// Returns the right edge.
@@ -36,7 +41,10 @@ impl PixelRect {
 
     #[must_use]
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
-        self.left < other.right() && other.left < self.right() && self.top < other.bottom() && other.top < self.bottom()
+        self.left < other.right()
+            && other.left < self.right()
+            && self.top < other.bottom()
+            && other.top < self.bottom()
     }
 
     #[must_use]
@@ -106,15 +114,25 @@ pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
 
 /// Returns `text` in one line, without the characters that XML 1.0 (section 2.2) does not allow.
 pub(crate) fn strip_unprintable(text: &str) -> String {
-    let allowed = |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
-    text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter }).filter(allowed).collect()
+    let allowed =
+        |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
+    text.chars()
+        .map(|letter| if letter.is_whitespace() { ' ' } else { letter })
+        .filter(allowed)
+        .collect()
 }
 
 /// Returns positions near `wanted`, in its order, within `limits`, and `spacing` apart or as far as there is room.
 #[must_use]
 pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..wanted.len()).collect();
-    let aim = |index: usize| wanted.get(index).copied().filter(|w| w.is_finite()).unwrap_or(limits.0);
+    let aim = |index: usize| {
+        wanted
+            .get(index)
+            .copied()
+            .filter(|w| w.is_finite())
+            .unwrap_or(limits.0)
+    };
     order.sort_by(|&a, &b| aim(a).total_cmp(&aim(b)));
     let room = (limits.1 - limits.0).max(0.0);
     let spacing = spacing.min(room / (order.len().saturating_sub(1).max(1)) as f64);
@@ -127,13 +145,18 @@ pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) ->
             && mean > pool.0
         {
             pools.pop();
-            pool = ((mean * count as f64 + pool.0 * pool.1 as f64) / (count + pool.1) as f64, count + pool.1);
+            pool = (
+                (mean * count as f64 + pool.0 * pool.1 as f64) / (count + pool.1) as f64,
+                count + pool.1,
+            );
         }
         pools.push(pool);
     }
     let top = limits.1 - order.len().saturating_sub(1) as f64 * spacing;
     let mut placed = vec![0.0; wanted.len()];
-    let bases = pools.iter().flat_map(|&(mean, count)| std::iter::repeat_n(mean, count));
+    let bases = pools
+        .iter()
+        .flat_map(|&(mean, count)| std::iter::repeat_n(mean, count));
     for ((rank, &index), base) in order.iter().enumerate().zip(bases) {
         if let Some(place) = placed.get_mut(index) {
             *place = base.min(top).max(limits.0) + rank as f64 * spacing;
@@ -158,18 +181,28 @@ pub(crate) fn place_line_labels(
 ) -> Vec<Option<PixelPoint>> {
     let mut centres = Vec::with_capacity(lines.len());
     for (index, (line, &(width, height))) in lines.iter().zip(sizes).enumerate() {
-        let (from, to) = (line.first().map_or(0.0, |p| p.0), line.last().map_or(0.0, |p| p.0));
+        let (from, to) = (
+            line.first().map_or(0.0, |p| p.0),
+            line.last().map_or(0.0, |p| p.0),
+        );
         let mut best: Option<(f64, PixelPoint)> = None;
         for step in 0..=CANDIDATES {
             let x = from + (to - from) * step as f64 / CANDIDATES as f64;
-            let Some(y) = interpolate_y(line, x) else { continue };
+            let Some(y) = interpolate_y(line, x) else {
+                continue;
+            };
             let label = PixelRect::from_center((x, y), width, height);
             if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
                 continue;
             }
-            let others = lines.iter().enumerate().filter(|(other, _)| *other != index);
+            let others = lines
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != index);
             let clearance = others
-                .flat_map(|(_, other)| [x - width / 2.0, x, x + width / 2.0].map(|x| interpolate_y(other, x)))
+                .flat_map(|(_, other)| {
+                    [x - width / 2.0, x, x + width / 2.0].map(|x| interpolate_y(other, x))
+                })
                 .flatten()
                 .map(|other| (other - y).abs())
                 .fold(MAX_CLEARANCE_PX, f64::min);
@@ -177,7 +210,9 @@ pub(crate) fn place_line_labels(
                 best = Some((clearance, (x, y)));
             }
         }
-        taken.extend(best.map(|(_, centre)| PixelRect::from_center(centre, width + 2.0, height + 2.0)));
+        taken.extend(
+            best.map(|(_, centre)| PixelRect::from_center(centre, width + 2.0, height + 2.0)),
+        );
         centres.push(best.map(|(_, centre)| centre));
     }
     centres
@@ -190,7 +225,11 @@ fn interpolate_y(line: &[PixelPoint], x: f64) -> Option<f64> {
     let Some(&(x0, y0)) = after.checked_sub(1).and_then(|before| line.get(before)) else {
         return (x1 == x).then_some(y1);
     };
-    if x1 > x0 { Some(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) } else { Some(y1) }
+    if x1 > x0 {
+        Some(y0 + (y1 - y0) * (x - x0) / (x1 - x0))
+    } else {
+        Some(y1)
+    }
 }
 
 #[cfg(test)]
@@ -236,14 +275,23 @@ mod tests {
 
     #[test]
     fn labels_that_want_their_place_keep_it() {
-        assert_eq!(spread_evenly(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)), [10.0, 90.0, 50.0]);
-        assert_eq!(spread_evenly(&[50.0, 50.0], 10.0, (0.0, 100.0)), [45.0, 55.0]);
+        assert_eq!(
+            spread_evenly(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)),
+            [10.0, 90.0, 50.0]
+        );
+        assert_eq!(
+            spread_evenly(&[50.0, 50.0], 10.0, (0.0, 100.0)),
+            [45.0, 55.0]
+        );
         assert_eq!(spread_evenly(&[], 10.0, (0.0, 100.0)), Vec::<f64>::new());
     }
 
     #[test]
     fn long_names_end_in_an_ellipsis() {
         assert_eq!(truncate_to_width("ego", 12.0, 100.0), "ego");
-        assert_eq!(truncate_to_width("a follower with a long name", 12.0, 90.0), "a follower w\u{2026}");
+        assert_eq!(
+            truncate_to_width("a follower with a long name", 12.0, 90.0),
+            "a follower w\u{2026}"
+        );
     }
 }

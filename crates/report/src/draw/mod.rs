@@ -29,7 +29,9 @@ use maud::{Markup, PreEscaped, html};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
 pub use cells::{CellStyle, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};
-pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
+pub use motion::{
+    MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive,
+};
 pub(crate) use motion::{draw_motion_columns, draw_motions_side_by_side};
 pub use motion_axes::MotionAxes;
 pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_text};
@@ -66,7 +68,13 @@ impl Svg {
     /// Creates a figure of `width` by `height` pixels. `title` and `description` are for screen readers. `prefix`
     /// begins every identifier of the figure and must be unique in the page; see [`Svg::id`].
     #[must_use]
-    pub fn new(prefix: &str, (width, height): (f64, f64), title: &str, description: &str, content: Markup) -> Self {
+    pub fn new(
+        prefix: &str,
+        (width, height): (f64, f64),
+        title: &str,
+        description: &str,
+        content: Markup,
+    ) -> Self {
         let prefix = sanitize_id(prefix);
         Self {
             width,
@@ -82,7 +90,10 @@ impl Svg {
     /// Marks the figure as a group with links, which screen readers skip in a picture.
     #[must_use]
     pub fn with_links(self) -> Self {
-        Self { role: "group", ..self }
+        Self {
+            role: "group",
+            ..self
+        }
     }
 
     /// Returns the identifier `name` of the figure with that prefix, for [`Panel::draw`].
@@ -106,7 +117,10 @@ impl Svg {
     #[must_use]
     pub fn document(&self) -> String {
         let element = self.element(true).into_string();
-        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", TerminalLines(&element))
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
+            TerminalLines(&element)
+        )
     }
 
     /// Returns the figure as a PNG file on a white background, `scale` pixels per unit, usually [`PNG_SCALE`].
@@ -130,7 +144,10 @@ impl Svg {
 
     fn element(&self, alone: bool) -> Markup {
         let (width, height) = (Px(self.width), Px(self.height));
-        let (title, description) = (format!("{}-title", self.prefix), format!("{}-desc", self.prefix));
+        let (title, description) = (
+            format!("{}-title", self.prefix),
+            format!("{}-desc", self.prefix),
+        );
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="draw" width=(width) height=(height)
                 viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONT_FAMILY) role=(self.role)
@@ -158,9 +175,19 @@ pub(crate) fn responsive(wide: &Svg, narrow: &Svg) -> Markup {
 }
 
 fn sanitize_id(text: &str) -> String {
-    let plain = |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '-' };
+    let plain = |letter: char| {
+        if letter.is_ascii_alphanumeric() || "-_".contains(letter) {
+            letter
+        } else {
+            '-'
+        }
+    };
     let name: String = text.chars().map(plain).collect();
-    if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }
+    if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) {
+        name
+    } else {
+        format!("f{name}")
+    }
 }
 
 #[cfg(test)]

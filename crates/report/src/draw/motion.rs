@@ -52,7 +52,11 @@ pub fn draw_motion(figure: &MotionFigure<'_>, layout: PanelArrangement) -> Svg {
 
 /// Draws the three diagrams of one run on given axes, so that it can be compared with others.
 #[must_use]
-pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: PanelArrangement) -> Svg {
+pub fn draw_motion_on_axes(
+    figure: &MotionFigure<'_>,
+    axes: &MotionAxes,
+    layout: PanelArrangement,
+) -> Svg {
     let plan = FigureLayout::new(figure, layout);
     let id = |name: &str| Svg::id(figure.prefix, name);
     let content = html! {
@@ -61,7 +65,13 @@ pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout:
         (speed_panel(figure, plan.speed, axes).draw(&id("speed")))
         (gap_panel(figure, plan.gap, axes).draw(&id("spacing")))
     };
-    Svg::new(figure.prefix, (plan.width, plan.height), figure.title, &description(figure), content)
+    Svg::new(
+        figure.prefix,
+        (plan.width, plan.height),
+        figure.title,
+        &description(figure),
+        content,
+    )
 }
 
 /// Draws both layouts for an HTML page with [`STYLE`](super::STYLE), which shows the one that fits.
@@ -69,9 +79,18 @@ pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout:
 pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     let drawn = |name: &str, layout| {
         let prefix = format!("{}-{name}", figure.prefix);
-        draw_motion(&MotionFigure { prefix: &prefix, ..*figure }, layout)
+        draw_motion(
+            &MotionFigure {
+                prefix: &prefix,
+                ..*figure
+            },
+            layout,
+        )
     };
-    super::responsive(&drawn("wide", PanelArrangement::Wide), &drawn("narrow", PanelArrangement::Stacked))
+    super::responsive(
+        &drawn("wide", PanelArrangement::Wide),
+        &drawn("narrow", PanelArrangement::Stacked),
+    )
 }
 
 /// Draws several runs on the same axes, in two columns or in one, for a page with [`STYLE`](super::STYLE).
@@ -80,7 +99,14 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
     let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
         let prefix = format!("{}-{name}", figure.prefix);
-        draw_motion_on_axes(&MotionFigure { prefix: &prefix, ..*figure }, &axes, layout)
+        draw_motion_on_axes(
+            &MotionFigure {
+                prefix: &prefix,
+                ..*figure
+            },
+            &axes,
+            layout,
+        )
     };
     html! {
         div.draw-wide { div.draw-beside {
@@ -94,34 +120,76 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
 #[must_use]
 pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
-    let drawn: Vec<Svg> =
-        figures.iter().map(|figure| draw_motion_on_axes(figure, &axes, PanelArrangement::Column)).collect();
-    let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + COLUMN_GAP)));
+    let drawn: Vec<Svg> = figures
+        .iter()
+        .map(|figure| draw_motion_on_axes(figure, &axes, PanelArrangement::Column))
+        .collect();
+    let lefts = drawn.iter().scan(0.0, |left, svg| {
+        Some(std::mem::replace(left, *left + svg.size().0 + COLUMN_GAP))
+    });
     let content = html! {
         @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
     };
-    let width = drawn.iter().map(|svg| svg.size().0 + COLUMN_GAP).sum::<f64>() - COLUMN_GAP;
+    let width = drawn
+        .iter()
+        .map(|svg| svg.size().0 + COLUMN_GAP)
+        .sum::<f64>()
+        - COLUMN_GAP;
     let height = drawn.iter().map(|svg| svg.size().1).fold(0.0, f64::max);
-    Svg::new(prefix, (width.max(0.0), height), title, "The runs next to each other, on the same axes.", content)
+    Svg::new(
+        prefix,
+        (width.max(0.0), height),
+        title,
+        "The runs next to each other, on the same axes.",
+        content,
+    )
 }
 
 const COLUMN_GAP: f64 = 20.0;
 
-fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionAxes, closeup_id: &str) -> Panel {
+fn position_panel(
+    figure: &MotionFigure<'_>,
+    plan: &FigureLayout,
+    axes: &MotionAxes,
+    closeup_id: &str,
+) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let mut panel = Panel::new(plan.position, "Position of the vehicles (m)", axes.time(), axes.position());
+    let mut panel = Panel::new(
+        plan.position,
+        "Position of the vehicles (m)",
+        axes.time(),
+        axes.position(),
+    );
     for (index, track) in trace.vehicles.iter().enumerate() {
         add_vehicle_band(&mut panel, &trace.time_s, track, index);
     }
     mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
-        let &Contact { time_s, impact_speed_mps, .. } = contact;
+        let &Contact {
+            time_s,
+            impact_speed_mps,
+            ..
+        } = contact;
         let rear = trace.vehicles.get(contact.rear_vehicle);
-        let place = rear.map_or(0.0, |rear| closeup::value_at(trace, &rear.position_m, time_s));
-        (format!("collision {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", format_pair(contact)), place)
+        let place = rear.map_or(0.0, |rear| {
+            closeup::value_at(trace, &rear.position_m, time_s)
+        });
+        (
+            format!(
+                "collision {} at {time_s:.2} s, {impact_speed_mps:.1} m/s",
+                format_pair(contact)
+            ),
+            place,
+        )
     });
     if let Some(focus) = find_focus(figure) {
         if !focus.is_contact {
-            add_caption(&mut panel, focus.time_s, "no collision", Ink::Muted, plan.labels_right);
+            add_caption(
+                &mut panel,
+                focus.time_s,
+                "no collision",
+                Ink::Muted,
+                plan.labels_right,
+            );
         }
         closeup::add_inset(&mut panel, trace, &focus, closeup_id);
     }
@@ -132,18 +200,39 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
 /// Adds a vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
 pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
     let front = to_points(time_s, track.position_m.iter().copied());
-    let rear = to_points(time_s, track.position_m.iter().map(|front| front - track.length_m));
+    let rear = to_points(
+        time_s,
+        track.position_m.iter().map(|front| front - track.length_m),
+    );
     if track.in_lane_s != Track::THROUGHOUT_S {
         // Outside the lane, a dotted line of its position.
-        panel.add_line(&front, Stroke { dash: "2 3", ..Stroke::solid(Ink::Series(index), 0.8) });
+        panel.add_line(
+            &front,
+            Stroke {
+                dash: "2 3",
+                ..Stroke::solid(Ink::Series(index), 0.8)
+            },
+        );
     }
-    let first = time_s.iter().position(|&time_s| track.is_in_lane(time_s)).unwrap_or(time_s.len());
-    let end = time_s.iter().rposition(|&time_s| track.is_in_lane(time_s)).map_or(first, |last| last + 1);
+    let first = time_s
+        .iter()
+        .position(|&time_s| track.is_in_lane(time_s))
+        .unwrap_or(time_s.len());
+    let end = time_s
+        .iter()
+        .rposition(|&time_s| track.is_in_lane(time_s))
+        .map_or(first, |last| last + 1);
     let in_lane = |line: &[path::PixelPoint]| line.get(first..end).unwrap_or_default().to_vec();
     let (front, rear) = (in_lane(&front), in_lane(&rear));
     panel.add_band(&front, &rear, Ink::Series(index));
     panel.add_line(&rear, Stroke::solid(Ink::Series(index), 0.7));
-    panel.add_line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
+    panel.add_line(
+        &front,
+        Stroke {
+            width: 1.5,
+            ..Stroke::series(index)
+        },
+    );
 }
 
 /// Adds numbers, and names if there is room, to the right of each vehicle's end.
@@ -153,7 +242,12 @@ fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLay
         let last = (figure.trace.time_s.last()?, track.position_m.last()?);
         Some(panel.to_pixels((*last.0, last.1 - track.length_m / 2.0)))
     };
-    let ends: Vec<_> = figure.trace.vehicles.iter().map(|track| end(track).unwrap_or_default()).collect();
+    let ends: Vec<_> = figure
+        .trace
+        .vehicles
+        .iter()
+        .map(|track| end(track).unwrap_or_default())
+        .collect();
     let wanted: Vec<f64> = ends.iter().map(|(_, y)| *y).collect();
     let heights = spread_evenly(&wanted, LABEL_STEP, (frame.top + 7.0, frame.bottom() - 7.0));
     for (index, (&from, y)) in ends.iter().zip(heights).enumerate() {
@@ -178,16 +272,30 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
     for (index, track) in trace.vehicles.iter().enumerate() {
         let line = to_points(&trace.time_s, track.speed_mps.iter().copied());
         panel.add_line(&line, Stroke::series(index));
-        tags.push(TaggedLine { points: line, tag: index.to_string(), ink: Ink::Series(index) });
+        tags.push(TaggedLine {
+            points: line,
+            tag: index.to_string(),
+            ink: Ink::Series(index),
+        });
     }
     let width = if figure.impacts.len() > 4 { 1.2 } else { 2.4 };
     for Impact { contact, .. } in figure.impacts {
         let at = |speed_mps| (contact.time_s, speed_mps);
-        panel.add_segment(at(contact.front_speed_mps), at(contact.rear_speed_mps), Stroke::solid(Ink::Alert, width));
+        panel.add_segment(
+            at(contact.front_speed_mps),
+            at(contact.rear_speed_mps),
+            Stroke::solid(Ink::Alert, width),
+        );
     }
     mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
         let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
-        (format!("collision {}: {rear:.1} into {front:.1} m/s", format_pair(contact)), (rear + front) / 2.0)
+        (
+            format!(
+                "collision {}: {rear:.1} into {front:.1} m/s",
+                format_pair(contact)
+            ),
+            (rear + front) / 2.0,
+        )
     });
     if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.add_tags(&tags);
@@ -205,13 +313,31 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
         let line: Vec<path::PixelPoint> = pair.gaps_m().filter_map(at).collect();
         panel.add_line(&line, Stroke::series(rear));
         let tag = format!("{}\u{2013}{rear}", pair.front_vehicle);
-        tags.push(TaggedLine { points: line, tag, ink: Ink::Series(rear) });
+        tags.push(TaggedLine {
+            points: line,
+            tag,
+            ink: Ink::Series(rear),
+        });
     }
     let right = frame.right() + 12.0;
     mark_contacts(&mut panel, figure, right, |contact| {
-        (format!("collision {} at {:.2} s", format_pair(contact), contact.time_s), 0.0)
+        (
+            format!(
+                "collision {} at {:.2} s",
+                format_pair(contact),
+                contact.time_s
+            ),
+            0.0,
+        )
     });
-    if let Some(Focus { time_s, front, rear, gap_m, is_contact: false }) = find_focus(figure) {
+    if let Some(Focus {
+        time_s,
+        front,
+        rear,
+        gap_m,
+        is_contact: false,
+    }) = find_focus(figure)
+    {
         panel.add_markers(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
         let text = format!("smallest gap {gap_m:.2} m ({front}\u{2013}{rear}) at {time_s:.2} s");
         add_caption(&mut panel, time_s, &text, Ink::Muted, right);
@@ -232,9 +358,19 @@ fn mark_contacts(
     for (rank, Impact { contact, .. }) in figure.impacts.iter().enumerate() {
         let (text, height) = describe(contact);
         if rank == 0 {
-            panel.add_vertical_line(contact.time_s, Stroke { dash: "3 3", ..Stroke::solid(Ink::Alert, 1.0) });
+            panel.add_vertical_line(
+                contact.time_s,
+                Stroke {
+                    dash: "3 3",
+                    ..Stroke::solid(Ink::Alert, 1.0)
+                },
+            );
             let more = figure.impacts.len() - 1;
-            let text = if more == 0 { text } else { format!("{text}; {more} more") };
+            let text = if more == 0 {
+                text
+            } else {
+                format!("{text}; {more} more")
+            };
             add_caption(panel, contact.time_s, &text, Ink::Alert, right);
         }
         panel.add_markers(&[(contact.time_s, height)], Marker::Burst, Ink::Alert);
@@ -246,21 +382,49 @@ fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64)
     let frame = panel.frame;
     let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
     let (x, _) = panel.to_pixels((time_s, 0.0));
-    let centre = x.min(right - half).max(frame.left - LEFT_MARGIN + 2.0 + half);
-    panel.add_overlay(draw_text((centre, frame.top - 7.0), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false));
+    let centre = x
+        .min(right - half)
+        .max(frame.left - LEFT_MARGIN + 2.0 + half);
+    panel.add_overlay(draw_text(
+        (centre, frame.top - 7.0),
+        Anchor::Middle,
+        text,
+        SMALL_TEXT_SIZE,
+        ink,
+        false,
+    ));
 }
 
 fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     if let Some(Impact { contact, .. }) = figure.impacts.first() {
-        let &Contact { time_s, front_vehicle: front, rear_vehicle: rear, .. } = contact;
-        return Some(Focus { time_s, front, rear, gap_m: 0.0, is_contact: true });
+        let &Contact {
+            time_s,
+            front_vehicle: front,
+            rear_vehicle: rear,
+            ..
+        } = contact;
+        return Some(Focus {
+            time_s,
+            front,
+            rear,
+            gap_m: 0.0,
+            is_contact: true,
+        });
     }
     let mut closest: Option<Focus> = None;
     for (rear, pair) in vehicle_pairs(figure.trace) {
         for (sample, gap_m) in pair.gaps_m() {
-            let Some(&time_s) = pair.time_s.get(sample) else { continue };
+            let Some(&time_s) = pair.time_s.get(sample) else {
+                continue;
+            };
             if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
-                closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, is_contact: false });
+                closest = Some(Focus {
+                    time_s,
+                    front: pair.front_vehicle,
+                    rear,
+                    gap_m,
+                    is_contact: false,
+                });
             }
         }
     }
@@ -269,7 +433,8 @@ fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
 
 /// Returns every pair of a vehicle and its leader, each with the index of the rear vehicle.
 pub(super) fn vehicle_pairs(trace: &Trace) -> impl Iterator<Item = (usize, VehiclePair<'_>)> {
-    (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)))
+    (1..trace.vehicles.len())
+        .flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)))
 }
 
 fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::PixelPoint> {

@@ -30,10 +30,12 @@ impl MotionAxes {
             let (low, high) = extent(track.position_m.iter().copied());
             [low - track.length_m, high]
         };
-        let (first_s, last_s) = extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
+        let (first_s, last_s) =
+            extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
         let (_, fastest_mps) = extent(tracks().flat_map(|track| track.speed_mps.iter().copied()));
         let pairs = traces.iter().flat_map(|trace| vehicle_pairs(trace));
-        let gaps_m = pairs.flat_map(|(_, pair)| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>());
+        let gaps_m =
+            pairs.flat_map(|(_, pair)| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>());
         let (least_m, most_m) = extent(gaps_m);
         Self {
             // Extend beyond the last sample, so that the marker of a final collision is not cut off.

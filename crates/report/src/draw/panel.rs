@@ -65,7 +65,17 @@ impl Panel {
         let x_scale = LinearScale::new(x.domain, (frame.left, frame.right()));
         let y_scale = LinearScale::new(y.domain, (frame.bottom(), frame.top));
         let title = title.to_owned();
-        Self { frame, title, x, y, x_scale, y_scale, clipped: Vec::new(), overlays: Vec::new(), occupied: Vec::new() }
+        Self {
+            frame,
+            title,
+            x,
+            y,
+            x_scale,
+            y_scale,
+            clipped: Vec::new(),
+            overlays: Vec::new(),
+            occupied: Vec::new(),
+        }
     }
 
     /// Converts a pair of values to pixels.
@@ -77,13 +87,19 @@ impl Panel {
     /// Converts pairs of values to pixels, without pairs that are not finite.
     #[must_use]
     pub(crate) fn points_to_pixels(&self, points: &[(f64, f64)]) -> Vec<PixelPoint> {
-        points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.to_pixels(point)).collect()
+        points
+            .iter()
+            .filter(|(x, y)| x.is_finite() && y.is_finite())
+            .map(|&point| self.to_pixels(point))
+            .collect()
     }
 
     /// Adds a line through points; a single point is a dot.
     pub fn add_line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
         let places = self.points_to_pixels(points);
-        let Some((&(x, y), rest)) = places.split_first() else { return };
+        let Some((&(x, y), rest)) = places.split_first() else {
+            return;
+        };
         let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
         self.clipped.push(if rest.iter().all(|&other| other == (x, y)) {
             html! { circle cx=(Px(x)) cy=(Px(y)) r=(Px(stroke.width)) fill=(stroke.ink.hex()) {} }
@@ -98,7 +114,8 @@ impl Panel {
     /// Adds a translucent area between two lines, such as a mean plus and minus a standard deviation.
     pub(crate) fn add_band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
         let outline = path::area_data(&self.points_to_pixels(upper), &self.points_to_pixels(lower));
-        self.clipped.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
+        self.clipped
+            .push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
     pub(crate) fn add_segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
@@ -108,20 +125,29 @@ impl Panel {
 
     pub(crate) fn add_vertical_line(&mut self, value: f64, stroke: Stroke) {
         let (x, _) = self.to_pixels((value, 0.0));
-        self.clipped.push(draw_line((x, self.frame.top), (x, self.frame.bottom()), stroke));
+        self.clipped.push(draw_line(
+            (x, self.frame.top),
+            (x, self.frame.bottom()),
+            stroke,
+        ));
     }
 
     /// Adds a horizontal line over the full width.
     pub fn add_horizontal_line(&mut self, value: f64, stroke: Stroke) {
         let (_, y) = self.to_pixels((0.0, value));
-        self.clipped.push(draw_line((self.frame.left, y), (self.frame.right(), y), stroke));
+        self.clipped.push(draw_line(
+            (self.frame.left, y),
+            (self.frame.right(), y),
+            stroke,
+        ));
     }
 
     /// Adds markers, which tags avoid. Markers outside the frame are omitted.
     pub fn add_markers(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
         for place in self.points_to_pixels(points) {
             if self.frame.contains(place) {
-                self.occupied.push(PixelRect::from_center(place, 10.0, 10.0));
+                self.occupied
+                    .push(PixelRect::from_center(place, 10.0, 10.0));
                 self.overlays.push(draw_marker(place, marker, ink));
             }
         }
@@ -136,9 +162,14 @@ impl Panel {
             Anchor::Middle => place.0,
             Anchor::End => place.0 - width / 2.0,
         };
-        self.occupied.push(PixelRect::from_center((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
+        self.occupied.push(PixelRect::from_center(
+            (middle, place.1),
+            width,
+            SMALL_TEXT_SIZE * 1.2,
+        ));
         let base = (place.0, place.1 + SMALL_TEXT_SIZE * 0.35);
-        self.overlays.push(draw_text(base, anchor, text, SMALL_TEXT_SIZE, ink, true));
+        self.overlays
+            .push(draw_text(base, anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
 
     /// Adds content in pixels, above the data.
@@ -148,18 +179,30 @@ impl Panel {
 
     /// Adds a tag to each line that has room for one. Call this last: tags avoid the existing content.
     pub(crate) fn add_tags(&mut self, lines: &[TaggedLine]) {
-        let places: Vec<_> = lines.iter().map(|line| path::simplify(&self.points_to_pixels(&line.points))).collect();
-        let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
+        let places: Vec<_> = lines
+            .iter()
+            .map(|line| path::simplify(&self.points_to_pixels(&line.points)))
+            .collect();
+        let sizes: Vec<_> = lines
+            .iter()
+            .map(|line| (tag_width(&line.tag), TAG_HEIGHT))
+            .collect();
         let centres = place_line_labels(&places, &sizes, self.frame, &mut self.occupied);
         for (line, centre) in lines.iter().zip(centres) {
-            self.overlays.extend(centre.map(|centre| draw_tag(centre, &line.tag, line.ink)));
+            self.overlays
+                .extend(centre.map(|centre| draw_tag(centre, &line.tag, line.ink)));
         }
     }
 
     /// Renders the chart. `id` must be unique in the page.
     #[must_use]
     pub fn draw(self, id: &str) -> Markup {
-        let PixelRect { left, top, width, height } = self.frame;
+        let PixelRect {
+            left,
+            top,
+            width,
+            height,
+        } = self.frame;
         html! {
             @if !self.title.is_empty() {
                 text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE))
@@ -183,14 +226,24 @@ pub const HEADING_HEIGHT: f64 = 40.0;
 
 /// Draws text at a point on its baseline, in pixels; a halo makes it readable over lines.
 #[must_use]
-pub fn draw_text((x, y): PixelPoint, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
+pub fn draw_text(
+    (x, y): PixelPoint,
+    anchor: Anchor,
+    text: &str,
+    size: f64,
+    ink: Ink,
+    halo: bool,
+) -> Markup {
     let anchor = match anchor {
         Anchor::Start => None,
         Anchor::Middle => Some("middle"),
         Anchor::End => Some("end"),
     };
-    let (stroke, width, order) =
-        if halo { (Some(Ink::Paper.hex()), Some("3"), Some("stroke")) } else { (None, None, None) };
+    let (stroke, width, order) = if halo {
+        (Some(Ink::Paper.hex()), Some("3"), Some("stroke"))
+    } else {
+        (None, None, None)
+    };
     html! {
         text x=(Px(x)) y=(Px(y)) text-anchor=[anchor] font-size=(Px(size)) fill=(ink.hex()) stroke=[stroke]
             stroke-width=[width] stroke-linejoin=[order.map(|_| "round")]
@@ -206,7 +259,12 @@ pub(crate) fn tag_width(text: &str) -> f64 {
 /// Draws a short label in a rounded box around `centre`, in pixels.
 #[must_use]
 pub(crate) fn draw_tag(centre: PixelPoint, text: &str, ink: Ink) -> Markup {
-    let PixelRect { left, top, width, height } = PixelRect::from_center(centre, tag_width(text), TAG_HEIGHT);
+    let PixelRect {
+        left,
+        top,
+        width,
+        height,
+    } = PixelRect::from_center(centre, tag_width(text), TAG_HEIGHT);
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) rx=(Px(height / 2.0))
             fill=(Ink::Paper.hex()) stroke=(ink.hex()) stroke-width="1.2" {}
@@ -228,11 +286,15 @@ pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Mar
 pub(crate) fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
     let (paper, ink) = (Ink::Paper.hex(), ink.hex());
     match marker {
-        Marker::Ring => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.6" fill=(paper) stroke=(ink) stroke-width="1.6" {} },
+        Marker::Ring => {
+            html! { circle cx=(Px(x)) cy=(Px(y)) r="3.6" fill=(paper) stroke=(ink) stroke-width="1.6" {} }
+        }
         Marker::Cross => html! {
             path d={ "M" (Px(x - 3.2)) " " (Px(y - 3.2)) "l6.4 6.4m0-6.4l-6.4 6.4" } stroke=(ink) stroke-width="1.6" {}
         },
-        Marker::Burst => html! { path d=(burst_path(x, y)) fill=(ink) stroke=(paper) stroke-width="1" {} },
+        Marker::Burst => {
+            html! { path d=(burst_path(x, y)) fill=(ink) stroke=(paper) stroke-width="1" {} }
+        }
     }
 }
 

@@ -17,7 +17,11 @@ pub(super) struct Px(pub(super) f64);
 
 impl fmt::Display for Px {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let tenths = if self.0.is_finite() { (self.0 * 10.0).round() } else { 0.0 };
+        let tenths = if self.0.is_finite() {
+            (self.0 * 10.0).round()
+        } else {
+            0.0
+        };
         // Adding zero turns -0 into 0.
         write!(out, "{}", tenths / 10.0 + 0.0)
     }
@@ -54,21 +58,32 @@ fn path_data(points: &[PixelPoint]) -> String {
 /// Returns a subset of the finite points, including the ends, whose line stays within half a pixel of the original.
 #[must_use]
 pub(crate) fn simplify(points: &[PixelPoint]) -> Vec<PixelPoint> {
-    let finite: Vec<PixelPoint> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    let finite: Vec<PixelPoint> = points
+        .iter()
+        .copied()
+        .filter(|(x, y)| x.is_finite() && y.is_finite())
+        .collect();
     douglas_peucker(&decimate_columns(&finite))
 }
 
 /// Returns the first, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014), which loses
 /// no spike. Lines that turn back in x are returned unchanged.
 fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
-    let forward = points.windows(2).all(|pair| matches!(pair, [a, b] if a.0 <= b.0));
+    let forward = points
+        .windows(2)
+        .all(|pair| matches!(pair, [a, b] if a.0 <= b.0));
     if !forward {
         return points.to_vec();
     }
     let mut kept = Vec::new();
     for column in points.chunk_by(|a, b| (a.0 / COLUMN_PX).floor() == (b.0 / COLUMN_PX).floor()) {
         let by_height = |a: &&PixelPoint, b: &&PixelPoint| a.1.total_cmp(&b.1);
-        let ends = [column.first(), column.iter().min_by(by_height), column.iter().max_by(by_height), column.last()];
+        let ends = [
+            column.first(),
+            column.iter().min_by(by_height),
+            column.iter().max_by(by_height),
+            column.last(),
+        ];
         let mut chosen: Vec<PixelPoint> = ends.into_iter().flatten().copied().collect();
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         chosen.dedup();
@@ -79,7 +94,9 @@ fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
 
 /// Simplifies a line (Ramer 1972; Douglas and Peucker 1973), with a stack instead of recursion.
 fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
-    let Some(last) = points.len().checked_sub(1) else { return Vec::new() };
+    let Some(last) = points.len().checked_sub(1) else {
+        return Vec::new();
+    };
     let mut keep = vec![false; points.len()];
     let mut stack = vec![(0, last)];
     while let Some((from, to)) = stack.pop() {
@@ -88,7 +105,9 @@ fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
                 *kept = true;
             }
         }
-        let (Some(&start), Some(&end)) = (points.get(from), points.get(to)) else { continue };
+        let (Some(&start), Some(&end)) = (points.get(from), points.get(to)) else {
+            continue;
+        };
         let inner = points.iter().enumerate().take(to).skip(from + 1);
         let farthest = inner
             .map(|(index, &point)| (index, distance(point, start, end)))
@@ -100,14 +119,22 @@ fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
             stack.push((index, to));
         }
     }
-    points.iter().zip(keep).filter_map(|(&point, kept)| kept.then_some(point)).collect()
+    points
+        .iter()
+        .zip(keep)
+        .filter_map(|(&point, kept)| kept.then_some(point))
+        .collect()
 }
 
 fn distance(point: PixelPoint, start: PixelPoint, end: PixelPoint) -> f64 {
     let (dx, dy) = (end.0 - start.0, end.1 - start.1);
     let (px, py) = (point.0 - start.0, point.1 - start.1);
     let squared = dx * dx + dy * dy;
-    let along = if squared > 0.0 { ((px * dx + py * dy) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    let along = if squared > 0.0 {
+        ((px * dx + py * dy) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     (px - along * dx).hypot(py - along * dy)
 }
 
@@ -139,9 +166,14 @@ mod tests {
 
     #[test]
     fn a_long_straight_line_needs_two_points() {
-        let points: Vec<PixelPoint> = (0..1500).map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0)).collect();
+        let points: Vec<PixelPoint> = (0..1500)
+            .map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0))
+            .collect();
         assert_eq!(simplify(&points).len(), 2);
-        assert_eq!(polyline_data(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]), "M0 0 10 2.3");
+        assert_eq!(
+            polyline_data(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]),
+            "M0 0 10 2.3"
+        );
         assert_eq!(polyline_data(&[]), "");
     }
 }

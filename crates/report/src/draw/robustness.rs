@@ -33,9 +33,16 @@ pub fn add_robustness(prefix: &str, figure: &Svg, parts: &[FormulaPart], step_s:
         let y = Axis::numeric("", pad_interval((low.min(0.0), high.max(0.0)), 0.05), 5);
         let x = Axis::numeric("Time (s)", (0.0, step_s * part.robustness.len() as f64), 8);
         let mut panel = Panel::new(frame, &title, x, y);
-        let points: Vec<PixelPoint> =
-            part.robustness.iter().enumerate().map(|(sample, &value)| (sample as f64 * step_s, value)).collect();
-        let below: Vec<PixelPoint> = points.iter().map(|&(time_s, value)| (time_s, value.min(0.0))).collect();
+        let points: Vec<PixelPoint> = part
+            .robustness
+            .iter()
+            .enumerate()
+            .map(|(sample, &value)| (sample as f64 * step_s, value))
+            .collect();
+        let below: Vec<PixelPoint> = points
+            .iter()
+            .map(|&(time_s, value)| (time_s, value.min(0.0)))
+            .collect();
         let zero: Vec<PixelPoint> = points.iter().map(|&(time_s, _)| (time_s, 0.0)).collect();
         panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
         panel.add_band(&zero, &below, Ink::Alert);
@@ -47,5 +54,11 @@ pub fn add_robustness(prefix: &str, figure: &Svg, parts: &[FormulaPart], step_s:
         (figure)
         @for row in drawn.iter().enumerate() { (panel(row)) }
     };
-    Svg::new(&format!("{prefix}-parts"), (width, height), "Motion and robustness", "", content)
+    Svg::new(
+        &format!("{prefix}-parts"),
+        (width, height),
+        "Motion and robustness",
+        "",
+        content,
+    )
 }

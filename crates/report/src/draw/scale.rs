@@ -16,7 +16,10 @@ impl LinearScale {
     /// Maps `domain.0` to `range.0` and `domain.1` to `range.1`; see [`drawable_interval`] for invalid domains.
     #[must_use]
     pub(crate) fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
-        Self { domain: drawable_interval(domain), range }
+        Self {
+            domain: drawable_interval(domain),
+            range,
+        }
     }
 
     /// Returns the pixel coordinate of `value`; NaN is at the start.
@@ -31,7 +34,11 @@ impl LinearScale {
 
 /// Returns the nearest number that can be drawn; 0 for NaN.
 fn clamp_finite(value: f64) -> f64 {
-    if value.is_nan() { 0.0 } else { value.clamp(-MAX_VALUE, MAX_VALUE) }
+    if value.is_nan() {
+        0.0
+    } else {
+        value.clamp(-MAX_VALUE, MAX_VALUE)
+    }
 }
 
 /// Returns the nearest interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
@@ -51,7 +58,9 @@ pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
 #[must_use]
 pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     let finite = values.into_iter().filter(|value| value.is_finite());
-    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
@@ -91,19 +100,31 @@ impl Ticks {
                 if last >= first && count <= most {
                     let value = |index: usize| {
                         let multiple = first + index as f64;
-                        let value = if exponent < 0 { multiple * factor / scale } else { multiple * step };
+                        let value = if exponent < 0 {
+                            multiple * factor / scale
+                        } else {
+                            multiple * step
+                        };
                         value.clamp(low, high) + 0.0
                     };
                     let decimals = usize::try_from(-exponent).unwrap_or(0);
-                    return Self { values: (0..count).map(value).collect(), decimals };
+                    return Self {
+                        values: (0..count).map(value).collect(),
+                        decimals,
+                    };
                 }
             }
         }
-        Self { values: vec![low, high], decimals: 0 }
+        Self {
+            values: vec![low, high],
+            decimals: 0,
+        }
     }
 
     pub(crate) fn labels(&self) -> impl Iterator<Item = (f64, String)> + '_ {
-        self.values.iter().map(|&value| (value, format_number(value, self.decimals)))
+        self.values
+            .iter()
+            .map(|&value| (value, format_number(value, self.decimals)))
     }
 }
 
@@ -112,7 +133,9 @@ impl Ticks {
 pub fn format_number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
-        Some(digits) if digits.contains(|c: char| ('1'..='9').contains(&c)) => format!("\u{2212}{digits}"),
+        Some(digits) if digits.contains(|c: char| ('1'..='9').contains(&c)) => {
+            format!("\u{2212}{digits}")
+        }
         Some(digits) => digits.to_owned(),
         None => text,
     }
@@ -157,8 +180,14 @@ mod tests {
     #[test]
     fn the_usual_axes_get_the_usual_ticks() {
         assert_eq!(Ticks::new((0.0, 15.0), 6).values, [0.0, 5.0, 10.0, 15.0]);
-        assert_eq!(Ticks::new((0.0, 26.5), 6).values, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]);
-        assert_eq!(Ticks::new((-0.2, 0.31), 6).values, [-0.2, -0.1, 0.0, 0.1, 0.2, 0.3]);
+        assert_eq!(
+            Ticks::new((0.0, 26.5), 6).values,
+            [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]
+        );
+        assert_eq!(
+            Ticks::new((-0.2, 0.31), 6).values,
+            [-0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
+        );
         assert_eq!(format_number(-0.04, 1), "0.0");
         assert_eq!(format_number(-2.5, 1), "\u{2212}2.5");
     }

@@ -8,19 +8,36 @@ use resvg::{tiny_skia, usvg};
 
 use super::*;
 use crumple_world::control::{AebSettings, ControllerSpec};
-use crumple_world::scenario::{Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario};
-use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate};
+use crumple_world::scenario::{
+    Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario,
+};
+use crumple_world::sim::{
+    AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate,
+};
 
 /// Simulates the paper's first scenario with these vehicles, 16 m apart. Followers brake fully below a time to
 /// collision of `ttc_s`; without it they brake as the leader does, each 0.1 s after its leader.
-fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+fn simulate_line(
+    heavy: &[bool],
+    ttc_s: Option<f64>,
+    after_contact: AfterContact,
+) -> (Trace, Vec<Impact>) {
     let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
         let mut position_m = 36.0;
         let vehicle = |(rank, &heavy): (usize, &bool)| {
-            let class = if heavy { VehicleClass::Heavy } else { VehicleClass::Light };
+            let class = if heavy {
+                VehicleClass::Heavy
+            } else {
+                VehicleClass::Light
+            };
             let driver = match (rank, ttc_s) {
-                (1.., Some(ttc_s)) => Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s })),
-                _ => Driver::Profile(LeadProfile::Brake(Brake { onset_s: 1.0 + 0.1 * rank as f64, rate_mps2: 3.0 })),
+                (1.., Some(ttc_s)) => {
+                    Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s }))
+                }
+                _ => Driver::Profile(LeadProfile::Brake(Brake {
+                    onset_s: 1.0 + 0.1 * rank as f64,
+                    rate_mps2: 3.0,
+                })),
             };
             let vehicle = VehicleSpec::new(class, position_m, 25.0, driver);
             position_m -= class.length_m() + 16.0;
@@ -30,21 +47,38 @@ fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact
     });
     let scenario = scenario.unwrap();
     let nobody = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
-    let simulated =
-        simulate(&Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(), RecordingLevel::Trace);
+    let simulated = simulate(
+        &Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(),
+        RecordingLevel::Trace,
+    );
     (simulated.trace.unwrap(), simulated.impacts)
 }
 
-const LAYOUTS: [PanelArrangement; 3] = [PanelArrangement::Wide, PanelArrangement::Stacked, PanelArrangement::Column];
+const LAYOUTS: [PanelArrangement; 3] = [
+    PanelArrangement::Wide,
+    PanelArrangement::Stacked,
+    PanelArrangement::Column,
+];
 
 fn vehicle_labels(count: usize) -> Vec<String> {
-    (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
+    (0..count)
+        .map(|index| format!("vehicle of rank {index} <&>\u{7}"))
+        .collect()
 }
 
 fn draw_figure(trace: &Trace, impacts: &[Impact], layout: PanelArrangement) -> Svg {
     let labels = vehicle_labels(trace.vehicles.len());
     let title = "Scenario 1 & others <with a long title>, vehicles stick together";
-    draw_motion(&MotionFigure { prefix: "fig", title, labels: &labels, trace, impacts }, layout)
+    draw_motion(
+        &MotionFigure {
+            prefix: "fig",
+            title,
+            labels: &labels,
+            trace,
+            impacts,
+        },
+        layout,
+    )
 }
 
 fn parse_tree(svg: &Svg) -> usvg::Tree {
@@ -57,9 +91,18 @@ fn collect_text_boxes(group: &usvg::Group, found: &mut Vec<(String, PixelRect)>)
             usvg::Node::Group(group) => collect_text_boxes(group, found),
             usvg::Node::Text(text) => {
                 let area = text.abs_bounding_box();
-                let [left, top, width, height] = [area.left(), area.top(), area.width(), area.height()].map(f64::from);
+                let [left, top, width, height] =
+                    [area.left(), area.top(), area.width(), area.height()].map(f64::from);
                 let words = text.chunks().iter().map(usvg::TextChunk::text).collect();
-                found.push((words, PixelRect { left, top, width, height }));
+                found.push((
+                    words,
+                    PixelRect {
+                        left,
+                        top,
+                        width,
+                        height,
+                    },
+                ));
             }
             _ => {}
         }
@@ -138,7 +181,10 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
     let document = svg.document();
     let impact_speed_mps = impacts[0].contact.impact_speed_mps;
     let at = format!("collision 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
-    assert!(document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")), "{document}");
+    assert!(
+        document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")),
+        "{document}"
+    );
     assert!(document.contains(&format!(">{at}<")) && document.contains(">collision 1\u{2013}2: "));
     // One star per panel and one in the inset.
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
@@ -154,20 +200,38 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
 fn figures_are_the_same_every_time_and_share_no_identifier() {
     let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let labels = vehicle_labels(3);
-    let figure = MotionFigure { prefix: "a b\"", title: "t", labels: &labels, trace: &trace, impacts: &impacts };
+    let figure = MotionFigure {
+        prefix: "a b\"",
+        title: "t",
+        labels: &labels,
+        trace: &trace,
+        impacts: &impacts,
+    };
     let page = |prefix| draw_motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
     assert_eq!(page("one"), page("one"));
-    assert!(page("one").len() < 45_000, "thirty figures are to stay well under 2 MB: {}", page("one").len());
+    assert!(
+        page("one").len() < 45_000,
+        "thirty figures are to stay well under 2 MB: {}",
+        page("one").len()
+    );
 
     check_identifiers(&(page("one") + &page("two") + &page("3 \"")));
 }
 
 /// Checks that every identifier of a page is unique, and that those used are defined.
 fn check_identifiers(page: &str) {
-    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    let ids: Vec<&str> = page
+        .split(" id=\"")
+        .skip(1)
+        .filter_map(|rest| rest.split('"').next())
+        .collect();
     let unique: HashSet<&str> = ids.iter().copied().collect();
     assert_eq!(unique.len(), ids.len(), "{ids:?}");
-    for used in page.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+    for used in page
+        .split("url(#")
+        .skip(1)
+        .filter_map(|rest| rest.split(')').next())
+    {
         assert!(unique.contains(used), "{used} is not defined");
     }
 }
@@ -177,38 +241,79 @@ fn a_png_has_its_size_and_shows_every_ink() {
     let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let (width, height) = svg.size();
-    let picture = tiny_skia::Pixmap::decode_png(&svg.to_png(PNG_SCALE).expect("drawn")).expect("a PNG");
-    assert_eq!((picture.width(), picture.height()), ((2.0 * width).round() as u32, (2.0 * height).round() as u32));
+    let picture =
+        tiny_skia::Pixmap::decode_png(&svg.to_png(PNG_SCALE).expect("drawn")).expect("a PNG");
+    assert_eq!(
+        (picture.width(), picture.height()),
+        ((2.0 * width).round() as u32, (2.0 * height).round() as u32)
+    );
     let seen: HashSet<String> = picture
         .pixels()
         .iter()
-        .map(|pixel| format!("#{:02x}{:02x}{:02x}", pixel.red(), pixel.green(), pixel.blue()))
+        .map(|pixel| {
+            format!(
+                "#{:02x}{:02x}{:02x}",
+                pixel.red(),
+                pixel.green(),
+                pixel.blue()
+            )
+        })
         .collect();
-    for ink in [Ink::Paper, Ink::Text, Ink::Alert, Ink::Series(0), Ink::Series(1), Ink::Series(2)] {
+    for ink in [
+        Ink::Paper,
+        Ink::Text,
+        Ink::Alert,
+        Ink::Series(0),
+        Ink::Series(1),
+        Ink::Series(2),
+    ] {
         assert!(seen.contains(ink.hex()), "{ink:?} is missing");
     }
     assert!(picture.pixels().iter().all(|pixel| pixel.alpha() == 255));
 
     for scale in [0.0, -1.0, f64::NAN, 1e6] {
-        assert!(matches!(svg.to_png(scale), Err(DrawError::Size { .. })), "{scale}");
+        assert!(
+            matches!(svg.to_png(scale), Err(DrawError::Size { .. })),
+            "{scale}"
+        );
     }
 }
 
 #[test]
 fn runs_beside_each_other_are_drawn_on_the_same_axes() {
-    let (crash, crash_impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (crash, crash_impacts) =
+        simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let (safe, safe_impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
     let labels = vehicle_labels(3);
-    let figure = |prefix, trace, impacts| MotionFigure { prefix, title: "t", labels: &labels, trace, impacts };
-    let figures = [figure("one", &crash, &crash_impacts), figure("two", &safe, &safe_impacts)];
+    let figure = |prefix, trace, impacts| MotionFigure {
+        prefix,
+        title: "t",
+        labels: &labels,
+        trace,
+        impacts,
+    };
+    let figures = [
+        figure("one", &crash, &crash_impacts),
+        figure("two", &safe, &safe_impacts),
+    ];
     let axes = MotionAxes::from_traces([&crash, &safe]);
     let labels_of = |svg: Svg| -> Vec<String> {
         let document = svg.document();
-        let texts = document.split("<text ").skip(1).filter_map(|rest| rest.split("</text>").next());
-        let labels = texts.filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"));
+        let texts = document
+            .split("<text ")
+            .skip(1)
+            .filter_map(|rest| rest.split("</text>").next());
+        let labels =
+            texts.filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"));
         labels.map(str::to_owned).collect()
     };
-    let together = figures.map(|figure| labels_of(draw_motion_on_axes(&figure, &axes, PanelArrangement::Column)));
+    let together = figures.map(|figure| {
+        labels_of(draw_motion_on_axes(
+            &figure,
+            &axes,
+            PanelArrangement::Column,
+        ))
+    });
     assert_eq!(together[0], together[1]);
     assert!(together[0].len() > 12);
     let alone = figures.map(|figure| labels_of(draw_motion(&figure, PanelArrangement::Column)));

@@ -5,7 +5,8 @@ use maud::{Markup, html};
 use super::path::Px;
 
 /// Requested fonts, best first. The page decides; the layout assumes the widest.
-pub(super) const FONT_FAMILY: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
+pub(super) const FONT_FAMILY: &str =
+    "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
 
 /// Size of ordinary text, in the figure's units (CSS pixels at full size).
 pub(crate) const TEXT_SIZE: f64 = 12.0;
@@ -78,23 +79,38 @@ impl Stroke {
     /// Creates a solid stroke.
     #[must_use]
     pub fn solid(ink: Ink, width: f64) -> Self {
-        Self { ink, width, dash: "" }
+        Self {
+            ink,
+            width,
+            dash: "",
+        }
     }
 
     /// Returns the stroke of the `index`-th series: colour and dash repeat together only after twenty.
     #[must_use]
     pub fn series(index: usize) -> Self {
-        Self { ink: Ink::Series(index), width: 1.8, dash: series_dash(index) }
+        Self {
+            ink: Ink::Series(index),
+            width: 1.8,
+            dash: series_dash(index),
+        }
     }
 }
 
 fn series_dash(index: usize) -> &'static str {
-    DASHES.get(index % DASHES.len()).copied().unwrap_or_default()
+    DASHES
+        .get(index % DASHES.len())
+        .copied()
+        .unwrap_or_default()
 }
 
 /// Draws a sample of a series' line, for legends.
 pub(super) fn draw_swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
-    let Stroke { ink, width: stroke_width, dash } = Stroke::series(index);
+    let Stroke {
+        ink,
+        width: stroke_width,
+        dash,
+    } = Stroke::series(index);
     let dash = (!dash.is_empty()).then_some(dash);
     html! {
         path d={ "M" (Px(x)) " " (Px(y)) "h" (Px(width)) } fill="none" stroke=(ink.hex())
@@ -135,15 +151,31 @@ mod tests {
 
     fn inks() -> Vec<Ink> {
         let series = (0..SERIES_COLOUR_COUNT).map(Ink::Series);
-        [Ink::Text, Ink::Muted, Ink::Axis, Ink::Grid, Ink::Paper, Ink::Alert].into_iter().chain(series).collect()
+        [
+            Ink::Text,
+            Ink::Muted,
+            Ink::Axis,
+            Ink::Grid,
+            Ink::Paper,
+            Ink::Alert,
+        ]
+        .into_iter()
+        .chain(series)
+        .collect()
     }
 
     /// Returns the contrast of two colours by WCAG 2.1.
     fn contrast(one: &str, other: &str) -> f64 {
         let luminance = |hex: &str| {
             let channel = |at: usize| {
-                let value = f64::from(u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal")) / 255.0;
-                if value <= 0.03928 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+                let value =
+                    f64::from(u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal"))
+                        / 255.0;
+                if value <= 0.03928 {
+                    value / 12.92
+                } else {
+                    ((value + 0.055) / 1.055).powf(2.4)
+                }
             };
             0.2126 * channel(1) + 0.7152 * channel(3) + 0.0722 * channel(5)
         };
@@ -152,7 +184,10 @@ mod tests {
     }
 
     fn dark_value(variable: &str) -> &'static str {
-        let block = STYLE.split("prefers-color-scheme:dark").nth(1).expect("a dark block");
+        let block = STYLE
+            .split("prefers-color-scheme:dark")
+            .nth(1)
+            .expect("a dark block");
         let value = block.split(variable).nth(1).expect("in the dark block");
         &value[1..8]
     }
@@ -161,18 +196,35 @@ mod tests {
     fn every_ink_is_recoloured_by_the_style_sheet() {
         for (index, ink) in inks().iter().enumerate() {
             let hex = ink.hex();
-            assert!(STYLE.contains(&format!(".draw [fill=\"{hex}\"]{{fill:var(")), "{ink:?}");
-            assert!(STYLE.contains(&format!(".draw [stroke=\"{hex}\"]{{stroke:var(")), "{ink:?}");
-            assert!(inks().iter().skip(index + 1).all(|other| other.hex() != hex), "{ink:?} is not unique");
+            assert!(
+                STYLE.contains(&format!(".draw [fill=\"{hex}\"]{{fill:var(")),
+                "{ink:?}"
+            );
+            assert!(
+                STYLE.contains(&format!(".draw [stroke=\"{hex}\"]{{stroke:var(")),
+                "{ink:?}"
+            );
+            assert!(
+                inks()
+                    .iter()
+                    .skip(index + 1)
+                    .all(|other| other.hex() != hex),
+                "{ink:?} is not unique"
+            );
         }
     }
 
     #[test]
     fn what_must_be_read_has_contrast_in_both_modes() {
         let names = ["text", "muted", "alert", "0", "1", "2", "3", "4"];
-        let inks = inks().into_iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
+        let inks = inks()
+            .into_iter()
+            .filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
         for (ink, name) in inks.zip(names) {
-            assert!(contrast(ink.hex(), Ink::Paper.hex()) >= 4.5, "{ink:?} on white");
+            assert!(
+                contrast(ink.hex(), Ink::Paper.hex()) >= 4.5,
+                "{ink:?} on white"
+            );
             let [own, paper] = [name, "paper"].map(|name| dark_value(&format!("--draw-{name}")));
             assert!(contrast(own, paper) >= 4.5, "{ink:?} in the dark");
         }
@@ -180,7 +232,9 @@ mod tests {
 
     #[test]
     fn twenty_series_look_different() {
-        let looks: std::collections::HashSet<_> = (0..20).map(|i| (Ink::Series(i).hex(), series_dash(i))).collect();
+        let looks: std::collections::HashSet<_> = (0..20)
+            .map(|i| (Ink::Series(i).hex(), series_dash(i)))
+            .collect();
         assert_eq!(looks.len(), 20);
     }
 }

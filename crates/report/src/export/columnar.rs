@@ -25,9 +25,15 @@ const SCHEMA: &str = "message trace {
 /// [`ExportError::Parquet`] if the encoder fails, which does not happen in memory.
 pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let rows = trace_rows(trace);
-    let doubles: [fn(&TraceRow) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
+    let doubles: [fn(&TraceRow) -> f64; 3] = [
+        |row| row.position_m,
+        |row| row.speed_mps,
+        |row| row.acceleration_mps2,
+    ];
     let schema = Arc::new(parse_message_type(SCHEMA)?);
-    let properties = WriterProperties::builder().set_compression(parquet::basic::Compression::SNAPPY).build();
+    let properties = WriterProperties::builder()
+        .set_compression(parquet::basic::Compression::SNAPPY)
+        .build();
     let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties))?;
     let mut group = writer.next_row_group()?;
     let mut index = 0;
@@ -35,20 +41,33 @@ pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
         match index {
             0 => {
                 let times: Vec<_> = rows.iter().map(|row| row.time_s).collect();
-                column.typed::<DoubleType>().write_batch(&times, None, None)?;
+                column
+                    .typed::<DoubleType>()
+                    .write_batch(&times, None, None)?;
             }
             1 => {
                 let vehicles: Vec<_> = rows.iter().map(|row| row.vehicle).collect();
-                column.typed::<Int32Type>().write_batch(&vehicles, None, None)?;
+                column
+                    .typed::<Int32Type>()
+                    .write_batch(&vehicles, None, None)?;
             }
             5 => {
                 let gaps: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
-                let present: Vec<_> = rows.iter().map(|row| i16::from(row.gap_m.is_some())).collect();
-                column.typed::<DoubleType>().write_batch(&gaps, Some(&present), None)?;
+                let present: Vec<_> = rows
+                    .iter()
+                    .map(|row| i16::from(row.gap_m.is_some()))
+                    .collect();
+                column
+                    .typed::<DoubleType>()
+                    .write_batch(&gaps, Some(&present), None)?;
             }
             other => {
-                let values: Vec<_> = doubles.get(other - 2).map_or_else(Vec::new, |of| rows.iter().map(of).collect());
-                column.typed::<DoubleType>().write_batch(&values, None, None)?;
+                let values: Vec<_> = doubles
+                    .get(other - 2)
+                    .map_or_else(Vec::new, |of| rows.iter().map(of).collect());
+                column
+                    .typed::<DoubleType>()
+                    .write_batch(&values, None, None)?;
             }
         }
         column.close()?;

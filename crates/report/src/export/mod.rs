@@ -16,7 +16,14 @@ pub use columnar::to_parquet;
 /// True if this build writes Parquet.
 pub const WRITES_PARQUET: bool = cfg!(feature = "parquet");
 
-const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
+const COLUMNS: [&str; 6] = [
+    "time_s",
+    "vehicle",
+    "position_m",
+    "speed_mps",
+    "acceleration_mps2",
+    "gap_m",
+];
 
 /// An error of encoding a table.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +51,9 @@ struct TraceRow {
 }
 
 fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
-    let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len()).map(|rear| trace.gaps_m(rear)).collect();
+    let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len())
+        .map(|rear| trace.gaps_m(rear))
+        .collect();
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
         for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
@@ -70,12 +79,22 @@ pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS)?;
     for row in trace_rows(trace) {
-        let numbers = [row.position_m, row.speed_mps, row.acceleration_mps2].map(|number| number.to_string());
+        let numbers =
+            [row.position_m, row.speed_mps, row.acceleration_mps2].map(|number| number.to_string());
         let gap = row.gap_m.map(|gap_m| gap_m.to_string()).unwrap_or_default();
         let [position, speed, acceleration] = numbers;
-        writer.write_record([row.time_s.to_string(), row.vehicle.to_string(), position, speed, acceleration, gap])?;
+        writer.write_record([
+            row.time_s.to_string(),
+            row.vehicle.to_string(),
+            position,
+            speed,
+            acceleration,
+            gap,
+        ])?;
     }
-    writer.into_inner().map_err(|error| ExportError::Csv(error.into_error().into()))
+    writer
+        .into_inner()
+        .map_err(|error| ExportError::Csv(error.into_error().into()))
 }
 
 /// Encodes the trace as a Parquet file.
@@ -99,25 +118,41 @@ mod tests {
     #[test]
     fn both_formats_hold_the_same_numbers_as_the_trace() {
         let scenario = built_in_scenario("paper-1").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("baseline").unwrap())).unwrap();
+        let run = Run::new(
+            &scenario,
+            RunOptions::new(ControllerSpec::from_name("baseline").unwrap()),
+        )
+        .unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
         let csv = to_csv(&trace).unwrap();
         let mut reader = csv::Reader::from_reader(csv.as_slice());
-        let parquet = SerializedFileReader::new(bytes::Bytes::from(to_parquet(&trace).unwrap())).unwrap();
+        let parquet =
+            SerializedFileReader::new(bytes::Bytes::from(to_parquet(&trace).unwrap())).unwrap();
         let mut count = 0;
-        for (index, (from_csv, from_parquet)) in reader.records().zip(parquet.get_row_iter(None).unwrap()).enumerate() {
+        for (index, (from_csv, from_parquet)) in reader
+            .records()
+            .zip(parquet.get_row_iter(None).unwrap())
+            .enumerate()
+        {
             let (from_csv, from_parquet) = (from_csv.unwrap(), from_parquet.unwrap());
             let track = &trace.vehicles[index % 3];
-            let expected = [trace.time_s[index / 3], track.position_m[index / 3], track.speed_mps[index / 3]];
+            let expected = [
+                trace.time_s[index / 3],
+                track.position_m[index / 3],
+                track.speed_mps[index / 3],
+            ];
             for (column, expected) in [0, 2, 3].into_iter().zip(expected) {
                 assert_eq!(from_csv[column].parse::<f64>().unwrap(), expected);
                 assert_eq!(from_parquet.get_double(column).unwrap(), expected);
             }
-            let gap_m = trace.vehicles[..index % 3]
-                .last()
-                .map(|ahead| ahead.position_m[index / 3] - ahead.length_m - track.position_m[index / 3]);
+            let gap_m = trace.vehicles[..index % 3].last().map(|ahead| {
+                ahead.position_m[index / 3] - ahead.length_m - track.position_m[index / 3]
+            });
             assert_eq!(from_csv[5].parse::<f64>().ok(), gap_m);
-            assert_eq!(from_parquet.get_double(5).ok(), from_csv[5].parse::<f64>().ok());
+            assert_eq!(
+                from_parquet.get_double(5).ok(),
+                from_csv[5].parse::<f64>().ok()
+            );
             count += 1;
         }
         assert_eq!(count, trace.len() * 3);

@@ -1,20 +1,25 @@
 //! Descriptions of the results of a suite.
 
 use crumple_suites::{
-    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, SweepFailure, TestVerdict,
-    WorstInTolerance,
+    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, SweepFailure,
+    TestVerdict, WorstInTolerance,
 };
 
 pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
     match verdict {
         TestVerdict::Passed => "PASSED".to_owned(),
-        TestVerdict::Failed { time_s, impact_speed_mps } => {
+        TestVerdict::Failed {
+            time_s,
+            impact_speed_mps,
+        } => {
             format!("FAILED, collision at {time_s:.2} s with {impact_speed_mps:.1} m/s")
         }
         TestVerdict::Braked { max_brake_mps2 } => {
             format!("FAILED: brakes with {max_brake_mps2:.1} m/s² although nothing is in the way")
         }
-        TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
+        TestVerdict::ControllerFailed { time_s, reason } => {
+            format!("CONTROLLER FAILED at {time_s:.2} s: {reason}")
+        }
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
     }
 }
@@ -24,7 +29,9 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
             let found = describe_verdict(&within.verdict);
-            format!("FAILED within the tolerances of the clause; every stated point passes: {found}")
+            format!(
+                "FAILED within the tolerances of the clause; every stated point passes: {found}"
+            )
         }
         _ => describe_verdict(&tested.verdict),
     }
@@ -32,26 +39,54 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
 
 /// Returns the number of passed points; empty if the test cannot be run.
 pub(super) fn format_points(tested: &ControllerResult) -> String {
-    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) }
+    if tested.points == 0 {
+        String::new()
+    } else {
+        format!(", {} of {} pass", tested.passed_points, tested.points)
+    }
 }
 
 /// Describes the impact up to which a test passes nevertheless.
 pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
-    let ImpactLimit { value, unit, origin, .. } = limit;
-    format!("passes if the impact is at most {value} {unit} ({})", origin.label())
+    let ImpactLimit {
+        value,
+        unit,
+        origin,
+        ..
+    } = limit;
+    format!(
+        "passes if the impact is at most {value} {unit} ({})",
+        origin.label()
+    )
 }
 
 pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
-    let WorstInTolerance { point, verdict: found, min_gap_m, points_run: tried, .. } = within;
-    let gap =
-        min_gap_m.filter(|_| found.is_passed()).map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m"));
-    format!("worst of {tried} points within the tolerances: {}{gap}, at {point}", describe_verdict(found))
+    let WorstInTolerance {
+        point,
+        verdict: found,
+        min_gap_m,
+        points_run: tried,
+        ..
+    } = within;
+    let gap = min_gap_m
+        .filter(|_| found.is_passed())
+        .map_or(String::new(), |gap_m| {
+            format!(", smallest gap {gap_m:.2} m")
+        });
+    format!(
+        "worst of {tried} points within the tolerances: {}{gap}, at {point}",
+        describe_verdict(found)
+    )
 }
 
 /// Describes the least margin in each direction, and the number of margins.
 pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
     let told = |(least, many): (&Margin, usize)| {
-        let of = if many > 1 { format!(" (the smallest of {many})") } else { String::new() };
+        let of = if many > 1 {
+            format!(" (the smallest of {many})")
+        } else {
+            String::new()
+        };
         describe_margin(least) + &of
     };
     min_margins(margins).into_iter().map(told).collect()
@@ -59,11 +94,23 @@ pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
 
 /// Returns the least margin in each direction, and the number of margins.
 pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
-    let mut directions: Vec<_> = margins.iter().map(|margin| (margin.parameter, margin.to)).collect();
+    let mut directions: Vec<_> = margins
+        .iter()
+        .map(|margin| (margin.parameter, margin.to))
+        .collect();
     directions.dedup();
     let least = |&(push, to): &(_, f64)| {
-        let along: Vec<_> = margins.iter().filter(|margin| (margin.parameter, margin.to) == (push, to)).collect();
-        let less = |least, next| if passing_share(next) < passing_share(least) { next } else { least };
+        let along: Vec<_> = margins
+            .iter()
+            .filter(|margin| (margin.parameter, margin.to) == (push, to))
+            .collect();
+        let less = |least, next| {
+            if passing_share(next) < passing_share(least) {
+                next
+            } else {
+                least
+            }
+        };
         Some((along.iter().copied().reduce(less)?, along.len()))
     };
     directions.iter().filter_map(least).collect()
@@ -74,28 +121,59 @@ fn passing_share(margin: &Margin) -> f64 {
     match margin.end {
         MarginEnd::None { .. } => -1.0,
         MarginEnd::Holds { .. } => 1.0,
-        MarginEnd::Boundary { passes_at, .. } => (passes_at - margin.from) / (margin.to - margin.from),
+        MarginEnd::Boundary { passes_at, .. } => {
+            (passes_at - margin.from) / (margin.to - margin.from)
+        }
     }
 }
 
 fn describe_margin(margin: &Margin) -> String {
-    let Margin { parameter: push, unit, from, to, fixed_parameters: held, end } = margin;
-    let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
+    let Margin {
+        parameter: push,
+        unit,
+        from,
+        to,
+        fixed_parameters: held,
+        end,
+    } = margin;
+    let held = if held.is_empty() {
+        String::new()
+    } else {
+        format!(" at {held}")
+    };
     let words = match end {
         MarginEnd::None { failure: beyond } => {
-            format!("none, the test {} at {from} {unit}", describe_beyond(*beyond))
+            format!(
+                "none, the test {} at {from} {unit}",
+                describe_beyond(*beyond)
+            )
         }
-        MarginEnd::Holds { parts } => format!("passes from {from} to {to} {unit} at the ends of {parts} parts"),
-        MarginEnd::Boundary { passes_at, fails_at, failure: beyond, is_monotone, parts } => {
+        MarginEnd::Holds { parts } => {
+            format!("passes from {from} to {to} {unit} at the ends of {parts} parts")
+        }
+        MarginEnd::Boundary {
+            passes_at,
+            fails_at,
+            failure: beyond,
+            is_monotone,
+            parts,
+        } => {
             let apart = (passes_at - fails_at).abs();
             // Use as many digits as distinguish the two.
-            let digits = if apart > 0.0 { (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize } else { 3 };
+            let digits = if apart > 0.0 {
+                (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize
+            } else {
+                3
+            };
             let does = describe_beyond(*beyond);
-            let words = format!("passes at {passes_at:.digits$}, {does} at {fails_at:.digits$} {unit}");
+            let words =
+                format!("passes at {passes_at:.digits$}, {does} at {fails_at:.digits$} {unit}");
             match is_monotone {
                 true => words,
                 false => {
-                    format!("{words}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond")
+                    format!(
+                        "{words}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond"
+                    )
                 }
             }
         }
@@ -112,8 +190,11 @@ fn describe_beyond(beyond: SweepFailure) -> &'static str {
 
 /// Describes the reference drivers that could have prevented a failure.
 pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
-    let mut words: Vec<_> =
-        failed.references.iter().map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention))).collect();
+    let mut words: Vec<_> = failed
+        .references
+        .iter()
+        .map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention)))
+        .collect();
     words.extend(failed.avoidability.describe());
     if failed.escape_survives_multi_body == Some(false) {
         words.push("with the multi-body plant the escape COLLIDES".to_owned());

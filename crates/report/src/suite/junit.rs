@@ -9,11 +9,17 @@ use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {
         let document = format!("{}, {}", result.document, result.edition);
-        let tests =
-            clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| junit_case(test, tested)));
+        let tests = clause.tests.iter().flat_map(|test| {
+            test.controllers
+                .iter()
+                .map(move |tested| junit_case(test, tested))
+        });
         JunitSuite {
             name: format!("{} {}", result.suite, clause.clause),
-            properties: vec![("statement".to_owned(), result.statement.to_string()), ("document".to_owned(), document)],
+            properties: vec![
+                ("statement".to_owned(), result.statement.to_string()),
+                ("document".to_owned(), document),
+            ],
             cases: tests.collect(),
         }
     });
@@ -21,12 +27,17 @@ pub fn render_junit(result: &SuiteResult) -> String {
 }
 
 fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {
-    let within = tested.worst_in_tolerance.as_ref().filter(|within| within.verdict.is_failure());
+    let within = tested
+        .worst_in_tolerance
+        .as_ref()
+        .filter(|within| within.verdict.is_failure());
     JunitCase {
         name: format!("{}: {}", test.name, tested.controller),
         status: match &tested.verdict {
             TestVerdict::Passed if within.is_none() => JunitStatus::Passed,
-            TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => JunitStatus::Failed,
+            TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => {
+                JunitStatus::Failed
+            }
             TestVerdict::ControllerFailed { .. } => JunitStatus::Error,
             TestVerdict::Refused { .. } => JunitStatus::Skipped,
         },

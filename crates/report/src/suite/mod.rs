@@ -19,19 +19,33 @@ pub use table::render_markdown_table;
 /// Renders the matrix of clause, test, controller, verdict and margin, the failures, and the limits. `replay` returns
 /// the command that simulates a failure, or `None` if its scenario was not written.
 #[must_use]
-pub fn render_text(result: &SuiteResult, replay: impl Fn(&FailedPoint, &ControllerResult) -> Option<String>) -> String {
+pub fn render_text(
+    result: &SuiteResult,
+    replay: impl Fn(&FailedPoint, &ControllerResult) -> Option<String>,
+) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = writeln!(out, "{}: {}, {}", result.suite, result.document, result.edition);
+    let _ = writeln!(
+        out,
+        "{}: {}, {}",
+        result.suite, result.document, result.edition
+    );
     let _ = writeln!(out, "  {}", result.statement);
-    let _ = writeln!(out, "  source of the parameters: {}", result.parameter_source);
+    let _ = writeln!(
+        out,
+        "  source of the parameters: {}",
+        result.parameter_source
+    );
     for clause in &result.clauses {
         let _ = writeln!(out, "\n{}  {}", clause.clause, clause.summary);
         for test in &clause.tests {
             write_test(&mut out, test, &replay);
         }
     }
-    for (title, list) in [("not modelled", &result.not_modelled), ("omitted", &result.omitted_parameters)] {
+    for (title, list) in [
+        ("not modelled", &result.not_modelled),
+        ("omitted", &result.omitted_parameters),
+    ] {
         if !list.is_empty() {
             let _ = writeln!(out, "\n{title}");
         }
@@ -47,24 +61,43 @@ fn write_test(
     test: &TestResult,
     replay: &impl Fn(&FailedPoint, &ControllerResult) -> Option<String>,
 ) {
-    let chosen = if test.is_as_stated { "" } else { " (some parameters are chosen)" };
+    let chosen = if test.is_as_stated {
+        ""
+    } else {
+        " (some parameters are chosen)"
+    };
     let _ = writeln!(out, "  {}{chosen}", test.name);
     if let Some(limit) = &test.impact_at_most {
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
     for tested in &test.controllers {
         let (controller, outcome) = (TerminalText(&tested.controller), describe_outcome(tested));
-        let _ = writeln!(out, "    {controller}: {}{}", TerminalText(&outcome), description::format_points(tested));
+        let _ = writeln!(
+            out,
+            "    {controller}: {}{}",
+            TerminalText(&outcome),
+            description::format_points(tested)
+        );
         for line in describe_min_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
         if let Some(within) = &tested.worst_in_tolerance {
-            let _ = writeln!(out, "      {}", TerminalText(&describe_worst_in_tolerance(within)));
+            let _ = writeln!(
+                out,
+                "      {}",
+                TerminalText(&describe_worst_in_tolerance(within))
+            );
         }
         for failed in tested.failures() {
             let verdict = describe_verdict(&failed.verdict);
-            let _ = writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&verdict));
-            let preventable = Some(describe_preventability(failed)).filter(|words| !words.is_empty());
+            let _ = writeln!(
+                out,
+                "      fails at {}: {}",
+                failed.point,
+                TerminalText(&verdict)
+            );
+            let preventable =
+                Some(describe_preventability(failed)).filter(|words| !words.is_empty());
             for line in preventable.into_iter().chain(replay(failed, tested)) {
                 let _ = writeln!(out, "        {}", TerminalText(&line));
             }

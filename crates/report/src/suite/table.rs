@@ -8,7 +8,11 @@ use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResul
 /// margin in the first direction of a test that passes.
 #[must_use]
 pub fn render_markdown_table(results: &[SuiteResult]) -> String {
-    let tests = || results.iter().flat_map(|result| result.tests().map(move |(_, test)| (result, test)));
+    let tests = || {
+        results
+            .iter()
+            .flat_map(|result| result.tests().map(move |(_, test)| (result, test)))
+    };
     let mut text = Markdown::default();
     text.heading(1, "Suites modelled on regulations");
     text.paragraph(DISCLAIMER);
@@ -17,14 +21,25 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
          cannot be run. Then \
          the number of passed points, and the fastest impact or the smallest margin in the first direction.",
     );
-    let Some((_, first)) = tests().next() else { return text.into_string() };
-    let names = first.controllers.iter().map(|tested| tested.controller.clone());
-    let header: Vec<String> = ["suite", "test"].map(str::to_owned).into_iter().chain(names).collect();
+    let Some((_, first)) = tests().next() else {
+        return text.into_string();
+    };
+    let names = first
+        .controllers
+        .iter()
+        .map(|tested| tested.controller.clone());
+    let header: Vec<String> = ["suite", "test"]
+        .map(str::to_owned)
+        .into_iter()
+        .chain(names)
+        .collect();
     let columns = vec!["---"; header.len()];
     let row = |(result, test): (&SuiteResult, &crumple_suites::TestResult)| {
         let chosen = if test.is_as_stated { "" } else { "*" };
         let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
-        head.into_iter().chain(test.controllers.iter().map(format_cell)).collect()
+        head.into_iter()
+            .chain(test.controllers.iter().map(format_cell))
+            .collect()
     };
     text.table(&header, &columns, tests().map(row));
     text.paragraph("*: some parameters are chosen, because the document does not state them.");
@@ -37,20 +52,36 @@ fn format_cell(tested: &ControllerResult) -> String {
         return "–".to_owned();
     }
     if !tested.is_passed() {
-        let collisions = tested.failures().filter(|failed| matches!(failed.verdict, TestVerdict::Failed { .. }));
-        let fastest = collisions.map(|failed| failed.verdict.impact_speed_mps()).reduce(f64::max);
-        let sign = if tested.verdict.is_refusal() { "–" } else { "✗" };
+        let collisions = tested
+            .failures()
+            .filter(|failed| matches!(failed.verdict, TestVerdict::Failed { .. }));
+        let fastest = collisions
+            .map(|failed| failed.verdict.impact_speed_mps())
+            .reduce(f64::max);
+        let sign = if tested.verdict.is_refusal() {
+            "–"
+        } else {
+            "✗"
+        };
         let impact = fastest.map_or_else(String::new, |mps| format!(", {mps:.1} m/s"));
         return format!("{sign} {points}{impact}");
     }
-    let margin = min_margins(&tested.margins).first().map_or_else(String::new, |(margin, _)| {
-        let Margin { parameter, unit, to, end, .. } = margin;
-        let end = match end {
-            MarginEnd::None { .. } => "not at all".to_owned(),
-            MarginEnd::Holds { .. } => format!("to {to} {unit}"),
-            MarginEnd::Boundary { passes_at, .. } => format!("to {passes_at:.2} {unit}"),
-        };
-        format!(", {} {end}", parameter.label())
-    });
+    let margin = min_margins(&tested.margins)
+        .first()
+        .map_or_else(String::new, |(margin, _)| {
+            let Margin {
+                parameter,
+                unit,
+                to,
+                end,
+                ..
+            } = margin;
+            let end = match end {
+                MarginEnd::None { .. } => "not at all".to_owned(),
+                MarginEnd::Holds { .. } => format!("to {to} {unit}"),
+                MarginEnd::Boundary { passes_at, .. } => format!("to {passes_at:.2} {unit}"),
+            };
+            format!(", {} {end}", parameter.label())
+        });
     format!("✓ {points}{margin}")
 }

@@ -35,8 +35,16 @@ const MAX_PAUSED_DESCENTS: usize = 200;
 const MAX_GOOD_POINTS: usize = 2000;
 /// Number of other evaluations for each evaluation of a leader descent.
 const OTHER_EVALUATIONS_PER_LEADER_EVALUATION: usize = 3;
-const PLAN_DURING_DESCENT: BatchPlan = BatchPlan { screened: 2, simple: 0, edges: 0 };
-const EXPLORATION_PLAN: BatchPlan = BatchPlan { screened: 1, simple: 4, edges: 7 };
+const PLAN_DURING_DESCENT: BatchPlan = BatchPlan {
+    screened: 2,
+    simple: 0,
+    edges: 0,
+};
+const EXPLORATION_PLAN: BatchPlan = BatchPlan {
+    screened: 1,
+    simple: 4,
+    edges: 7,
+};
 
 #[derive(Debug, Clone, Copy)]
 struct BatchPlan {
@@ -147,7 +155,10 @@ impl Auto {
     }
 
     fn propose_edge(&mut self) -> PortfolioProposal {
-        let segment = self.segments.pop().or_else(|| self.plateaus.next_segment(&self.cube, &mut self.random));
+        let segment = self
+            .segments
+            .pop()
+            .or_else(|| self.plateaus.next_segment(&self.cube, &mut self.random));
         if let Some(segment) = segment {
             return PortfolioProposal::PlateauBisection(segment);
         }
@@ -162,9 +173,17 @@ impl Auto {
     }
 
     fn propose_screened(&mut self) -> PortfolioProposal {
-        let Some(surrogate) = &self.surrogate else { return self.propose_simple() };
-        let candidates = (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
-        let scored = candidates.map(|point| (surrogate.score(&self.cube.coarsen(&self.coarse, &point)), point));
+        let Some(surrogate) = &self.surrogate else {
+            return self.propose_simple();
+        };
+        let candidates =
+            (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
+        let scored = candidates.map(|point| {
+            (
+                surrogate.score(&self.cube.coarsen(&self.coarse, &point)),
+                point,
+            )
+        });
         let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
         PortfolioProposal::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
@@ -173,13 +192,21 @@ impl Auto {
     /// point and the best paused one, resumed.
     fn next_descent(&mut self) -> CmaDescent {
         self.descents += 1;
-        let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
+        let best_paused = self
+            .paused
+            .iter()
+            .enumerate()
+            .min_by(|a, b| a.1.best.total_cmp(&b.1.best));
         if self.descents > 2
             && self.descents % 2 == 1
             && let Some((index, _)) = best_paused
         {
             let paused = self.paused.swap_remove(index);
-            return CmaDescent { evaluations: 0, generations_without_gain: 0, ..paused };
+            return CmaDescent {
+                evaluations: 0,
+                generations_without_gain: 0,
+                ..paused
+            };
         }
         let population = (default_population(self.coarse.dimension()) / 2).max(MIN_POPULATION);
         let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
@@ -187,7 +214,9 @@ impl Auto {
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             let among = self.good_points.len().min(START_CANDIDATES);
-            let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
+            let chosen = self
+                .good_points
+                .swap_remove(self.random.random_range(0..among));
             (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
         };
         CmaDescent {
@@ -202,8 +231,13 @@ impl Auto {
 impl CmaDescent {
     fn learn(&mut self, generation: &[f64]) {
         let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
-        let gained = self.best == f64::INFINITY || least < self.best - MIN_RELATIVE_GAIN * self.best.abs();
-        self.generations_without_gain = if gained { 0 } else { self.generations_without_gain + 1 };
+        let gained =
+            self.best == f64::INFINITY || least < self.best - MIN_RELATIVE_GAIN * self.best.abs();
+        self.generations_without_gain = if gained {
+            0
+        } else {
+            self.generations_without_gain + 1
+        };
         self.best = if gained { least } else { self.best };
         self.evaluations += generation.len();
         self.run.tell(generation);
@@ -213,19 +247,30 @@ impl CmaDescent {
 impl LeaderSearch {
     fn ask(&mut self, cube: &UnitCube) -> Vec<Vec<f64>> {
         let [own, all] = self.evaluations;
-        if cube.leader_coordinates().is_empty() || own * (1 + OTHER_EVALUATIONS_PER_LEADER_EVALUATION) > all {
+        if cube.leader_coordinates().is_empty()
+            || own * (1 + OTHER_EVALUATIONS_PER_LEADER_EVALUATION) > all
+        {
             return Vec::new();
         }
-        let asked = self.descent.as_mut().map(LeaderDescent::ask).unwrap_or_default();
+        let asked = self
+            .descent
+            .as_mut()
+            .map(LeaderDescent::ask)
+            .unwrap_or_default();
         let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
-        let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
-        let has_fallen =
-            self.started_at_value.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
+        let Some((best, point)) = self.best.as_ref().filter(can_begin) else {
+            return asked;
+        };
+        let has_fallen = self
+            .started_at_value
+            .is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
         if !has_fallen {
             return asked;
         }
         self.started_at_value = Some(*best);
-        self.descent.insert(LeaderDescent::new(cube, point.clone(), *best)).ask()
+        self.descent
+            .insert(LeaderDescent::new(cube, point.clone(), *best))
+            .ask()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
@@ -246,7 +291,8 @@ impl LeaderSearch {
 impl Auto {
     fn learn(&mut self, point: &[f64], value: f64) {
         self.leader_search.learn(point, value);
-        self.surrogate_data.push((self.cube.coarsen(&self.coarse, point), value));
+        self.surrogate_data
+            .push((self.cube.coarsen(&self.coarse, point), value));
         self.surrogate_data_count += 1;
     }
 }
@@ -255,15 +301,28 @@ impl SearchAlgorithm for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.pending.clear();
-        self.surrogate_data.drain(..self.surrogate_data.len().saturating_sub(MAX_SURROGATE_POINTS));
-        self.surrogate =
-            Surrogate::fit(&self.coarse, &self.surrogate_data, self.surrogate_data_count, &mut self.metric_selection);
+        self.surrogate_data.drain(
+            ..self
+                .surrogate_data
+                .len()
+                .saturating_sub(MAX_SURROGATE_POINTS),
+        );
+        self.surrogate = Surrogate::fit(
+            &self.coarse,
+            &self.surrogate_data,
+            self.surrogate_data_count,
+            &mut self.metric_selection,
+        );
         if self.good_points.len() > 2 * MAX_GOOD_POINTS {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             self.good_points.truncate(MAX_GOOD_POINTS);
         }
         if self.good_points.len() + self.descents == 0 {
-            self.propose_batch(BatchPlan { screened: 0, simple: INITIAL_POINTS, edges: 0 });
+            self.propose_batch(BatchPlan {
+                screened: 0,
+                simple: INITIAL_POINTS,
+                edges: 0,
+            });
         } else if self.exploration_left > 0 {
             self.propose_batch(EXPLORATION_PLAN);
         } else {
@@ -271,21 +330,31 @@ impl SearchAlgorithm for Auto {
                 Some(descent) => descent,
                 None => self.next_descent(),
             };
-            let generation = match &self.surrogate {
-                Some(surrogate) if descent.run.spread() > FINE_SPREAD => {
-                    descent.run.ask_screened(&mut self.random, SCREENING_CANDIDATES, |point| surrogate.score(point))
-                }
-                _ => descent.run.ask(&mut self.random),
-            };
+            let generation =
+                match &self.surrogate {
+                    Some(surrogate) if descent.run.spread() > FINE_SPREAD => descent
+                        .run
+                        .ask_screened(&mut self.random, SCREENING_CANDIDATES, |point| {
+                            surrogate.score(point)
+                        }),
+                    _ => descent.run.ask(&mut self.random),
+                };
             self.pending.extend(
-                generation.into_iter().map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))),
+                generation.into_iter().map(|point| {
+                    PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))
+                }),
             );
             self.descent = Some(descent);
             self.propose_batch(PLAN_DURING_DESCENT);
         }
         // The first descent solves easy problems, so leader descents start after it ends.
         if self.descents > 1 || self.exploration_left > 0 {
-            self.pending.extend(self.leader_search.ask(&self.cube).into_iter().map(PortfolioProposal::Leader));
+            self.pending.extend(
+                self.leader_search
+                    .ask(&self.cube)
+                    .into_iter()
+                    .map(PortfolioProposal::Leader),
+            );
         }
         let point = |asked: &PortfolioProposal| match asked {
             PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) => point.clone(),
@@ -300,7 +369,10 @@ impl SearchAlgorithm for Auto {
         self.exploration_left = self.exploration_left.saturating_sub(robustness.len());
         let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
         let asked = std::mem::take(&mut self.pending);
-        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| nan_as_infinity(value))) {
+        for (asked, value) in asked
+            .into_iter()
+            .zip(robustness.iter().map(|&value| nan_as_infinity(value)))
+        {
             match asked {
                 PortfolioProposal::Screened(point) => {
                     self.learn(&point, value);
@@ -334,7 +406,8 @@ impl SearchAlgorithm for Auto {
             if descent.generations_without_gain < PATIENCE && !stagnated {
                 self.descent = Some(descent);
             } else {
-                self.exploration_left = self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;
+                self.exploration_left =
+                    self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;
                 self.paused.extend((!stagnated).then_some(descent));
                 if self.paused.len() > MAX_PAUSED_DESCENTS {
                     self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));

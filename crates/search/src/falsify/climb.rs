@@ -59,17 +59,27 @@ impl Climbs {
     pub(super) fn rank(&mut self) {
         self.climbs.sort_by(|a, b| a.value.total_cmp(&b.value));
         self.climbs.truncate(MAX_CLIMBS);
-        self.climbs.iter_mut().for_each(|climb| climb.has_pending_move = false);
+        self.climbs
+            .iter_mut()
+            .for_each(|climb| climb.has_pending_move = false);
     }
 
     /// Proposes the next move, of a climb that has none in this batch.
     pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
-        let cost =
-            |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK;
-        let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.has_pending_move);
+        let cost = |(rank, climb): &(usize, &mut Climb)| {
+            *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK
+        };
+        let free = self
+            .climbs
+            .iter_mut()
+            .enumerate()
+            .filter(|(_, climb)| !climb.has_pending_move);
         let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
         climb.has_pending_move = true;
-        Some(ClimbMove { climb: index, point: climb.propose(cube, random)? })
+        Some(ClimbMove {
+            climb: index,
+            point: climb.propose(cube, random)?,
+        })
     }
 
     pub(super) fn tell(&mut self, proposal: ClimbMove, value: f64) {
@@ -94,9 +104,22 @@ impl Climb {
     }
 
     fn learn(&mut self, point: Vec<f64>, value: f64) {
-        let change: Vec<f64> = point.iter().zip(&self.point).map(|(new, old)| new - old).collect();
-        for (weight, _) in self.weights.iter_mut().zip(&change).filter(|(_, change)| **change != 0.0) {
-            *weight = if value == self.value { (*weight * NEUTRAL_DECAY).max(MIN_WEIGHT) } else { 1.0 };
+        let change: Vec<f64> = point
+            .iter()
+            .zip(&self.point)
+            .map(|(new, old)| new - old)
+            .collect();
+        for (weight, _) in self
+            .weights
+            .iter_mut()
+            .zip(&change)
+            .filter(|(_, change)| **change != 0.0)
+        {
+            *weight = if value == self.value {
+                (*weight * NEUTRAL_DECAY).max(MIN_WEIGHT)
+            } else {
+                1.0
+            };
         }
         self.moves_without_gain += 1;
         if value < self.value {

@@ -62,7 +62,9 @@ impl Constants {
     fn new(dimension: usize, population: usize) -> Self {
         let n = dimension as f64;
         let half = (population as f64 + 1.0) / 2.0;
-        let raw: Vec<f64> = (1..=population / 2).map(|rank| half.ln() - (rank as f64).ln()).collect();
+        let raw: Vec<f64> = (1..=population / 2)
+            .map(|rank| half.ln() - (rank as f64).ln())
+            .collect();
         let sum: f64 = raw.iter().sum();
         let weights: Vec<f64> = raw.iter().map(|w| w / sum).collect();
         let mu_eff = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
@@ -70,9 +72,19 @@ impl Constants {
         let d_sigma = 1.0 + 2.0 * (((mu_eff - 1.0) / (n + 1.0)).sqrt() - 1.0).max(0.0) + c_sigma;
         let c_c = (4.0 + mu_eff / n) / (n + 4.0 + 2.0 * mu_eff / n);
         let c_1 = 2.0 / ((n + 1.3).powi(2) + mu_eff);
-        let c_mu = (2.0 * (0.25 + mu_eff + 1.0 / mu_eff - 2.0) / ((n + 2.0).powi(2) + mu_eff)).min(1.0 - c_1);
+        let c_mu = (2.0 * (0.25 + mu_eff + 1.0 / mu_eff - 2.0) / ((n + 2.0).powi(2) + mu_eff))
+            .min(1.0 - c_1);
         let expected_norm = n.sqrt() * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n));
-        Self { weights, mu_eff, c_sigma, d_sigma, c_c, c_1, c_mu, expected_norm }
+        Self {
+            weights,
+            mu_eff,
+            c_sigma,
+            d_sigma,
+            c_c,
+            c_1,
+            c_mu,
+            expected_norm,
+        }
     }
 }
 
@@ -130,7 +142,10 @@ impl CmaRun {
 
     pub(super) fn ask(&mut self, random: &mut Stream) -> Vec<Vec<f64>> {
         self.pending = (0..self.population).map(|_| self.sample(random)).collect();
-        self.pending.iter().map(|point| point.iter().copied().collect()).collect()
+        self.pending
+            .iter()
+            .map(|point| point.iter().copied().collect())
+            .collect()
     }
 
     /// Returns as many points as [`CmaRun::ask`]. Draws `among` times as many samples and keeps those with the lowest
@@ -148,7 +163,10 @@ impl CmaRun {
         candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
         candidates.truncate(self.population);
         self.pending = candidates.into_iter().map(|(_, point)| point).collect();
-        self.pending.iter().map(|point| point.iter().copied().collect()).collect()
+        self.pending
+            .iter()
+            .map(|point| point.iter().copied().collect())
+            .collect()
     }
 
     pub(super) fn tell(&mut self, robustness: &[f64]) {
@@ -157,14 +175,18 @@ impl CmaRun {
             return;
         }
         let asked = std::mem::take(&mut self.pending);
-        let mut ranked: Vec<(f64, &DVector<f64>)> =
-            robustness.iter().map(|&value| nan_as_infinity(value)).zip(&asked).collect();
+        let mut ranked: Vec<(f64, &DVector<f64>)> = robustness
+            .iter()
+            .map(|&value| nan_as_infinity(value))
+            .zip(&asked)
+            .collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.learn(&ranked);
     }
 
     fn sample(&self, random: &mut Stream) -> DVector<f64> {
-        let normal: DVector<f64> = DVector::from_fn(self.mean.len(), |_, _| StandardNormal.sample(random));
+        let normal: DVector<f64> =
+            DVector::from_fn(self.mean.len(), |_, _| StandardNormal.sample(random));
         let step = &self.axes * self.lengths.component_mul(&normal);
         (&self.mean + step * self.sigma).map(|x| x.clamp(0.0, 1.0))
     }
@@ -173,7 +195,10 @@ impl CmaRun {
     fn learn(&mut self, ranked: &[(f64, &DVector<f64>)]) {
         let n = self.mean.len() as f64;
         let constants = Constants::new(self.mean.len(), self.population);
-        let steps: Vec<DVector<f64>> = ranked.iter().map(|(_, point)| (*point - &self.mean) / self.sigma).collect();
+        let steps: Vec<DVector<f64>> = ranked
+            .iter()
+            .map(|(_, point)| (*point - &self.mean) / self.sigma)
+            .collect();
         let mut step = DVector::zeros(self.mean.len());
         for (weight, one) in constants.weights.iter().zip(&steps) {
             step.axpy(*weight, one, 1.0);
@@ -181,7 +206,16 @@ impl CmaRun {
         self.mean += &step * self.sigma;
         self.generation += 1;
 
-        let Constants { mu_eff, c_sigma, d_sigma, c_c, c_1, c_mu, expected_norm, .. } = constants;
+        let Constants {
+            mu_eff,
+            c_sigma,
+            d_sigma,
+            c_c,
+            c_1,
+            c_mu,
+            expected_norm,
+            ..
+        } = constants;
         let whitened = &self.axes * (self.axes.tr_mul(&step)).component_div(&self.lengths);
         self.path_sigma *= 1.0 - c_sigma;
         self.path_sigma += whitened * (c_sigma * (2.0 - c_sigma) * mu_eff).sqrt();
@@ -195,16 +229,20 @@ impl CmaRun {
 
         let lost = if moving { 0.0 } else { c_1 * c_c * (2.0 - c_c) };
         self.covariance *= 1.0 + lost - c_1 - c_mu;
-        self.covariance.ger(c_1, &self.path_covariance, &self.path_covariance, 1.0);
+        self.covariance
+            .ger(c_1, &self.path_covariance, &self.path_covariance, 1.0);
         for (weight, one) in constants.weights.iter().zip(&steps) {
             self.covariance.ger(c_mu * weight, one, one, 1.0);
         }
-        self.sigma *= ((c_sigma / d_sigma) * (norm / expected_norm - 1.0)).min(1.0).exp();
+        self.sigma *= ((c_sigma / d_sigma) * (norm / expected_norm - 1.0))
+            .min(1.0)
+            .exp();
 
         let eigen = SymmetricEigen::new(self.covariance.clone());
         self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
         self.axes = eigen.eigenvectors;
-        self.recent_best_values.extend(ranked.first().map(|(value, _)| *value));
+        self.recent_best_values
+            .extend(ranked.first().map(|(value, _)| *value));
         // Equal best and median indicate a plateau; wider steps may leave it.
         if ranked.first().map(|r| r.0) == ranked.get(self.population / 2).map(|r| r.0) {
             self.sigma *= (0.2 + c_sigma / d_sigma).exp();
@@ -221,9 +259,17 @@ impl CmaRun {
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);
         let window = 10 + 30 * self.mean.len() / self.population;
         let recent = self.recent_best_values.iter().rev().take(window);
-        let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
-        let flat = self.recent_best_values.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
-        let lost = !spread.is_finite() || !least.is_finite() && self.recent_best_values.len() >= window;
-        spread < 1e-12 * self.initial_sigma || spread > 1e4 || condition > MAX_CONDITION_NUMBER || flat || lost
+        let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| {
+            (a.min(x), b.max(x))
+        });
+        let flat =
+            self.recent_best_values.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
+        let lost =
+            !spread.is_finite() || !least.is_finite() && self.recent_best_values.len() >= window;
+        spread < 1e-12 * self.initial_sigma
+            || spread > 1e4
+            || condition > MAX_CONDITION_NUMBER
+            || flat
+            || lost
     }
 }

@@ -42,15 +42,25 @@ impl CrossEntropy {
 
 impl SearchAlgorithm for CrossEntropy {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        if self.deviation.iter().all(|&deviation| deviation < MIN_DEVIATION) {
-            self.mean.iter_mut().for_each(|mean| *mean = self.random.random());
+        if self
+            .deviation
+            .iter()
+            .all(|&deviation| deviation < MIN_DEVIATION)
+        {
+            self.mean
+                .iter_mut()
+                .for_each(|mean| *mean = self.random.random());
             self.deviation.fill(0.5);
             self.generation = 0.0;
         }
         let normal = |random: &mut Stream| -> f64 { StandardNormal.sample(random) };
         let mut point = || -> Vec<f64> {
             let spread = self.mean.iter().zip(&self.deviation);
-            spread.map(|(mean, deviation)| (mean + deviation * normal(&mut self.random)).clamp(0.0, 1.0)).collect()
+            spread
+                .map(|(mean, deviation)| {
+                    (mean + deviation * normal(&mut self.random)).clamp(0.0, 1.0)
+                })
+                .collect()
         };
         self.pending = (0..POPULATION).map(|_| point()).collect();
         self.pending.clone()
@@ -60,16 +70,21 @@ impl SearchAlgorithm for CrossEntropy {
         if robustness.len() < POPULATION {
             return;
         }
-        let mut ranked: Vec<(f64, &Vec<f64>)> =
-            robustness.iter().map(|&value| nan_as_infinity(value)).zip(&self.pending).collect();
+        let mut ranked: Vec<(f64, &Vec<f64>)> = robustness
+            .iter()
+            .map(|&value| nan_as_infinity(value))
+            .zip(&self.pending)
+            .collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         ranked.truncate(ELITE_SIZE);
         self.generation += 1.0;
-        let fading = DEVIATION_SMOOTHING - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(SMOOTHING_EXPONENT);
+        let fading = DEVIATION_SMOOTHING
+            - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(SMOOTHING_EXPONENT);
         for (i, (mean, deviation)) in self.mean.iter_mut().zip(&mut self.deviation).enumerate() {
             let elite = || ranked.iter().filter_map(|(_, point)| point.get(i));
             let centre = elite().sum::<f64>() / ELITE_SIZE as f64;
-            let spread = (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE_SIZE as f64).sqrt();
+            let spread =
+                (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE_SIZE as f64).sqrt();
             *mean += MEAN_SMOOTHING * (centre - *mean);
             *deviation += fading * (spread - *deviation);
         }

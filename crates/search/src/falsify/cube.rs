@@ -47,8 +47,16 @@ impl UnitCube {
     /// # Errors
     /// [`EmptyBlock`] never: a space has at least one parameter, and each has a coordinate.
     pub fn from_space(space: &ScenarioSpace) -> Result<Self, EmptyBlock> {
-        let cube = Self::new(space.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
-        let of_leader = space.parameters().iter().filter(|parameter| parameter.is_leader_script());
+        let cube = Self::new(
+            space
+                .parameters()
+                .iter()
+                .map(|parameter| parameter.coordinates().len()),
+        )?;
+        let of_leader = space
+            .parameters()
+            .iter()
+            .filter(|parameter| parameter.is_leader_script());
         Ok(cube.with_leader_coordinates(of_leader.flat_map(|parameter| parameter.coordinates())))
     }
 
@@ -66,7 +74,14 @@ impl UnitCube {
             blocks.push(start..start + length);
             start += length;
         }
-        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader_coordinates: Vec::new() }) }
+        if blocks.is_empty() {
+            Err(EmptyBlock)
+        } else {
+            Ok(Self {
+                blocks,
+                leader_coordinates: Vec::new(),
+            })
+        }
     }
 
     /// Returns the number of coordinates, at least one.
@@ -84,7 +99,10 @@ impl UnitCube {
     /// Marks the coordinates of the script of a leader. Ignores coordinates outside the cube.
     #[must_use]
     pub fn with_leader_coordinates(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
-        self.leader_coordinates = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
+        self.leader_coordinates = coordinates
+            .into_iter()
+            .filter(|&coordinate| coordinate < self.dimension())
+            .collect();
         self
     }
 
@@ -97,13 +115,19 @@ impl UnitCube {
     /// Returns a coarse cube, whose blocks have at most `pieces` coordinates each.
     #[must_use]
     pub fn with_max_pieces(&self, pieces: usize) -> Self {
-        let lengths = self.blocks.iter().map(|block| block.len().min(pieces.max(1)));
+        let lengths = self
+            .blocks
+            .iter()
+            .map(|block| block.len().min(pieces.max(1)));
         let mut start = 0;
         let blocks = lengths.map(|length| {
             start += length;
             start - length..start
         });
-        Self { blocks: blocks.collect(), leader_coordinates: Vec::new() }
+        Self {
+            blocks: blocks.collect(),
+            leader_coordinates: Vec::new(),
+        }
     }
 
     /// Converts a point of the coarse cube: every piece takes the value of the coarse piece in which it begins.
@@ -112,7 +136,12 @@ impl UnitCube {
         let mut refined = Vec::with_capacity(self.dimension());
         for (fine, rough) in self.blocks.iter().zip(&coarse.blocks) {
             let values = point.get(rough.clone()).unwrap_or_default();
-            let at = |i: usize| values.get(i * rough.len() / fine.len()).copied().unwrap_or(0.0);
+            let at = |i: usize| {
+                values
+                    .get(i * rough.len() / fine.len())
+                    .copied()
+                    .unwrap_or(0.0)
+            };
             refined.extend((0..fine.len()).map(at));
         }
         refined
@@ -126,7 +155,13 @@ impl UnitCube {
             let values = point.get(fine.clone()).unwrap_or_default();
             means.extend((0..rough.len()).map(|piece| {
                 let own = |i: &usize| i * rough.len() / fine.len() == piece;
-                let of_piece = || values.iter().enumerate().filter(|(i, _)| own(i)).map(|(_, value)| value);
+                let of_piece = || {
+                    values
+                        .iter()
+                        .enumerate()
+                        .filter(|(i, _)| own(i))
+                        .map(|(_, value)| value)
+                };
                 of_piece().sum::<f64>() / of_piece().count().max(1) as f64
             }));
         }
@@ -145,11 +180,20 @@ impl UnitCube {
     /// [`InvalidPoints`] if there is no point, or one is not in the cube.
     pub fn check_points(&self, points: &[Vec<f64>]) -> Result<(), InvalidPoints> {
         let Some(wrong) = points.iter().find(|point| !self.contains(point)) else {
-            return if points.is_empty() { Err(InvalidPoints::None) } else { Ok(()) };
+            return if points.is_empty() {
+                Err(InvalidPoints::None)
+            } else {
+                Ok(())
+            };
         };
         match wrong.iter().find(|x| !(0.0..=1.0).contains(*x)) {
-            Some(&found) if wrong.len() == self.dimension() => Err(InvalidPoints::Outside { found }),
-            _ => Err(InvalidPoints::Dimension { expected: self.dimension(), found: wrong.len() }),
+            Some(&found) if wrong.len() == self.dimension() => {
+                Err(InvalidPoints::Outside { found })
+            }
+            _ => Err(InvalidPoints::Dimension {
+                expected: self.dimension(),
+                found: wrong.len(),
+            }),
         }
     }
 
@@ -157,7 +201,10 @@ impl UnitCube {
     #[must_use]
     pub fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
         let of_block = |block: &Range<usize>| {
-            let (a, b) = (a.get(block.clone()).unwrap_or_default(), b.get(block.clone()).unwrap_or_default());
+            let (a, b) = (
+                a.get(block.clone()).unwrap_or_default(),
+                b.get(block.clone()).unwrap_or_default(),
+            );
             a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / block.len() as f64
         };
         self.blocks.iter().map(of_block).sum()

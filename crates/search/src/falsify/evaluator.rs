@@ -23,24 +23,49 @@ impl Evaluator<'_> {
     }
 
     /// Returns the verdict with the scenario's step divided by `parts`.
-    pub(super) fn evaluate(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, SpecificationError> {
-        self.evaluate_all(&[(scenario, parts)]).pop().unwrap_or(Err(SpecificationError::NoTrace))
+    pub(super) fn evaluate(
+        &self,
+        scenario: &Scenario,
+        parts: u32,
+    ) -> Result<RunVerdict, SpecificationError> {
+        self.evaluate_all(&[(scenario, parts)])
+            .pop()
+            .unwrap_or(Err(SpecificationError::NoTrace))
     }
 
     /// Returns the verdicts of many scenarios, which are simulated together.
-    pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
+    pub(super) fn evaluate_all(
+        &self,
+        asked: &[(&Scenario, u32)],
+    ) -> Vec<Result<RunVerdict, SpecificationError>> {
         let own = self.evaluate_with(self.controller, asked);
-        let Some(criterion) = self.failure_criterion else { return own };
+        let Some(criterion) = self.failure_criterion else {
+            return own;
+        };
         let beside = self.evaluate_with(criterion.partner_controller(), asked);
         let pairs = own.into_iter().zip(beside);
-        pairs.map(|(own, beside)| Ok(FailureCriterion::combine_verdicts(own?, beside?))).collect()
+        pairs
+            .map(|(own, beside)| Ok(FailureCriterion::combine_verdicts(own?, beside?)))
+            .collect()
     }
 
     /// Returns the reason why the controller of the partner simulation gives no answer; `None` if it answers.
     pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
-        let options = run_options(self.failure_criterion?.partner_controller(), self.estimator, scenario, 1);
-        let run = Run::new(scenario, options.with_after_contact(self.specification.after_contact())).ok()?;
-        simulate(&run, RecordingLevel::Summary).outcome.failed_controller().map(FailedController::reason)
+        let options = run_options(
+            self.failure_criterion?.partner_controller(),
+            self.estimator,
+            scenario,
+            1,
+        );
+        let run = Run::new(
+            scenario,
+            options.with_after_contact(self.specification.after_contact()),
+        )
+        .ok()?;
+        simulate(&run, RecordingLevel::Summary)
+            .outcome
+            .failed_controller()
+            .map(FailedController::reason)
     }
 
     fn evaluate_with(
@@ -50,7 +75,10 @@ impl Evaluator<'_> {
     ) -> Vec<Result<RunVerdict, SpecificationError>> {
         let prepared = asked.iter().map(|(scenario, parts)| {
             let options = run_options(controller, self.estimator, scenario, *parts);
-            Run::new(scenario, options.with_after_contact(self.specification.after_contact()))
+            Run::new(
+                scenario,
+                options.with_after_contact(self.specification.after_contact()),
+            )
         });
         let (mut runs, mut refused) = (Vec::new(), Vec::new());
         for (place, run) in prepared.enumerate() {
@@ -59,18 +87,32 @@ impl Evaluator<'_> {
                 Err(error) => refused.push((place, error)),
             }
         }
-        let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> =
-            simulate_batch(&runs, self.specification.recording_level(), |index, result| match runs.get(index) {
+        let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> = simulate_batch(
+            &runs,
+            self.specification.recording_level(),
+            |index, result| match runs.get(index) {
                 Some(run) => self.specification.evaluate(run, &result),
                 None => Err(SpecificationError::NoTrace),
-            });
+            },
+        );
         // Insert in ascending order, so that each index exists.
-        refused.into_iter().for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
+        refused
+            .into_iter()
+            .for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
         verdicts
     }
 }
 
-fn run_options(controller: &NamedController, estimator: EstimatorKind, scenario: &Scenario, parts: u32) -> RunOptions {
+fn run_options(
+    controller: &NamedController,
+    estimator: EstimatorKind,
+    scenario: &Scenario,
+    parts: u32,
+) -> RunOptions {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
-    if parts == 1 { options } else { options.with_dt_s(scenario.spec().step_s / f64::from(parts)) }
+    if parts == 1 {
+        options
+    } else {
+        options.with_dt_s(scenario.spec().step_s / f64::from(parts))
+    }
 }

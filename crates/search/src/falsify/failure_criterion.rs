@@ -26,9 +26,11 @@ impl FailureCriterion {
     }
 
     pub(super) fn is_self_comparison(&self, own: &NamedController) -> bool {
-        let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
+        let digest =
+            |controller: &NamedController| controller.policy().map(|policy| policy.digest());
         let other = self.partner_controller();
-        let is_named_alike = other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
+        let is_named_alike =
+            other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
         is_named_alike && digest(other) == digest(own)
     }
 
@@ -45,10 +47,17 @@ impl FailureCriterion {
     /// robustness is infinite.
     pub(super) fn combine_verdicts(own: RunVerdict, partner: RunVerdict) -> RunVerdict {
         if let Some(failed) = partner.failure {
-            return RunVerdict { failure: Some(failed), ..RunVerdict::new(f64::INFINITY) };
+            return RunVerdict {
+                failure: Some(failed),
+                ..RunVerdict::new(f64::INFINITY)
+            };
         }
         let is_undefined = own.robustness.is_nan() || partner.robustness.is_nan();
-        let robustness = if is_undefined { f64::NAN } else { own.robustness.max(-partner.robustness) };
+        let robustness = if is_undefined {
+            f64::NAN
+        } else {
+            own.robustness.max(-partner.robustness)
+        };
         RunVerdict { robustness, ..own }
     }
 }
@@ -79,7 +88,9 @@ impl FailureCriterionRecord {
     /// [`UnknownController`] if there is no such controller.
     pub(super) fn resolve(&self, folder: &Path) -> Result<FailureCriterion, UnknownController> {
         let Self::Differential { controller, .. } = self;
-        Ok(FailureCriterion::Differential(NamedController::find(controller, folder)?))
+        Ok(FailureCriterion::Differential(NamedController::find(
+            controller, folder,
+        )?))
     }
 
     /// Describes the failures that count, as the end of a sentence.
@@ -97,7 +108,8 @@ mod tests {
     #[test]
     fn a_failure_counts_where_the_partner_holds() {
         let evaluated = |own: f64, partner: f64| {
-            FailureCriterion::combine_verdicts(RunVerdict::new(own), RunVerdict::new(partner)).robustness
+            FailureCriterion::combine_verdicts(RunVerdict::new(own), RunVerdict::new(partner))
+                .robustness
         };
         assert_eq!(evaluated(-3.0, 1.0), -1.0);
         assert_eq!(evaluated(-0.5, 1.0), -0.5);
@@ -112,10 +124,16 @@ mod tests {
 
     #[test]
     fn a_partner_without_an_answer_neither_holds_nor_fails() {
-        let silent = RunVerdict { failure: Some((1.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        let silent = RunVerdict {
+            failure: Some((1.5, 1)),
+            ..RunVerdict::new(f64::NEG_INFINITY)
+        };
         for own in [RunVerdict::new(-3.0), RunVerdict::new(3.0), silent] {
             let beside = FailureCriterion::combine_verdicts(own, silent);
-            assert_eq!((beside.robustness, beside.failure), (f64::INFINITY, Some((1.5, 1))));
+            assert_eq!(
+                (beside.robustness, beside.failure),
+                (f64::INFINITY, Some((1.5, 1)))
+            );
         }
         let own = FailureCriterion::combine_verdicts(silent, RunVerdict::new(2.0));
         assert_eq!((own.robustness, own.failure), (-2.0, Some((1.5, 1))));

@@ -31,7 +31,10 @@ impl Coordinate {
             digits.shuffle(&mut random);
             digits
         });
-        Self { base, digit_permutations: digits.collect() }
+        Self {
+            base,
+            digit_permutations: digits.collect(),
+        }
     }
 
     /// Returns the radical inverse of `index`: its digits, permuted and mirrored at the point.
@@ -40,7 +43,10 @@ impl Coordinate {
         let mut value = 0.0;
         for permutation in &self.digit_permutations {
             weight /= self.base as f64;
-            let digit = permutation.get((index % self.base) as usize).copied().unwrap_or(0);
+            let digit = permutation
+                .get((index % self.base) as usize)
+                .copied()
+                .unwrap_or(0);
             value += digit as f64 * weight;
             index /= self.base;
         }
@@ -50,8 +56,14 @@ impl Coordinate {
 
 impl Halton {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
-        let coordinates = primes().take(cube.dimension()).zip(0..).map(|(base, i)| Coordinate::new(base, seed, i));
-        Self { coordinates: coordinates.collect(), next: 0 }
+        let coordinates = primes()
+            .take(cube.dimension())
+            .zip(0..)
+            .map(|(base, i)| Coordinate::new(base, seed, i));
+        Self {
+            coordinates: coordinates.collect(),
+            next: 0,
+        }
     }
 }
 
@@ -64,7 +76,12 @@ impl SearchAlgorithm for Halton {
         let indices = self.next..self.next + BATCH_SIZE as u64;
         self.next = indices.end;
         indices
-            .map(|index| self.coordinates.iter().map(|coordinate| coordinate.radical_inverse(index)).collect())
+            .map(|index| {
+                self.coordinates
+                    .iter()
+                    .map(|coordinate| coordinate.radical_inverse(index))
+                    .collect()
+            })
             .collect()
     }
 
@@ -79,10 +96,20 @@ mod tests {
     /// Returns the squared L2 star discrepancy (Warnock's formula).
     fn squared_discrepancy(points: &[Vec<f64>]) -> f64 {
         let (n, d) = (points.len() as f64, points[0].len() as i32);
-        let single: f64 = points.iter().map(|p| p.iter().map(|x| (1.0 - x * x) / 2.0).product::<f64>()).sum();
+        let single: f64 = points
+            .iter()
+            .map(|p| p.iter().map(|x| (1.0 - x * x) / 2.0).product::<f64>())
+            .sum();
         let pairs: f64 = points
             .iter()
-            .flat_map(|p| points.iter().map(|q| p.iter().zip(q).map(|(x, y)| 1.0 - x.max(*y)).product::<f64>()))
+            .flat_map(|p| {
+                points.iter().map(|q| {
+                    p.iter()
+                        .zip(q)
+                        .map(|(x, y)| 1.0 - x.max(*y))
+                        .product::<f64>()
+                })
+            })
             .sum();
         3f64.powi(-d) - 2.0 / n * single + pairs / (n * n)
     }
@@ -99,7 +126,10 @@ mod tests {
                 };
                 (0..10).map(of).sum::<f64>() / 10.0
             };
-            assert!(mean(Method::Halton) < 0.35 * mean(Method::Uniform), "in {dimension} dimensions");
+            assert!(
+                mean(Method::Halton) < 0.35 * mean(Method::Uniform),
+                "in {dimension} dimensions"
+            );
         }
     }
 
@@ -110,7 +140,10 @@ mod tests {
         for (coordinate, base) in [2, 3, 5].into_iter().enumerate() {
             let strata = 25 / base * base;
             for block in points[..strata].chunks(base) {
-                let mut seen: Vec<_> = block.iter().map(|p| (p[coordinate] * base as f64) as usize).collect();
+                let mut seen: Vec<_> = block
+                    .iter()
+                    .map(|p| (p[coordinate] * base as f64) as usize)
+                    .collect();
                 seen.sort_unstable();
                 assert_eq!(seen, (0..base).collect::<Vec<_>>());
             }

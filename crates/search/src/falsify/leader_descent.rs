@@ -8,7 +8,10 @@ use super::UnitCube;
 use crate::worst_case::{StepSchedule, TrustRegionDescent, VariableBounds};
 
 /// Finite difference of a coordinate, and the initial and final trust region, as shares of the ranges.
-const STEP_SCHEDULE: StepSchedule = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.02] };
+const STEP_SCHEDULE: StepSchedule = StepSchedule {
+    finite_difference: 0.01,
+    trust_region: [0.25, 0.02],
+};
 
 /// A descent over the script of the leader, then over all coordinates.
 #[derive(Debug)]
@@ -25,10 +28,31 @@ impl LeaderDescent {
         Self::with_coordinates(cube.leader_coordinates().to_vec(), point, robustness, false)
     }
 
-    fn with_coordinates(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
-        let at = coordinates.iter().filter_map(|&coordinate| point.get(coordinate).copied()).collect();
-        let descent = TrustRegionDescent::new(VariableBounds { low: 0.0, high: 1.0 }, STEP_SCHEDULE, at, robustness);
-        Self { point, coordinates, descent, is_joint }
+    fn with_coordinates(
+        coordinates: Vec<usize>,
+        point: Vec<f64>,
+        robustness: f64,
+        is_joint: bool,
+    ) -> Self {
+        let at = coordinates
+            .iter()
+            .filter_map(|&coordinate| point.get(coordinate).copied())
+            .collect();
+        let descent = TrustRegionDescent::new(
+            VariableBounds {
+                low: 0.0,
+                high: 1.0,
+            },
+            STEP_SCHEDULE,
+            at,
+            robustness,
+        );
+        Self {
+            point,
+            coordinates,
+            descent,
+            is_joint,
+        }
     }
 
     pub(super) fn ask(&mut self) -> Vec<Vec<f64>> {

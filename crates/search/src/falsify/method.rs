@@ -57,7 +57,9 @@ type SearchFactory = dyn Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send +
 
 /// The error of an invalid name of a custom method.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name:?} cannot name a search method: use 1 to 40 of a-z, 0-9 and -, and not the name of a built-in method")]
+#[error(
+    "{name:?} cannot name a search method: use 1 to 40 of a-z, 0-9 and -, and not the name of a built-in method"
+)]
 pub struct InvalidMethodName {
     /// The name.
     pub name: String,
@@ -72,11 +74,18 @@ impl CustomMethod {
         name: &str,
         start: impl Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send + Sync + 'static,
     ) -> Result<Self, InvalidMethodName> {
-        let is_plain = name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
+        let is_plain = name
+            .bytes()
+            .all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
         if !is_plain || !(1..=40).contains(&name.len()) || name.parse::<Method>().is_ok() {
-            return Err(InvalidMethodName { name: name.to_owned() });
+            return Err(InvalidMethodName {
+                name: name.to_owned(),
+            });
         }
-        Ok(Self { name: name.into(), start: Arc::new(start) })
+        Ok(Self {
+            name: name.into(),
+            start: Arc::new(start),
+        })
     }
 }
 
@@ -104,7 +113,13 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All built-in methods.
-    pub const ALL: [Self; 5] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Auto];
+    pub const ALL: [Self; 5] = [
+        Self::Uniform,
+        Self::Halton,
+        Self::CmaEs,
+        Self::CrossEntropy,
+        Self::Auto,
+    ];
 
     /// Returns the name used on the command line and in files.
     #[must_use]
@@ -177,13 +192,19 @@ impl FromStr for Method {
 
     fn from_str(name: &str) -> Result<Self, UnknownMethod> {
         let found = Self::ALL.into_iter().find(|method| method.name() == name);
-        found.ok_or_else(|| UnknownMethod { name: name.to_owned() })
+        found.ok_or_else(|| UnknownMethod {
+            name: name.to_owned(),
+        })
     }
 }
 
 /// Replaces NaN by infinity, so that it ranks worst.
 pub(super) fn nan_as_infinity(robustness: f64) -> f64 {
-    if robustness.is_nan() { f64::INFINITY } else { robustness }
+    if robustness.is_nan() {
+        f64::INFINITY
+    } else {
+        robustness
+    }
 }
 
 #[cfg(test)]
@@ -209,42 +230,91 @@ mod tests {
         let start = move |cube: &UnitCube, _| -> Box<dyn SearchAlgorithm> {
             Box::new(FixedPointSearch(vec![coordinate; cube.dimension()]))
         };
-        Campaign::of_match_leader("high-risk", Method::Custom(CustomMethod::new(name, start).unwrap()), 10, 7)
+        Campaign::of_match_leader(
+            "high-risk",
+            Method::Custom(CustomMethod::new(name, start).unwrap()),
+            10,
+            7,
+        )
     }
 
     #[test]
     fn a_campaign_with_a_custom_method_is_resumed_by_its_name_only() {
         let [whole, part] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-        let expected = campaign("mine", 0.5).run(whole.path(), CampaignOptions::default(), &Quiet).unwrap();
-        assert_eq!((expected.method.as_str(), expected.evaluations), ("mine", 10));
+        let expected = campaign("mine", 0.5)
+            .run(whole.path(), CampaignOptions::default(), &Quiet)
+            .unwrap();
+        assert_eq!(
+            (expected.method.as_str(), expected.evaluations),
+            ("mine", 10)
+        );
         let stop = |progress: &CampaignProgress| match progress.evaluations {
             ..5 => ControlFlow::Continue(()),
             _ => ControlFlow::Break(()),
         };
         let stopped = campaign("mine", 0.5).run(part.path(), CampaignOptions::default(), &stop);
-        assert!(matches!(stopped, Err(CampaignError::Stopped(_))), "{stopped:?}");
-        let resume = CampaignOptions { resume: true, ..CampaignOptions::default() };
-        let refused = campaign("other", 0.5).run(part.path(), resume, &Quiet).unwrap_err().to_string();
-        assert!(refused.contains("the campaign there has a different configuration"), "{refused}");
-        assert_eq!(campaign("mine", 0.5).run(part.path(), resume, &Quiet).unwrap(), expected);
+        assert!(
+            matches!(stopped, Err(CampaignError::Stopped(_))),
+            "{stopped:?}"
+        );
+        let resume = CampaignOptions {
+            resume: true,
+            ..CampaignOptions::default()
+        };
+        let refused = campaign("other", 0.5)
+            .run(part.path(), resume, &Quiet)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            refused.contains("the campaign there has a different configuration"),
+            "{refused}"
+        );
+        assert_eq!(
+            campaign("mine", 0.5)
+                .run(part.path(), resume, &Quiet)
+                .unwrap(),
+            expected
+        );
     }
 
     #[test]
     fn custom_methods_that_do_not_fit_are_refused() {
         for name in ["", "auto", "My method", &"x".repeat(41)] {
-            assert!(CustomMethod::new(name, |_, _| Box::new(FixedPointSearch(Vec::new()))).is_err(), "{name}");
+            assert!(
+                CustomMethod::new(name, |_, _| Box::new(FixedPointSearch(Vec::new()))).is_err(),
+                "{name}"
+            );
         }
         let folder = tempfile::tempdir().unwrap();
-        let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
+        let outside = campaign("outside", 1.5).run(
+            &folder.path().join("a"),
+            CampaignOptions::default(),
+            &Quiet,
+        );
         let message = outside.unwrap_err().to_string();
-        assert_eq!(message, "the search method `outside` must propose coordinates from 0 to 1, and proposed 1.5");
+        assert_eq!(
+            message,
+            "the search method `outside` must propose coordinates from 0 to 1, and proposed 1.5"
+        );
         let cube = UnitCube::new([15]).unwrap();
         for (points, expected) in [
-            (vec![vec![0.5; 15], vec![0.5; 14]], "must propose points of 15 coordinates, and proposed one of 14"),
-            (Vec::new(), "must propose at least one point each time, and proposed none"),
-            (vec![vec![f64::NAN; 15]], "must propose coordinates from 0 to 1, and proposed NaN"),
+            (
+                vec![vec![0.5; 15], vec![0.5; 14]],
+                "must propose points of 15 coordinates, and proposed one of 14",
+            ),
+            (
+                Vec::new(),
+                "must propose at least one point each time, and proposed none",
+            ),
+            (
+                vec![vec![f64::NAN; 15]],
+                "must propose coordinates from 0 to 1, and proposed NaN",
+            ),
         ] {
-            assert_eq!(cube.check_points(&points).unwrap_err().to_string(), expected);
+            assert_eq!(
+                cube.check_points(&points).unwrap_err().to_string(),
+                expected
+            );
         }
         assert_eq!(cube.check_points(&[vec![0.0; 15], vec![1.0; 15]]), Ok(()));
     }

@@ -69,7 +69,9 @@ pub mod optional {
     ///
     /// # Errors
     /// Any error of the deserialiser, and for any content but a number or one of the two texts.
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<f64>, D::Error> {
         Ok(Option::<NumberOrText>::deserialize(deserializer)?.map(f64::from))
     }
 }
@@ -88,7 +90,11 @@ mod tests {
 
     #[test]
     fn infinite_numbers_come_back() {
-        for (one, other) in [(f64::NEG_INFINITY, None), (f64::INFINITY, Some(f64::NEG_INFINITY)), (-1.5, Some(0.1))] {
+        for (one, other) in [
+            (f64::NEG_INFINITY, None),
+            (f64::INFINITY, Some(f64::NEG_INFINITY)),
+            (-1.5, Some(0.1)),
+        ] {
             let text = serde_json::to_string(&RequiredAndOptional { one, other }).unwrap();
             assert_eq!(
                 serde_json::from_str::<RequiredAndOptional>(&text).unwrap(),

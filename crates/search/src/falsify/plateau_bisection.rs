@@ -61,7 +61,9 @@ impl Plateaus {
             Entry::Occupied(first) => {
                 if let Ok(place) = self.other_points.binary_search(first.get()) {
                     self.other_points.remove(place);
-                    let place = self.plateau_points.partition_point(|known| known < first.get());
+                    let place = self
+                        .plateau_points
+                        .partition_point(|known| known < first.get());
                     self.plateau_points.insert(place, *first.get());
                 }
                 self.plateau_points.push(index);
@@ -74,18 +76,32 @@ impl Plateaus {
         if self.plateau_points.is_empty() || self.other_points.is_empty() {
             return None;
         }
-        let from = *self.plateau_points.get(random.random_range(0..self.plateau_points.len()))?;
+        let from = *self
+            .plateau_points
+            .get(random.random_range(0..self.plateau_points.len()))?;
         let (inside, plateau) = self.points.get(from)?;
         let (_, to, outside, outside_value) = (0..NEIGHBOUR_CANDIDATES)
-            .filter_map(|_| self.other_points.get(random.random_range(0..self.other_points.len())).copied())
+            .filter_map(|_| {
+                self.other_points
+                    .get(random.random_range(0..self.other_points.len()))
+                    .copied()
+            })
             .filter(|to| !self.used_segments.contains(&(from, *to)))
             .filter_map(|to| {
-                self.points.get(to).map(|(point, value)| (cube.distance(inside, point), to, point, *value))
+                self.points
+                    .get(to)
+                    .map(|(point, value)| (cube.distance(inside, point), to, point, *value))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
         self.used_segments.insert((from, to));
         let (inside, outside) = (inside.clone(), outside.clone());
-        Some(Segment { plateau_value: *plateau, inside, outside, outside_value, halvings: 0 })
+        Some(Segment {
+            plateau_value: *plateau,
+            inside,
+            outside,
+            outside_value,
+            halvings: 0,
+        })
     }
 
     /// Returns the half that contains the edge, given the value at the midpoint. `None` if it is short enough, or the
@@ -93,7 +109,9 @@ impl Plateaus {
     pub(super) fn halve(&mut self, segment: Segment, value: f64) -> Option<Segment> {
         let half = segment.halve(value)?;
         if half.halvings == PRUNING_HALVINGS {
-            let better = self.edge_values.partition_point(|known| *known < half.outside_value);
+            let better = self
+                .edge_values
+                .partition_point(|known| *known < half.outside_value);
             self.edge_values.insert(better, half.outside_value);
             if 2 * better > self.edge_values.len() {
                 return None;
@@ -105,7 +123,11 @@ impl Plateaus {
 
 impl Segment {
     pub(super) fn midpoint(&self) -> Vec<f64> {
-        self.inside.iter().zip(&self.outside).map(|(a, b)| 0.5 * (a + b)).collect()
+        self.inside
+            .iter()
+            .zip(&self.outside)
+            .map(|(a, b)| 0.5 * (a + b))
+            .collect()
     }
 
     fn halve(mut self, value: f64) -> Option<Self> {
@@ -130,12 +152,20 @@ mod tests {
         let cube = UnitCube::new([1, 1]).unwrap();
         let mut plateaus = Plateaus::default();
         // Three points on a plateau and two outside give six segments.
-        let points = [([0.1, 0.1], 1.0), ([0.2, 0.9], 1.0), ([0.9, 0.2], 1.0), ([0.5, 0.5], 0.5), ([0.6, 0.8], 0.3)];
+        let points = [
+            ([0.1, 0.1], 1.0),
+            ([0.2, 0.9], 1.0),
+            ([0.9, 0.2], 1.0),
+            ([0.5, 0.5], 0.5),
+            ([0.6, 0.8], 0.3),
+        ];
         for (point, value) in points {
             plateaus.add(point.to_vec(), value);
         }
         let mut random = stream(3, Purpose::Search, 0);
-        let segments: Vec<Segment> = (0..200).filter_map(|_| plateaus.next_segment(&cube, &mut random)).collect();
+        let segments: Vec<Segment> = (0..200)
+            .filter_map(|_| plateaus.next_segment(&cube, &mut random))
+            .collect();
         assert_eq!(segments.len(), 6);
         for (place, one) in segments.iter().enumerate() {
             assert!(
@@ -152,16 +182,29 @@ mod tests {
         let mut plateaus = Plateaus::default();
         let mut halvings = |beyond: f64| {
             let (inside, outside) = (vec![0.0], vec![1.0]);
-            let mut segment = Some(Segment { plateau_value: 1.0, inside, outside, outside_value: beyond, halvings: 0 });
+            let mut segment = Some(Segment {
+                plateau_value: 1.0,
+                inside,
+                outside,
+                outside_value: beyond,
+                halvings: 0,
+            });
             let mut halvings = 0;
             while let Some(one) = segment {
-                let value = if one.midpoint() < vec![0.3] { 1.0 } else { beyond };
+                let value = if one.midpoint() < vec![0.3] {
+                    1.0
+                } else {
+                    beyond
+                };
                 segment = plateaus.halve(one, value);
                 halvings += 1;
             }
             halvings
         };
         // The first segment has no comparison.
-        assert_eq!([0.5, 0.1, 0.9, 0.3, 0.9].map(&mut halvings), [8, 8, 4, 8, 4]);
+        assert_eq!(
+            [0.5, 0.1, 0.9, 0.3, 0.9].map(&mut halvings),
+            [8, 8, 4, 8, 4]
+        );
     }
 }

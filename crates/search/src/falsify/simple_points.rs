@@ -21,8 +21,14 @@ pub(super) fn sample_simple_point(cube: &UnitCube, random: &mut Stream) -> Vec<f
     let extreme = random.random_range(EXTREME_SHARE);
     let mut point = Vec::with_capacity(cube.dimension());
     for block in cube.blocks() {
-        let allowed = PIECE_COUNTS.iter().take_while(|&&pieces| pieces <= block.len()).count();
-        let pieces = PIECE_COUNTS.get(random.random_range(0..allowed.max(1))).copied().unwrap_or(1);
+        let allowed = PIECE_COUNTS
+            .iter()
+            .take_while(|&&pieces| pieces <= block.len())
+            .count();
+        let pieces = PIECE_COUNTS
+            .get(random.random_range(0..allowed.max(1)))
+            .copied()
+            .unwrap_or(1);
         let switches = rand::seq::index::sample(random, block.len() - 1, pieces - 1);
         let mut current = sample_value(extreme, random);
         point.push(current);
@@ -37,7 +43,11 @@ pub(super) fn sample_simple_point(cube: &UnitCube, random: &mut Stream) -> Vec<f
 }
 
 fn sample_value(extreme: f64, random: &mut Stream) -> f64 {
-    if random.random_bool(extreme) { f64::from(u8::from(random.random::<bool>())) } else { random.random() }
+    if random.random_bool(extreme) {
+        f64::from(u8::from(random.random::<bool>()))
+    } else {
+        random.random()
+    }
 }
 
 /// Returns the piece of a signal at `index`: the maximal run of equal values.
@@ -66,24 +76,50 @@ pub(super) fn sample_neighbour(
     let block = cube.blocks().iter().find(|block| block.contains(&index))?;
     let piece = piece_at(block, point, index);
     let own = *point.get(index)?;
-    let before = piece.start.checked_sub(1).filter(|i| block.contains(i)).and_then(|i| point.get(i)).copied();
-    let after = Some(piece.end).filter(|i| block.contains(i)).and_then(|i| point.get(i)).copied();
-    let reach = if random.random_bool(0.3) { random.random_range(1..=3) } else { 1 };
+    let before = piece
+        .start
+        .checked_sub(1)
+        .filter(|i| block.contains(i))
+        .and_then(|i| point.get(i))
+        .copied();
+    let after = Some(piece.end)
+        .filter(|i| block.contains(i))
+        .and_then(|i| point.get(i))
+        .copied();
+    let reach = if random.random_bool(0.3) {
+        random.random_range(1..=3)
+    } else {
+        1
+    };
     let (range, new) = match random.random_range(0..20) {
         0..10 => {
-            let step = STEP_DEVIATION.start * (STEP_DEVIATION.end / STEP_DEVIATION.start).powf(random.random());
+            let step = STEP_DEVIATION.start
+                * (STEP_DEVIATION.end / STEP_DEVIATION.start).powf(random.random());
             let change: f64 = StandardNormal.sample(random);
             (piece, (own + step * change).clamp(0.0, 1.0))
         }
         10..13 => (piece, sample_value(0.5, random)),
         // Moves of a border, in either direction.
-        13 => (piece.start.saturating_sub(reach).max(block.start)..piece.start, own),
+        13 => (
+            piece.start.saturating_sub(reach).max(block.start)..piece.start,
+            own,
+        ),
         14 => (piece.start..(piece.start + reach).min(piece.end), before?),
         15 => (piece.end..(piece.end + reach).min(block.end), own),
-        16 => (piece.end.saturating_sub(reach).max(piece.start)..piece.end, after?),
+        16 => (
+            piece.end.saturating_sub(reach).max(piece.start)..piece.end,
+            after?,
+        ),
         17 => (piece, if random.random() { before? } else { after? }),
         // Splits, with a new value for the rest of the piece or of the signal.
-        18 => (if random.random() { piece.start..index + 1 } else { index..piece.end }, sample_value(0.5, random)),
+        18 => (
+            if random.random() {
+                piece.start..index + 1
+            } else {
+                index..piece.end
+            },
+            sample_value(0.5, random),
+        ),
         _ => (index..block.end, sample_value(0.5, random)),
     };
     let mut changed = point.to_vec();

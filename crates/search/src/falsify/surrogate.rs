@@ -45,7 +45,11 @@ enum SignalFeature {
     Both,
 }
 
-const SIGNAL_FEATURES: [SignalFeature; 3] = [SignalFeature::Values, SignalFeature::Integral, SignalFeature::Both];
+const SIGNAL_FEATURES: [SignalFeature; 3] = [
+    SignalFeature::Values,
+    SignalFeature::Integral,
+    SignalFeature::Both,
+];
 const HORIZON_COUNT: i32 = 7;
 const LENGTH_COUNT: i32 = 9;
 /// Smallest characteristic length, relative to the diagonal of a cube with a coordinate for each block.
@@ -53,7 +57,11 @@ const MIN_LENGTH_SCALE: f64 = 0.15;
 
 impl Default for Metric {
     fn default() -> Self {
-        Self { signal_feature: SignalFeature::Both, horizon: 0, length_exponent: 2 }
+        Self {
+            signal_feature: SignalFeature::Both,
+            horizon: 0,
+            length_exponent: 2,
+        }
     }
 }
 
@@ -61,12 +69,23 @@ impl Metric {
     /// Returns all metrics that differ in a cube: without signals, only the length matters.
     fn candidates(cube: &UnitCube) -> impl Iterator<Item = Self> {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
-        let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZON_COUNT) } else { (1, 1) };
-        SIGNAL_FEATURES.into_iter().take(readings).flat_map(move |reading| {
-            (0..horizons).flat_map(move |horizon| {
-                (0..LENGTH_COUNT).map(move |length| Self { signal_feature: reading, horizon, length_exponent: length })
+        let (readings, horizons) = if signals {
+            (SIGNAL_FEATURES.len(), HORIZON_COUNT)
+        } else {
+            (1, 1)
+        };
+        SIGNAL_FEATURES
+            .into_iter()
+            .take(readings)
+            .flat_map(move |reading| {
+                (0..horizons).flat_map(move |horizon| {
+                    (0..LENGTH_COUNT).map(move |length| Self {
+                        signal_feature: reading,
+                        horizon,
+                        length_exponent: length,
+                    })
+                })
             })
-        })
     }
 
     fn length_scale(self, cube: &UnitCube) -> f64 {
@@ -77,9 +96,17 @@ impl Metric {
     fn features(self, cube: &UnitCube, point: &[f64]) -> Vec<f64> {
         let mut features = Vec::new();
         for block in cube.blocks() {
-            let share = if block.len() == 1 { 1.0 } else { 0.5_f64.powf(0.5 * f64::from(self.horizon)) };
+            let share = if block.len() == 1 {
+                1.0
+            } else {
+                0.5_f64.powf(0.5 * f64::from(self.horizon))
+            };
             let pieces = (block.len() as f64 * share).ceil();
-            let values = point.get(block.clone()).unwrap_or_default().iter().take(pieces as usize);
+            let values = point
+                .get(block.clone())
+                .unwrap_or_default()
+                .iter()
+                .take(pieces as usize);
             if self.signal_feature != SignalFeature::Integral || block.len() == 1 {
                 features.extend(values.clone().map(|value| value / pieces.sqrt()));
             }
@@ -110,11 +137,19 @@ impl Surrogate {
         if known as f64 >= RESELECTION_GROWTH * chosen.points as f64 {
             let metrics: Vec<Metric> = Metric::candidates(cube).collect();
             // Fits are independent and compared in a fixed order, so threads do not change the result.
-            let fits = metrics.into_par_iter().map(|metric| Self::fit_with_metric(cube, data, &scores, metric));
+            let fits = metrics
+                .into_par_iter()
+                .map(|metric| Self::fit_with_metric(cube, data, &scores, metric));
             let fits: Vec<_> = fits.collect();
-            let fits = fits.into_iter().flatten().filter(|(likelihood, _)| !likelihood.is_nan());
+            let fits = fits
+                .into_iter()
+                .flatten()
+                .filter(|(likelihood, _)| !likelihood.is_nan());
             let (_, likeliest) = fits.max_by(|a, b| a.0.total_cmp(&b.0))?;
-            *chosen = MetricSelection { metric: likeliest.metric, points: known };
+            *chosen = MetricSelection {
+                metric: likeliest.metric,
+                points: known,
+            };
             return Some(likeliest);
         }
         Self::fit_with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
@@ -127,7 +162,10 @@ impl Surrogate {
         metric: Metric,
     ) -> Option<(f64, Self)> {
         let length = metric.length_scale(cube);
-        let features: Vec<Vec<f64>> = data.iter().map(|(point, _)| metric.features(cube, point)).collect();
+        let features: Vec<Vec<f64>> = data
+            .iter()
+            .map(|(point, _)| metric.features(cube, point))
+            .collect();
         let n = features.len();
         // The factorisation reads the lower triangle only.
         let covariance = DMatrix::from_fn(n, n, |i, j| match (features.get(i), features.get(j)) {
@@ -141,14 +179,30 @@ impl Surrogate {
         let variance = scores.dot(&weights) / n as f64;
         let log_determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
         let likelihood = -0.5 * n as f64 * variance.ln() - log_determinant;
-        Some((likelihood, Self { cube: cube.clone(), metric, features, weights }))
+        Some((
+            likelihood,
+            Self {
+                cube: cube.clone(),
+                metric,
+                features,
+                weights,
+            },
+        ))
     }
 
     /// Returns the predicted score of a point: lower is better.
     pub(super) fn score(&self, point: &[f64]) -> f64 {
-        let (own, length) = (self.metric.features(&self.cube, point), self.metric.length_scale(&self.cube));
-        let near = self.features.iter().map(|known| matern(square_distance(known, &own), length));
-        near.zip(self.weights.iter()).map(|(kernel, weight)| kernel * weight).sum()
+        let (own, length) = (
+            self.metric.features(&self.cube, point),
+            self.metric.length_scale(&self.cube),
+        );
+        let near = self
+            .features
+            .iter()
+            .map(|known| matern(square_distance(known, &own), length));
+        near.zip(self.weights.iter())
+            .map(|(kernel, weight)| kernel * weight)
+            .sum()
     }
 }
 
@@ -161,7 +215,10 @@ fn scores(data: &[(Vec<f64>, f64)]) -> Vec<f64> {
         let equal = sorted.partition_point(|x| *x <= value) - below;
         (below as f64 + 0.5 * equal as f64) / sorted.len() as f64
     };
-    data.iter().map(|(_, value)| rank(*value)).map(|share| (share / (1.0 - share)).ln()).collect()
+    data.iter()
+        .map(|(_, value)| rank(*value))
+        .map(|share| (share / (1.0 - share)).ln())
+        .collect()
 }
 
 fn square_distance(a: &[f64], b: &[f64]) -> f64 {
@@ -182,22 +239,46 @@ mod tests {
     fn finds_out_that_only_the_early_integral_counts() {
         let cube = UnitCube::new([10, 10]).unwrap();
         let mut search = Method::Uniform.start(&cube, 5);
-        let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask()).flatten().take(90).collect();
+        let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask())
+            .flatten()
+            .take(90)
+            .collect();
         // Distance after three pieces of acceleration.
         let value = |point: &Vec<f64>| 3.0 * point[0] + 2.0 * point[1] + point[2];
-        let data: Vec<_> = points.iter().map(|point| (point.clone(), value(point))).collect();
+        let data: Vec<_> = points
+            .iter()
+            .map(|point| (point.clone(), value(point)))
+            .collect();
         let (known, unknown) = data.split_at(60);
         let mut chosen = MetricSelection::default();
         let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
-        assert!(chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values, "{chosen:?}");
+        assert!(
+            chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values,
+            "{chosen:?}"
+        );
 
         let plain = Metric::candidates(&cube)
             .filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
         let scores = DVector::from_vec(scores(known));
-        let plain = plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
+        let plain =
+            plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
-        let pairs = || unknown.iter().flat_map(|a| unknown.iter().map(move |b| (a, b))).filter(|(a, b)| a.1 < b.1);
-        let wrong = |fit: &Surrogate| pairs().filter(|(a, b)| fit.score(&a.0) >= fit.score(&b.0)).count();
-        assert!(2 * wrong(&free) < wrong(&plain), "{} and {}", wrong(&free), wrong(&plain));
+        let pairs = || {
+            unknown
+                .iter()
+                .flat_map(|a| unknown.iter().map(move |b| (a, b)))
+                .filter(|(a, b)| a.1 < b.1)
+        };
+        let wrong = |fit: &Surrogate| {
+            pairs()
+                .filter(|(a, b)| fit.score(&a.0) >= fit.score(&b.0))
+                .count()
+        };
+        assert!(
+            2 * wrong(&free) < wrong(&plain),
+            "{} and {}",
+            wrong(&free),
+            wrong(&plain)
+        );
     }
 }

@@ -16,7 +16,10 @@ fn sphere(point: &[f64]) -> f64 {
 
 fn rosenbrock(point: &[f64]) -> f64 {
     let x = scale(point, -2.0, 3.0);
-    x.clone().zip(x.skip(1)).map(|(a, b)| 100.0 * (b - a * a).powi(2) + (1.0 - a).powi(2)).sum()
+    x.clone()
+        .zip(x.skip(1))
+        .map(|(a, b)| 100.0 * (b - a * a).powi(2) + (1.0 - a).powi(2))
+        .sum()
 }
 
 fn rastrigin(point: &[f64]) -> f64 {
@@ -71,7 +74,13 @@ fn evaluations_to_target(
     counts
 }
 
-fn median_evaluations(method: &Method, function: TestFunction, dimension: usize, target: f64, budget: usize) -> usize {
+fn median_evaluations(
+    method: &Method,
+    function: TestFunction,
+    dimension: usize,
+    target: f64,
+    budget: usize,
+) -> usize {
     evaluations_to_target(method, function, dimension, target, budget)[4]
 }
 
@@ -81,7 +90,10 @@ fn cma_es_needs_the_published_order_of_evaluations() {
     let sphere = median_evaluations(&Method::CmaEs, sphere, 10, 1e-9, 10_000);
     assert!((1000..2500).contains(&sphere), "sphere: {sphere}");
     let rosenbrock = median_evaluations(&Method::CmaEs, rosenbrock, 10, 1e-9, 30_000);
-    assert!((3500..11_000).contains(&rosenbrock), "Rosenbrock: {rosenbrock}");
+    assert!(
+        (3500..11_000).contains(&rosenbrock),
+        "Rosenbrock: {rosenbrock}"
+    );
     let ackley = median_evaluations(&Method::CmaEs, ackley, 10, 1e-9, 20_000);
     assert!((2000..6000).contains(&ackley), "Ackley: {ackley}");
 }
@@ -101,7 +113,8 @@ fn cross_entropy_reaches_its_accuracy() {
         ("Himmelblau", himmelblau, 2, 1e-2, 6000),
         ("Rastrigin", rastrigin, 2, 1e-2, 10_000),
     ] {
-        let reached = median_evaluations(&Method::CrossEntropy, function, dimension, target, budget);
+        let reached =
+            median_evaluations(&Method::CrossEntropy, function, dimension, target, budget);
         assert!(reached < budget, "{name}");
     }
 }

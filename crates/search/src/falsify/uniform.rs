@@ -15,13 +15,18 @@ pub(super) struct UniformSearch {
 
 impl UniformSearch {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
-        Self { random: stream(seed, Purpose::Search, 0), dimension: cube.dimension() }
+        Self {
+            random: stream(seed, Purpose::Search, 0),
+            dimension: cube.dimension(),
+        }
     }
 }
 
 impl SearchAlgorithm for UniformSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        (0..BATCH_SIZE).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
+        (0..BATCH_SIZE)
+            .map(|_| (0..self.dimension).map(|_| self.random.random()).collect())
+            .collect()
     }
 
     fn tell(&mut self, _robustness: &[f64]) {}

@@ -57,7 +57,10 @@ impl Envelope {
     /// Creates the envelope of all braking that the road allows the leader.
     #[must_use]
     pub fn from_scenario(scenario: &Scenario) -> Self {
-        Self { max_brake_mps2: scenario.usable_brake_mps2(0), jerk_mps3: Self::DEFAULT_JERK_MPS3 }
+        Self {
+            max_brake_mps2: scenario.usable_brake_mps2(0),
+            jerk_mps3: Self::DEFAULT_JERK_MPS3,
+        }
     }
 }
 
@@ -98,7 +101,9 @@ pub struct AttackResult {
 #[non_exhaustive]
 pub enum AttackError {
     /// The leader is not scripted, so no profile can be varied.
-    #[error("vehicle 0 does not follow a script, so it has no profile to vary: use a scenario with a scripted leader")]
+    #[error(
+        "vehicle 0 does not follow a script, so it has no profile to vary: use a scenario with a scripted leader"
+    )]
     LeaderNotScripted,
     /// The order of vehicles changes, which the programs do not model.
     #[error("vehicles enter or leave the lane: search such scenarios with `crumple falsify`")]
@@ -183,7 +188,10 @@ pub fn attack(
     budget: usize,
     observer: &dyn Observer<RunProgress>,
 ) -> Result<AttackResult, AttackError> {
-    if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
+    if !matches!(
+        scenario.vehicles().first().map(|leader| &leader.driver),
+        Some(Driver::Profile(_))
+    ) {
         return Err(AttackError::LeaderNotScripted);
     }
     if !scenario.keeps_lanes() {
@@ -193,15 +201,31 @@ pub fn attack(
     let requested_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = requested_mps2.min(scenario.usable_brake_mps2(0));
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || requested_mps2.is_nan() {
-        return Err(AttackError::EmptyEnvelope { max_brake_mps2: requested_mps2, jerk_mps3: envelope.jerk_mps3 });
+        return Err(AttackError::EmptyEnvelope {
+            max_brake_mps2: requested_mps2,
+            jerk_mps3: envelope.jerk_mps3,
+        });
     }
-    let mut bench = ProfileSimulator::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
+    let mut bench = ProfileSimulator::new(
+        scenario,
+        options,
+        Envelope {
+            max_brake_mps2,
+            ..envelope
+        },
+        budget,
+        observer,
+    );
     // A jerk limit that allows full braking within half a cell has no effect, and a huge one would make the program
     // ill-conditioned.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
     let found = sequential::attack(&mut bench, aim, budget)?;
-    Ok(AttackResult { attack: found, evaluations: bench.evaluations, programs: bench.programs })
+    Ok(AttackResult {
+        attack: found,
+        evaluations: bench.evaluations,
+        programs: bench.programs,
+    })
 }
 
 /// Checks the size of a scenario, and that of `budget` simulations of it.
@@ -211,7 +235,11 @@ pub(super) fn check_size(scenario: &Scenario, budget: usize) -> Result<(), Attac
     if all > MAX_VEHICLE_STEPS {
         Err(AttackError::TooLarge { vehicles, steps })
     } else if all.saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
-        Err(AttackError::TooManySimulations { budget, vehicles, steps })
+        Err(AttackError::TooManySimulations {
+            budget,
+            vehicles,
+            steps,
+        })
     } else {
         Ok(())
     }

@@ -78,7 +78,12 @@ const MAX_OPEN_FIRINGS: usize = 8;
 /// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));
 /// ```
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solve_programs(scenario, options)?;
+    let ProgramResult {
+        avoidance: mut found,
+        profile_mps2,
+        bound_m,
+        is_modelled,
+    } = solve_programs(scenario, options)?;
     let is_open = match &found.verdict {
         AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == SearchEffort::Optimise,
         AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
@@ -87,14 +92,23 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
     if is_open {
         let (cells, first) = control_grids(scenario, options)?;
         let cell = cells.get(first).copied().unwrap_or(1);
-        let escape = closed_loop::largest_gap(scenario, cell, profile_mps2.as_deref(), bound_m, options.effort);
+        let escape = closed_loop::largest_gap(
+            scenario,
+            cell,
+            profile_mps2.as_deref(),
+            bound_m,
+            options.effort,
+        );
         let before_m = found.best_min_gap_m.unwrap_or(0.0);
         if let Some(mut escape) = escape {
             found.best_min_gap_m = Some(escape.min_gap_m.max(before_m));
             if let AvoidanceVerdict::Avoidable(program) = found.verdict
                 && program.min_gap_m >= escape.min_gap_m
             {
-                escape = Escape { found_by: escape.found_by, ..*program };
+                escape = Escape {
+                    found_by: escape.found_by,
+                    ..*program
+                };
             }
             found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
         }
@@ -110,7 +124,11 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 const GAP_TOLERANCE_M: f64 = 0.01;
 
 fn optimality(scenario: &Scenario, found: &Avoidance) -> Optimality {
-    let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - GAP_TOLERANCE_M);
+    let reaches = |limit_m: f64| {
+        found
+            .best_min_gap_m
+            .is_some_and(|best_m| best_m >= limit_m - GAP_TOLERANCE_M)
+    };
     if found.min_gap_bound_m.is_some_and(reaches) {
         Optimality::Bound
     } else if reaches(closed_loop::initial_gap_m(scenario)) {
@@ -143,16 +161,31 @@ fn solve_programs(scenario: &Scenario, options: AvoidOptions) -> Result<ProgramR
                 programs: 0,
                 optimality: Optimality::BestFound,
             };
-            return Ok(ProgramResult { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
+            return Ok(ProgramResult {
+                avoidance,
+                profile_mps2: None,
+                bound_m: f64::INFINITY,
+                is_modelled: false,
+            });
         }
     };
     let mut search = FiringSearch::new(&problem);
     let avoidance = explore_grids(scenario, &problem, &mut search, options, &cells, first);
     Ok(ProgramResult {
         // Noise may carry a vehicle beyond a bound that was computed without it.
-        bound_m: if problem.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
-        profile_mps2: search.best.as_ref().map(|best| step_accelerations_mps2(&problem, best)),
-        is_modelled: !problem.escape_caveat.as_ref().is_some_and(UndecidedReason::is_not_modelled),
+        bound_m: if problem.proof_caveat.is_none() {
+            search.bound_m()
+        } else {
+            f64::INFINITY
+        },
+        profile_mps2: search
+            .best
+            .as_ref()
+            .map(|best| step_accelerations_mps2(&problem, best)),
+        is_modelled: !problem
+            .escape_caveat
+            .as_ref()
+            .is_some_and(UndecidedReason::is_not_modelled),
         avoidance,
     })
 }
@@ -168,24 +201,43 @@ fn explore_grids(
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
-        let (most, open_ends) =
-            if is_last { (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS) } else { (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS) };
+        let (most, open_ends) = if is_last {
+            (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS)
+        } else {
+            (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS)
+        };
         search.explore(&Grid::new(problem, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
         undecided = match conclude(scenario, problem, search) {
-            Ok(conclusion) => return build_avoidance(scenario, problem, search, options, conclusion),
+            Ok(conclusion) => {
+                return build_avoidance(scenario, problem, search, options, conclusion);
+            }
             Err(reason) => Some(reason),
         };
     }
-    let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
+    let (low_m, high_m) = (
+        search
+            .best
+            .as_ref()
+            .map_or(f64::NEG_INFINITY, |best| best.gap_m),
+        search.bound_m(),
+    );
     let reason = undecided.unwrap_or(UndecidedReason::TooClose { low_m, high_m });
-    build_avoidance(scenario, problem, search, options, (AvoidanceVerdict::Undecided(reason), None))
+    build_avoidance(
+        scenario,
+        problem,
+        search,
+        options,
+        (AvoidanceVerdict::Undecided(reason), None),
+    )
 }
 
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
-    let egos = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).count();
+    let egos = (0..scenario.vehicles().len())
+        .filter(|&index| scenario.is_under_test(index))
+        .count();
     let steps = scenario.steps();
     match egos <= MAX_EGOS && egos.saturating_mul(steps) <= MAX_EGO_STEPS {
         true => Ok(()),
@@ -212,8 +264,9 @@ fn build_avoidance(
         AvoidanceVerdict::Unavoidable(_) => false,
     };
     let is_wanted = options.certify_bound && may_escape && problem.proof_caveat.is_none();
-    let certified =
-        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(scenario, problem, search, bound_m));
+    let certified = computed_m
+        .filter(|_| is_wanted)
+        .and_then(|bound_m| certify_bound(scenario, problem, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
         verdict,
@@ -238,7 +291,9 @@ fn certify_bound(
 ) -> Option<(f64, Box<Certificate>)> {
     let build = |gap_m| certificate::gap_bound(scenario, problem, search, gap_m).ok()?;
     let mut certificate = build(computed_m + CERTIFICATE_SLACK_M)?;
-    let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
+    let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else {
+        return None;
+    };
     if let Statement::GapBound(claim) = &mut certificate.statement {
         claim.gap_m = gap_m;
     }
@@ -248,11 +303,16 @@ fn certify_bound(
 
 /// Returns the control grids to try, each as a number of steps, coarse (fast) before fine, and the index of the first
 /// that may decide.
-fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
+fn control_grids(
+    scenario: &Scenario,
+    options: AvoidOptions,
+) -> Result<(Vec<usize>, usize), AvoidError> {
     let step_s = scenario.spec().step_s;
     let coarse = (0.1 / step_s).round().max(1.0) as usize;
     let wanted = match options.grid_s {
-        Some(grid_s) => whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?,
+        Some(grid_s) => {
+            whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?
+        }
         None => coarse,
     };
     let mut cells = vec![coarse.max(wanted), wanted, 1];
@@ -267,35 +327,55 @@ fn conclude(
     problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
 ) -> Result<Conclusion, UndecidedReason> {
-    let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
+    let best_m = search
+        .best
+        .as_ref()
+        .map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
         if let Some(UndecidedReason::EgoResponse { vehicle }) = problem.escape_caveat {
             return Err(UndecidedReason::EgoResponse { vehicle });
         }
-        let escape = Escape::replay(scenario, problem, best)
-            .ok_or_else(|| problem.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
+        let escape = Escape::replay(scenario, problem, best).ok_or_else(|| {
+            problem
+                .escape_caveat
+                .clone()
+                .unwrap_or(UndecidedReason::Replay)
+        })?;
         let best_min_gap_m = Some(escape.min_gap_m);
-        return Ok((AvoidanceVerdict::Avoidable(Box::new(escape)), best_min_gap_m));
+        return Ok((
+            AvoidanceVerdict::Avoidable(Box::new(escape)),
+            best_min_gap_m,
+        ));
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
         let late = problem.dead_steps.iter().position(|&steps| steps > 0);
         return Err(match (&search.solver_failure, late) {
-            (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
+            (Some(status), _) => UndecidedReason::Solver {
+                status: status.clone(),
+            },
             // With a delay, an escape and a proof may both be missing: an escape must exist with the delay, but a proof
             // must exclude escapes of egos that respond at once.
             (None, Some(ego)) => UndecidedReason::EgoResponse { vehicle: ego + 1 },
-            (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
+            (None, None) => UndecidedReason::TooClose {
+                low_m: best_m,
+                high_m,
+            },
         });
     }
     if let Some(reason) = &problem.proof_caveat {
         return Err(reason.clone());
     }
     let proof = certificate::unavoidable(scenario, problem, search)?;
-    let proof = proof.ok_or(UndecidedReason::TooClose { low_m: best_m, high_m })?;
+    let proof = proof.ok_or(UndecidedReason::TooClose {
+        low_m: best_m,
+        high_m,
+    })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
-        Err(rejection) => Err(UndecidedReason::Rejected { why: rejection.to_string() }),
+        Err(rejection) => Err(UndecidedReason::Rejected {
+            why: rejection.to_string(),
+        }),
     }
 }
 
@@ -306,13 +386,23 @@ fn conclude(
 /// [`UndecidedReason`] if there is no certificate.
 pub fn certify(scenario: &Scenario, escape: &Escape) -> Result<Certificate, UndecidedReason> {
     let problem = AvoidanceProblem::new(scenario)?;
-    if let Some(reason) = problem.escape_caveat.clone().or_else(|| problem.proof_caveat.clone()) {
+    if let Some(reason) = problem
+        .escape_caveat
+        .clone()
+        .or_else(|| problem.proof_caveat.clone())
+    {
         return Err(reason);
     }
-    let build = |least_m| certificate::avoidable(scenario, &problem, &escape.acceleration_mps2, least_m);
-    let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected { why: rejection.to_string() };
+    let build =
+        |least_m| certificate::avoidable(scenario, &problem, &escape.acceleration_mps2, least_m);
+    let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected {
+        why: rejection.to_string(),
+    };
     let least_m = match crumple_verify::check(&build(None)?).map_err(rejected)? {
-        ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } => Some(smallest_gap_m),
+        ProvedClaim::Avoidable {
+            min_gap_m: smallest_gap_m,
+            ..
+        } => Some(smallest_gap_m),
         _ => None,
     };
     let certificate = build(least_m)?;

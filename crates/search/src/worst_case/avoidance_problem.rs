@@ -51,13 +51,17 @@ impl AvoidanceProblem {
         };
         let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
-        let mut escape_caveat =
-            under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle });
+        let mut escape_caveat = under_test()
+            .find(|(_, v)| has_lag(v))
+            .map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle });
         let mut proof_caveat = under_test()
             .find(|(_, v)| v.acceleration_noise_mps2 > 0.0)
             .map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
         if last_ego > MAX_EGOS {
-            proof_caveat.get_or_insert(UndecidedReason::TooManyVehicles { egos: last_ego, most: MAX_EGOS });
+            proof_caveat.get_or_insert(UndecidedReason::TooManyVehicles {
+                egos: last_ego,
+                most: MAX_EGOS,
+            });
         }
         let behind = last_ego + 1;
         let mut follower = None;
@@ -72,16 +76,22 @@ impl AvoidanceProblem {
                         speed_mps: Interval::point(vehicle.speed_mps),
                         brake_mps2: Interval::point(scenario.usable_brake_mps2(behind)),
                         ttc_s: aeb.ttc_s,
-                        reaction_steps: u32::try_from(delay_steps(scenario, vehicle)).unwrap_or(u32::MAX),
+                        reaction_steps: u32::try_from(delay_steps(scenario, vehicle))
+                            .unwrap_or(u32::MAX),
                     });
                 }
                 // A proof remains possible: a collision ahead of this vehicle does not depend on its behaviour.
                 driver => {
-                    escape_caveat.get_or_insert(UndecidedReason::Follower { vehicle: behind, driver: driver.name() });
+                    escape_caveat.get_or_insert(UndecidedReason::Follower {
+                        vehicle: behind,
+                        driver: driver.name(),
+                    });
                 }
             }
             if behind + 1 < vehicles.len() {
-                escape_caveat.get_or_insert(UndecidedReason::BehindFollower { vehicle: behind + 1 });
+                escape_caveat.get_or_insert(UndecidedReason::BehindFollower {
+                    vehicle: behind + 1,
+                });
             }
         }
         Ok(Self {
@@ -89,7 +99,9 @@ impl AvoidanceProblem {
             steps: scenario.steps(),
             leader: ScriptedLeader::new(scenario),
             egos: (1..=last_ego).map(ego).collect(),
-            dead_steps: (1..=last_ego).map(|index| delay_steps(scenario, &vehicles[index])).collect(),
+            dead_steps: (1..=last_ego)
+                .map(|index| delay_steps(scenario, &vehicles[index]))
+                .collect(),
             follower,
             escape_caveat,
             proof_caveat,
@@ -102,11 +114,19 @@ impl AvoidanceProblem {
 
     /// Returns the number of firings of the follower's brake: one per step, and never.
     pub(super) fn firing_count(&self) -> usize {
-        if self.follower.is_some() { self.steps + 1 } else { 1 }
+        if self.follower.is_some() {
+            self.steps + 1
+        } else {
+            1
+        }
     }
 
     pub(super) fn never_firing(&self) -> usize {
-        if self.follower.is_some() { self.steps } else { 0 }
+        if self.follower.is_some() {
+            self.steps
+        } else {
+            0
+        }
     }
 
     /// Returns the first step from which the leader stands; the number of steps if never.
@@ -118,14 +138,21 @@ impl AvoidanceProblem {
     pub(super) fn follower_standstill_step(&self, firing: usize) -> usize {
         self.follower.as_ref().map_or(0, |follower| {
             let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
-            let rests = (firing + follower.reaction_steps as usize) as f64 + (braking_s / self.step_s).ceil();
-            if rests < self.steps as f64 { rests as usize } else { self.steps }
+            let rests = (firing + follower.reaction_steps as usize) as f64
+                + (braking_s / self.step_s).ceil();
+            if rests < self.steps as f64 {
+                rests as usize
+            } else {
+                self.steps
+            }
         })
     }
 
     /// Returns the bound on d of the first ego: its slack to the leader's rear bumper, in metres.
     pub(super) fn front_slack_m(&self, step: usize) -> f64 {
-        let (Some(ego), Some(rear_m)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
+        let (Some(ego), Some(rear_m)) = (self.egos.first(), self.leader.rear_m.get(step)) else {
+            return f64::NAN;
+        };
         rear_m - self.coasting_m(ego.position_m, ego.speed_mps, step)
     }
 
@@ -136,14 +163,18 @@ impl AvoidanceProblem {
 
     /// Returns the slack between ego `ahead` and the next one if both coast, in metres.
     pub(super) fn pair_slack_m(&self, ahead: usize, step: usize) -> f64 {
-        let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else { return f64::NAN };
+        let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else {
+            return f64::NAN;
+        };
         let of = |ego: &SceneEgo| self.coasting_m(ego.position_m, ego.speed_mps, step);
         of(front) - front.length_m - of(rear)
     }
 
     /// Returns the slack between the coasting last ego and a follower whose brake fires at `firing`, in metres.
     pub(super) fn rear_slack_m(&self, firing: usize, step: usize) -> f64 {
-        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
+        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else {
+            return f64::NAN;
+        };
         self.coasting_m(ego.position_m, ego.speed_mps, step)
             - ego.length_m
             - self.follower_front_m(follower, firing, step)
@@ -160,7 +191,9 @@ impl AvoidanceProblem {
 
     /// Returns the bound on d + θ w of the last ego for the guard to have fired by step `firing`.
     pub(super) fn fired_slack_m(&self, firing: usize) -> f64 {
-        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
+        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else {
+            return f64::NAN;
+        };
         let theta = follower.ttc_s;
         let (own_m, rear_m) = (
             self.coasting_m(ego.position_m, ego.speed_mps, firing),
@@ -172,7 +205,9 @@ impl AvoidanceProblem {
 
     /// Returns the bound on -w of an ego: its initial speed, in m/s.
     pub(super) fn speed_slack_mps(&self, ego: usize) -> f64 {
-        self.egos.get(ego).map_or(f64::NAN, |ego| ego.speed_mps.low())
+        self.egos
+            .get(ego)
+            .map_or(f64::NAN, |ego| ego.speed_mps.low())
     }
 
     /// Returns the smallest initial gap, in metres: an upper bound for every escape.
@@ -189,11 +224,18 @@ fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     if !scenario.keeps_lanes() {
         return Err(UndecidedReason::LaneChanges);
     }
-    if !vehicles.first().is_some_and(|leader| matches!(leader.driver, Driver::Profile(_))) {
+    if !vehicles
+        .first()
+        .is_some_and(|leader| matches!(leader.driver, Driver::Profile(_)))
+    {
         return Err(UndecidedReason::Leader);
     }
     let is_ego = |vehicle: &VehicleSpec| vehicle.driver == Driver::UnderTest;
-    let egos = vehicles.iter().skip(1).take_while(|vehicle| is_ego(vehicle)).count();
+    let egos = vehicles
+        .iter()
+        .skip(1)
+        .take_while(|vehicle| is_ego(vehicle))
+        .count();
     if egos == 0 || vehicles.iter().filter(|vehicle| is_ego(vehicle)).count() > egos {
         return Err(UndecidedReason::NoEgo);
     }

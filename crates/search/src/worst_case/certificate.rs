@@ -1,8 +1,8 @@
 //! Certificates that `crumple-verify` checks without the simulator and the solver.
 
 use crumple_verify::{
-    Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece, GapBoundClaim, Interval,
-    Scene, SceneLeader, Statement, UnavoidableClaim,
+    Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece,
+    GapBoundClaim, Interval, Scene, SceneLeader, Statement, UnavoidableClaim,
 };
 
 use super::avoidance_problem::AvoidanceProblem;
@@ -13,7 +13,12 @@ use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
 fn build_scene(problem: &AvoidanceProblem) -> Scene {
-    let AvoidanceProblem { leader, egos, follower, .. } = problem;
+    let AvoidanceProblem {
+        leader,
+        egos,
+        follower,
+        ..
+    } = problem;
     Scene {
         step_s: problem.step_s,
         steps: step_count(problem.steps),
@@ -23,7 +28,9 @@ fn build_scene(problem: &AvoidanceProblem) -> Scene {
             speed_mps: Interval::point(leader.speed_mps),
             acceleration_mps2: run_length_encode(&leader.acceleration_mps2)
                 .into_iter()
-                .map(|ConstantPiece(steps, held_mps2)| ConstantPiece(steps, Interval::point(held_mps2)))
+                .map(|ConstantPiece(steps, held_mps2)| {
+                    ConstantPiece(steps, Interval::point(held_mps2))
+                })
                 .collect(),
         },
         egos: egos.clone(),
@@ -37,8 +44,15 @@ pub(super) fn avoidable(
     acceleration_mps2: &[Vec<f64>],
     min_gap_m_at_least: Option<f64>,
 ) -> Result<Certificate, UndecidedReason> {
-    let witness = acceleration_mps2.iter().map(|each| run_length_encode(each)).collect();
-    let statement = AvoidableClaim { scene: build_scene(problem), witness, min_gap_m_at_least };
+    let witness = acceleration_mps2
+        .iter()
+        .map(|each| run_length_encode(each))
+        .collect();
+    let statement = AvoidableClaim {
+        scene: build_scene(problem),
+        witness,
+        min_gap_m_at_least,
+    };
     wrap_statement(scenario, Statement::Avoidable(statement))
 }
 
@@ -48,9 +62,17 @@ pub(super) fn unavoidable(
     problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
 ) -> Result<Option<Certificate>, UndecidedReason> {
-    let Some(branches) = closing_branches(problem, search, 0.0) else { return Ok(None) };
-    wrap_statement(scenario, Statement::Unavoidable(UnavoidableClaim { scene: build_scene(problem), branches }))
-        .map(Some)
+    let Some(branches) = closing_branches(problem, search, 0.0) else {
+        return Ok(None);
+    };
+    wrap_statement(
+        scenario,
+        Statement::Unavoidable(UnavoidableClaim {
+            scene: build_scene(problem),
+            branches,
+        }),
+    )
+    .map(Some)
 }
 
 /// Returns the certificate that no profile keeps every gap at `gap_m`; `None` if some branch has no proof.
@@ -60,21 +82,38 @@ pub(super) fn gap_bound(
     search: &FiringSearch<'_>,
     gap_m: f64,
 ) -> Result<Option<Certificate>, UndecidedReason> {
-    let Some(branches) = closing_branches(problem, search, gap_m) else { return Ok(None) };
-    let statement = GapBoundClaim { scene: build_scene(problem), gap_m, branches };
+    let Some(branches) = closing_branches(problem, search, gap_m) else {
+        return Ok(None);
+    };
+    let statement = GapBoundClaim {
+        scene: build_scene(problem),
+        gap_m,
+        branches,
+    };
     wrap_statement(scenario, Statement::GapBound(statement)).map(Some)
 }
 
-fn wrap_statement(scenario: &Scenario, statement: Statement) -> Result<Certificate, UndecidedReason> {
-    let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable { why: error.to_string() };
+fn wrap_statement(
+    scenario: &Scenario,
+    statement: Statement,
+) -> Result<Certificate, UndecidedReason> {
+    let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable {
+        why: error.to_string(),
+    };
     let text = file::to_toml(scenario).map_err(unwritable)?;
-    let mut certificate = build_certificate(scenario.spec().name.clone(), Some(text), None, statement);
-    certificate.assumptions.extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
+    let mut certificate =
+        build_certificate(scenario.spec().name.clone(), Some(text), None, statement);
+    certificate
+        .assumptions
+        .extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
     Ok(certificate)
 }
 
 fn relies_on_noise(scenario: &Scenario) -> bool {
-    scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0)
+    scenario
+        .vehicles()
+        .first()
+        .is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0)
 }
 
 /// Creates a certificate of a statement, with its assumptions, about a scenario or space, and perhaps a box around it.
@@ -89,7 +128,13 @@ pub fn build_certificate(
     let crumple = env!("CARGO_PKG_VERSION").to_owned();
     Certificate {
         version: crumple_verify::certificate::VERSION,
-        provenance: CertificateProvenance { crumple, scenario, scenario_sha256, scenario_text, box_text },
+        provenance: CertificateProvenance {
+            crumple,
+            scenario,
+            scenario_sha256,
+            scenario_text,
+            box_text,
+        },
         assumptions: statement.assumptions(),
         statement,
     }
@@ -98,10 +143,15 @@ pub fn build_certificate(
 /// Returns branches that prove, for every firing, that no profile keeps every gap at `gap_m`. One branch covers all
 /// late firings: a follower that brakes later is further ahead, so a contradiction with the first of these firings
 /// holds for the later ones, too.
-fn closing_branches(problem: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
+fn closing_branches(
+    problem: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
+    gap_m: f64,
+) -> Option<Vec<Branch>> {
     let never = problem.never_firing();
-    let closes =
-        |proof: &DualProof, firing: usize, fired: bool| proof.excess(problem, firing, fired, gap_m) > ROUNDING_MARGIN;
+    let closes = |proof: &DualProof, firing: usize, fired: bool| {
+        proof.excess(problem, firing, fired, gap_m) > ROUNDING_MARGIN
+    };
     let earliest = |proof: &DualProof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
@@ -109,11 +159,18 @@ fn closing_branches(problem: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m
         }
         while open < closed {
             let middle = usize::midpoint(open, closed);
-            if closes(proof, middle, false) { closed = middle } else { open = middle + 1 }
+            if closes(proof, middle, false) {
+                closed = middle
+            } else {
+                open = middle + 1
+            }
         }
         Some(closed)
     };
-    let merged = search.proofs.iter().filter_map(|proof| Some((earliest(proof)?, proof)));
+    let merged = search
+        .proofs
+        .iter()
+        .filter_map(|proof| Some((earliest(proof)?, proof)));
     let (first_late, late) = merged.min_by_key(|(first, _)| *first)?;
     let mut branches = Vec::new();
     let mut last_used: Option<&DualProof> = None;
@@ -123,14 +180,23 @@ fn closing_branches(problem: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m
             branches.push(build_branch(problem, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
-            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::for_standstill(problem, firing, spacing));
-            let mut standing = standing.into_iter().map(|multipliers| DualProof::new(problem, multipliers));
+            let standing = [100, 20, 5, 1]
+                .map(|spacing| Multipliers::for_standstill(problem, firing, spacing));
+            let mut standing = standing
+                .into_iter()
+                .map(|multipliers| DualProof::new(problem, multipliers));
             let proof = standing.find(|proof| closes(proof, firing, true))?;
             branches.push(build_branch(problem, &proof, [firing, firing], true, gap_m));
         }
     }
     // Without a follower one branch covers everything.
-    branches.push(build_branch(problem, late, [first_late, problem.steps], false, gap_m));
+    branches.push(build_branch(
+        problem,
+        late,
+        [first_late, problem.steps],
+        false,
+        gap_m,
+    ));
     Some(branches)
 }
 
@@ -143,16 +209,35 @@ fn build_branch(
 ) -> Branch {
     let exact = proof.multipliers(fired);
     let short = round_multipliers(&exact);
-    let holds = DualProof::new(problem, short.clone()).excess(problem, first, fired, gap_m) > ROUNDING_MARGIN;
-    let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
-    let rows = |list: Vec<WeightedInstant>| list.into_iter().map(|(step, value)| (step_count(step), value)).collect();
+    let holds = DualProof::new(problem, short.clone()).excess(problem, first, fired, gap_m)
+        > ROUNDING_MARGIN;
+    let Multipliers {
+        front,
+        between,
+        rear,
+        speed,
+        fired,
+    } = if holds { short } else { exact };
+    let rows = |list: Vec<WeightedInstant>| {
+        list.into_iter()
+            .map(|(step, value)| (step_count(step), value))
+            .collect()
+    };
     Branch {
         first: step_count(first),
         last: step_count(last),
         front: rows(front),
-        between: if between.iter().all(Vec::is_empty) { Vec::new() } else { between.into_iter().map(rows).collect() },
+        between: if between.iter().all(Vec::is_empty) {
+            Vec::new()
+        } else {
+            between.into_iter().map(rows).collect()
+        },
         rear: rows(rear),
-        speed: if speed.iter().all(Vec::is_empty) { Vec::new() } else { speed.into_iter().map(rows).collect() },
+        speed: if speed.iter().all(Vec::is_empty) {
+            Vec::new()
+        } else {
+            speed.into_iter().map(rows).collect()
+        },
         unfired: Vec::new(),
         fired,
     }
@@ -161,7 +246,10 @@ fn build_branch(
 /// Rounds multipliers to 20 bits and drops negligible ones.
 fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
     let mut short = multipliers.clone();
-    let lists = [&mut short.front, &mut short.rear].into_iter().chain(&mut short.between).chain(&mut short.speed);
+    let lists = [&mut short.front, &mut short.rear]
+        .into_iter()
+        .chain(&mut short.between)
+        .chain(&mut short.speed);
     const UNIT: f64 = (1_u64 << 20) as f64;
     let round = |value: f64| (value * UNIT).round() / UNIT;
     for list in lists {
@@ -175,7 +263,9 @@ fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
 }
 
 fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<ConstantPiece<T>> {
-    each.chunk_by(|a, b| a == b).filter_map(|run| Some(ConstantPiece(step_count(run.len()), *run.first()?))).collect()
+    each.chunk_by(|a, b| a == b)
+        .filter_map(|run| Some(ConstantPiece(step_count(run.len()), *run.first()?)))
+        .collect()
 }
 
 /// Converts a number of steps to the type of the file; scenarios have far fewer than its maximum.
@@ -187,8 +277,11 @@ fn step_count(steps: usize) -> u32 {
 /// if the certificate assumes its seed. The stated origin is ignored.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let Ok(problem) = AvoidanceProblem::new(scenario) else { return false };
-    is_modelled(certificate, scenario, &problem) && certificate.statement.scene() == Some(&build_scene(&problem))
+    let Ok(problem) = AvoidanceProblem::new(scenario) else {
+        return false;
+    };
+    is_modelled(certificate, scenario, &problem)
+        && certificate.statement.scene() == Some(&build_scene(&problem))
 }
 
 /// Returns true if the claim models everything in a scenario.
@@ -201,8 +294,9 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
         Statement::Unavoidable(_) | Statement::GapBound(_) => problem.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
             let waits = |(&dead_steps, witness): (&usize, &Vec<ConstantPiece<f64>>)| {
-                let held =
-                    witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
+                let held = witness.iter().flat_map(|ConstantPiece(steps, value)| {
+                    std::iter::repeat_n(*value, *steps as usize)
+                });
                 held.take(dead_steps).all(|value| value == 0.0)
             };
             problem.escape_caveat.is_none()

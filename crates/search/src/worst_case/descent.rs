@@ -33,10 +33,23 @@ impl VariableBounds {
     }
 
     /// Returns the first variables of a solution, within the bounds; `None` without a solution.
-    pub(super) fn solve_clamped(&self, program: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
-        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
-        let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
-        inside.iter().all(|value| value.is_finite()).then_some(inside)
+    pub(super) fn solve_clamped(
+        &self,
+        program: &QuadraticProgram,
+        variables: usize,
+    ) -> Option<Vec<f64>> {
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else {
+            return None;
+        };
+        let inside: Vec<f64> = at
+            .iter()
+            .take(variables)
+            .map(|value| value.clamp(self.low, self.high))
+            .collect();
+        inside
+            .iter()
+            .all(|value| value.is_finite())
+            .then_some(inside)
     }
 
     /// Returns the perturbations and the perturbed points: each variable moves towards the middle of its bounds.
@@ -44,7 +57,10 @@ impl VariableBounds {
         let middle = 0.5 * (self.low + self.high);
         let one = |(index, &now): (usize, &f64)| {
             let by = if now > middle { -nudge } else { nudge };
-            let changed = at.iter().enumerate().map(|(other, &value)| if other == index { value + by } else { value });
+            let changed = at
+                .iter()
+                .enumerate()
+                .map(|(other, &value)| if other == index { value + by } else { value });
             (by, changed.collect())
         };
         at.iter().enumerate().map(one).unzip()
@@ -53,8 +69,13 @@ impl VariableBounds {
 
 /// Returns the slopes of values relative to the value at a point; 0 for values that are not finite.
 pub(super) fn finite_difference_gradient(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
-    let slope = |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
-    nudged.iter().zip(by).map(|pair| slope(pair).unwrap_or(0.0)).collect()
+    let slope =
+        |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
+    nudged
+        .iter()
+        .zip(by)
+        .map(|pair| slope(pair).unwrap_or(0.0))
+        .collect()
 }
 
 #[derive(Debug)]
@@ -76,7 +97,12 @@ enum PendingRequest {
 }
 
 impl TrustRegionDescent {
-    pub(crate) fn new(limits: VariableBounds, pace: StepSchedule, at: Vec<f64>, value: f64) -> Self {
+    pub(crate) fn new(
+        limits: VariableBounds,
+        pace: StepSchedule,
+        at: Vec<f64>,
+        value: f64,
+    ) -> Self {
         Self {
             bounds: limits,
             schedule: pace,
@@ -99,13 +125,18 @@ impl TrustRegionDescent {
     /// Returns the points to evaluate next; empty at the end.
     pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
         let Some(slope) = &self.gradient else {
-            let (by, nudged) = self.bounds.perturb(&self.point, self.schedule.finite_difference);
+            let (by, nudged) = self
+                .bounds
+                .perturb(&self.point, self.schedule.finite_difference);
             self.pending = PendingRequest::Gradient(by);
             return nudged;
         };
-        let is_over = self.trust_region <= self.schedule.trust_region[1] || slope.iter().all(|slope| *slope == 0.0);
+        let is_over = self.trust_region <= self.schedule.trust_region[1]
+            || slope.iter().all(|slope| *slope == 0.0);
         let step = if is_over { None } else { self.step(slope) };
-        self.pending = step.clone().map_or(PendingRequest::Nothing, PendingRequest::Step);
+        self.pending = step
+            .clone()
+            .map_or(PendingRequest::Nothing, PendingRequest::Step);
         step.into_iter().collect()
     }
 
@@ -132,13 +163,16 @@ impl TrustRegionDescent {
     /// Returns the minimum of the linearised function inside the trust region.
     fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
         let mut program = QuadraticProgram::new(self.point.len());
-        self.bounds.add_step_rows(&mut program, &self.point, self.trust_region);
+        self.bounds
+            .add_step_rows(&mut program, &self.point, self.trust_region);
         for ((index, &now), &slope) in self.point.iter().enumerate().zip(slope) {
             // w (x - c)² = w x² - 2 w c x + constant.
             program.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
             program.add_linear_cost(index, slope - 2.0 * REGULARIZATION_WEIGHT * now);
         }
-        self.bounds.solve_clamped(&program, self.point.len()).filter(|next| *next != self.point)
+        self.bounds
+            .solve_clamped(&program, self.point.len())
+            .filter(|next| *next != self.point)
     }
 }
 
@@ -150,8 +184,14 @@ mod tests {
     fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
         // The minimum is at (0.2, 0.9); the third variable has no effect.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
-        let limits = VariableBounds { low: 0.0, high: 0.9 };
-        let pace = StepSchedule { finite_difference: 1e-3, trust_region: [0.25, 1e-4] };
+        let limits = VariableBounds {
+            low: 0.0,
+            high: 0.9,
+        };
+        let pace = StepSchedule {
+            finite_difference: 1e-3,
+            trust_region: [0.25, 1e-4],
+        };
         let start = vec![0.6, 0.1, 0.3];
         let first = value(&start);
         let mut descent = TrustRegionDescent::new(limits, pace, start, first);
@@ -161,7 +201,10 @@ mod tests {
             descent.tell(&asked.iter().map(|x| value(x)).collect::<Vec<_>>());
         }
         assert!(descent.ask().is_empty(), "it ends");
-        assert!((descent.point()[0] - 0.2).abs() < 2e-3 && descent.point()[1] > 0.899, "{descent:?}");
+        assert!(
+            (descent.point()[0] - 0.2).abs() < 2e-3 && descent.point()[1] > 0.899,
+            "{descent:?}"
+        );
         // Tolerance of the solver, accumulated over the steps.
         assert!((descent.point()[2] - 0.3).abs() < 1e-3);
         assert_eq!(descent.value(), value(descent.point()));
@@ -169,8 +212,14 @@ mod tests {
 
     #[test]
     fn incomparable_values_end_the_descent() {
-        let limits = VariableBounds { low: 0.0, high: 1.0 };
-        let pace = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.01] };
+        let limits = VariableBounds {
+            low: 0.0,
+            high: 1.0,
+        };
+        let pace = StepSchedule {
+            finite_difference: 0.01,
+            trust_region: [0.25, 0.01],
+        };
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut descent = TrustRegionDescent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);

@@ -29,8 +29,12 @@ impl EmergencyBrake {
                 Threshold::None => {}
                 Threshold::Unknown => is_known = false,
                 Threshold::TimeToCollision(ttc_s) => {
-                    let fires = firing_time_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
-                    first = first.into_iter().chain(fires).min_by(|a, b| a.0.total_cmp(&b.0));
+                    let fires =
+                        firing_time_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
+                    first = first
+                        .into_iter()
+                        .chain(fires)
+                        .min_by(|a, b| a.0.total_cmp(&b.0));
                 }
             }
         }
@@ -57,7 +61,8 @@ impl Threshold {
                 | ControllerSpec::BaselineUnlatched(AebSettings { ttc_s })
                 | ControllerSpec::AccAeb(AccAebSettings { ttc_s, .. }),
             ) => Self::TimeToCollision(*ttc_s),
-            Driver::Profile(_) | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => {
+            Driver::Profile(_)
+            | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => {
                 Self::None
             }
             Driver::UnderTest | Driver::Controller(_) | Driver::File(_) => Self::Unknown,
@@ -71,9 +76,13 @@ fn firing_time_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
     trace.pairs(vehicle).iter().find_map(|pair| {
         let fires = |&(sample, gap_m): &(usize, f64)| {
             let speed_mps = |of: &[f64]| of.get(sample).copied().unwrap_or(f64::NAN);
-            gap_m - ttc_s * (speed_mps(&pair.rear.speed_mps) - speed_mps(&pair.front.speed_mps)) < 0.0
+            gap_m - ttc_s * (speed_mps(&pair.rear.speed_mps) - speed_mps(&pair.front.speed_mps))
+                < 0.0
         };
-        let (sample, _) = pair.gaps_m().take_while(|(sample, _)| *sample < decisions).find(fires)?;
+        let (sample, _) = pair
+            .gaps_m()
+            .take_while(|(sample, _)| *sample < decisions)
+            .find(fires)?;
         trace.time_s.get(sample).copied()
     })
 }

@@ -27,19 +27,34 @@ impl HatFunctions {
         let until_s = until_s.min(all_s);
         let apart_s = (until_s / KNOT_COUNTS[0] as f64).max(bench.cell_s());
         let early = (0..=KNOT_COUNTS[0]).map(|knot| (knot as f64 + phase) * apart_s);
-        let mut at_s: Vec<f64> = std::iter::once(0.0).chain(early).filter(|at_s| *at_s < all_s).collect();
+        let mut at_s: Vec<f64> = std::iter::once(0.0)
+            .chain(early)
+            .filter(|at_s| *at_s < all_s)
+            .collect();
         let last_s = at_s.last().copied().unwrap_or(0.0);
-        at_s.extend((1..=KNOT_COUNTS[1]).map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOT_COUNTS[1] as f64));
+        at_s.extend(
+            (1..=KNOT_COUNTS[1])
+                .map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOT_COUNTS[1] as f64),
+        );
         at_s.dedup();
         let share = |cell: usize| {
             let middle_s = (cell as f64 + 0.5) * bench.cell_s();
-            let left = at_s.partition_point(|at_s| *at_s <= middle_s).clamp(1, at_s.len().max(2) - 1) - 1;
+            let left = at_s
+                .partition_point(|at_s| *at_s <= middle_s)
+                .clamp(1, at_s.len().max(2) - 1)
+                - 1;
             match at_s.get(left..left + 2) {
-                Some(&[left_s, right_s]) => (left, ((middle_s - left_s) / (right_s - left_s)).clamp(0.0, 1.0)),
+                Some(&[left_s, right_s]) => (
+                    left,
+                    ((middle_s - left_s) / (right_s - left_s)).clamp(0.0, 1.0),
+                ),
                 _ => (left, 0.0),
             }
         };
-        Self { shares: (0..bench.cell_count()).map(share).collect(), knots: at_s.len() }
+        Self {
+            shares: (0..bench.cell_count()).map(share).collect(),
+            knots: at_s.len(),
+        }
     }
 
     fn terms(&self, cell: usize) -> [(usize, f64); 2] {
@@ -48,11 +63,25 @@ impl HatFunctions {
     }
 
     /// Returns the profile with one knot changed, within the limits of the acceleration.
-    pub(super) fn perturb(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
+    pub(super) fn perturb(
+        &self,
+        cells_mps2: &[f64],
+        knot: usize,
+        by_mps2: f64,
+        most_mps2: f64,
+    ) -> Vec<f64> {
         let held = |(cell, held): (usize, &f64)| {
-            let weight: f64 =
-                self.terms(cell).iter().filter(|(index, _)| *index == knot).map(|(_, weight)| weight).sum();
-            if weight == 0.0 { *held } else { (held + weight * by_mps2).clamp(-most_mps2, 0.0) }
+            let weight: f64 = self
+                .terms(cell)
+                .iter()
+                .filter(|(index, _)| *index == knot)
+                .map(|(_, weight)| weight)
+                .sum();
+            if weight == 0.0 {
+                *held
+            } else {
+                (held + weight * by_mps2).clamp(-most_mps2, 0.0)
+            }
         };
         cells_mps2.iter().enumerate().map(held).collect()
     }
@@ -67,7 +96,8 @@ impl HatFunctions {
                 }
             }
         }
-        sums.into_iter().map(|(sum, weights)| if weights > 0.0 { sum / weights } else { 0.0 })
+        sums.into_iter()
+            .map(|(sum, weights)| if weights > 0.0 { sum / weights } else { 0.0 })
     }
 }
 
@@ -93,7 +123,11 @@ pub(super) struct EnvelopeStep<'a> {
 
 impl EnvelopeStep<'_> {
     /// Returns the profile after the step, and its predicted margin in metres; `None` if the solver fails.
-    pub(super) fn solve(&self, bench: &mut ProfileSimulator<'_>, goal: StepGoal) -> Option<(Vec<f64>, f64)> {
+    pub(super) fn solve(
+        &self,
+        bench: &mut ProfileSimulator<'_>,
+        goal: StepGoal,
+    ) -> Option<(Vec<f64>, f64)> {
         bench.programs += 1;
         let knots = self.hats.knots;
         let (peak, short) = (knots, knots + 1);
@@ -109,7 +143,10 @@ impl EnvelopeStep<'_> {
                 }
                 None
             }
-            StepGoal::Cost { objective: aim, margin_m } => {
+            StepGoal::Cost {
+                objective: aim,
+                margin_m,
+            } => {
                 let mut falls: Vec<_> = self.gradient.iter().copied().enumerate().collect();
                 falls.push((short, -1.0));
                 program.add_inequality(&falls, margin_m - self.margin_m);
@@ -118,12 +155,22 @@ impl EnvelopeStep<'_> {
                 Some(margin_m)
             }
         };
-        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else {
+            return None;
+        };
         if at.iter().any(|value| !value.is_finite()) {
             return None;
         }
-        let linear_m: f64 = self.gradient.iter().zip(&at).map(|(slope, change)| slope * change).sum();
-        Some((self.apply_clamped(bench, &at), predicted_m.unwrap_or(self.margin_m + linear_m)))
+        let linear_m: f64 = self
+            .gradient
+            .iter()
+            .zip(&at)
+            .map(|(slope, change)| slope * change)
+            .sum();
+        Some((
+            self.apply_clamped(bench, &at),
+            predicted_m.unwrap_or(self.margin_m + linear_m),
+        ))
     }
 
     fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
@@ -133,7 +180,8 @@ impl EnvelopeStep<'_> {
             program.add_inequality(&[(knot, 1.0)], region);
             program.add_inequality(&[(knot, -1.0)], region);
         }
-        let negative = |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
+        let negative =
+            |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
         let mut before: Option<(f64, [(usize, f64); 2])> = None;
         for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
@@ -170,7 +218,11 @@ impl EnvelopeStep<'_> {
         peak: usize,
     ) {
         // Selects a mild one among profiles with the least peak.
-        let weight = if aim == AttackObjective::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
+        let weight = if aim == AttackObjective::LeastPeak {
+            1e-4
+        } else {
+            1.0
+        } * bench.cell_s();
         for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
             program.add_squared_cost(&terms, weight);
@@ -192,7 +244,12 @@ impl EnvelopeStep<'_> {
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;
         let held = |(cell, held): (usize, &f64)| {
-            let by: f64 = self.hats.terms(cell).iter().filter_map(|&(knot, w)| Some(w * change.get(knot)?)).sum();
+            let by: f64 = self
+                .hats
+                .terms(cell)
+                .iter()
+                .filter_map(|&(knot, w)| Some(w * change.get(knot)?))
+                .sum();
             let wanted = (held + by).clamp(-bench.envelope.max_brake_mps2, 0.0);
             // Removes the solver's residue of a zero.
             let wanted = if wanted > -1e-6 { 0.0 } else { wanted };

@@ -5,7 +5,9 @@ use super::emergency_brake::EmergencyBrake;
 use super::firing_search::ModelEscape;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec};
+use crumple_world::scenario::{
+    Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec,
+};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Search that found an escape. A replay confirms it in any case.
@@ -55,8 +57,17 @@ pub struct Escape {
 
 impl Escape {
     /// Replays an escape of the model at the full step and at a tenth of it; `None` after a collision.
-    pub(super) fn replay(scenario: &Scenario, problem: &AvoidanceProblem, found: &ModelEscape) -> Option<Self> {
-        Self::from_accelerations(scenario, 1, step_accelerations_mps2(problem, found), FoundBy::Programs)
+    pub(super) fn replay(
+        scenario: &Scenario,
+        problem: &AvoidanceProblem,
+        found: &ModelEscape,
+    ) -> Option<Self> {
+        Self::from_accelerations(
+            scenario,
+            1,
+            step_accelerations_mps2(problem, found),
+            FoundBy::Programs,
+        )
     }
 
     /// Replays accelerations of the vehicles from index `first` at both steps; `None` after a collision.
@@ -71,15 +82,24 @@ impl Escape {
             .zip(acceleration_mps2)
             .map(|(index, each)| {
                 let brake_mps2 = scenario.usable_brake_mps2(index);
-                let accel_mps2 = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.max_accel_mps2());
+                let accel_mps2 = scenario
+                    .vehicles()
+                    .get(index)
+                    .map_or(0.0, |vehicle| vehicle.max_accel_mps2());
                 // Rounding up must not exceed full braking.
-                each.into_iter().map(|held| round_acceleration(held).max(-brake_mps2).min(accel_mps2)).collect()
+                each.into_iter()
+                    .map(|held| round_acceleration(held).max(-brake_mps2).min(accel_mps2))
+                    .collect()
             })
             .collect();
         let scripted = with_scripts(scenario, first, &acceleration_mps2, found_by).ok()?;
         let run = Run::new(&scripted, scripted_run_options()).ok()?;
         let coarse = simulate(&run, RecordingLevel::Trace);
-        let run = Run::new(&scripted, scripted_run_options().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
+        let run = Run::new(
+            &scripted,
+            scripted_run_options().with_dt_s(0.1 * scripted.spec().step_s),
+        )
+        .ok()?;
         let fine = simulate(&run, RecordingLevel::Summary);
         if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
             return None;
@@ -87,7 +107,13 @@ impl Escape {
         let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
         let emergency_brake = EmergencyBrake::from_trace(&scripted, behind, coarse.trace.as_ref()?);
-        Some(Self { scenario: scripted, min_gap_m, found_by, emergency_brake, acceleration_mps2 })
+        Some(Self {
+            scenario: scripted,
+            min_gap_m,
+            found_by,
+            emergency_brake,
+            acceleration_mps2,
+        })
     }
 
     /// Returns the time at which the first emergency brake behind fires, in seconds; `None` if no brake fires.
@@ -103,7 +129,11 @@ impl Escape {
     #[must_use]
     pub fn effort_m2ps3(&self) -> f64 {
         let step_s = self.scenario.spec().step_s;
-        self.acceleration_mps2.iter().flatten().map(|a| a * a * step_s).sum()
+        self.acceleration_mps2
+            .iter()
+            .flatten()
+            .map(|a| a * a * step_s)
+            .sum()
     }
 }
 
@@ -114,17 +144,28 @@ fn round_acceleration(acceleration_mps2: f64) -> f64 {
 }
 
 pub(super) fn scripted_run_options() -> RunOptions {
-    RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
+    RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+        .with_estimator(EstimatorKind::Truth)
 }
 
-pub(super) fn step_accelerations_mps2(problem: &AvoidanceProblem, found: &ModelEscape) -> Vec<Vec<f64>> {
-    found.acceleration_mps2.iter().map(|cells| expand_cells(found, problem.steps, cells)).collect()
+pub(super) fn step_accelerations_mps2(
+    problem: &AvoidanceProblem,
+    found: &ModelEscape,
+) -> Vec<Vec<f64>> {
+    found
+        .acceleration_mps2
+        .iter()
+        .map(|cells| expand_cells(found, problem.steps, cells))
+        .collect()
 }
 
 fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
     let mut each = Vec::with_capacity(steps);
     for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
-        let length = pair.last().zip(pair.first()).map_or(0, |(to, from)| to - from);
+        let length = pair
+            .last()
+            .zip(pair.first())
+            .map_or(0, |(to, from)| to - from);
         each.extend(std::iter::repeat_n(held, length));
     }
     each
@@ -139,7 +180,11 @@ fn with_scripts(
     let step_s = scenario.spec().step_s;
     scenario.edited(|spec| {
         spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
-        spec.about = format!("An escape from {}, found {}.", scenario.spec().name, found_by.description());
+        spec.about = format!(
+            "An escape from {}, found {}.",
+            scenario.spec().name,
+            found_by.description()
+        );
         for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
             set_script(vehicle, script_pieces(each, step_s));
         }

@@ -55,7 +55,10 @@ impl<'a> FiringSearch<'a> {
 
     /// Returns the upper bound of the smallest gap over all firings, in metres.
     pub(super) fn bound_m(&self) -> f64 {
-        self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+        self.bounds_m
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Solves programs until no firing can improve the result, `most` programs are solved, or `open_ends` programs gave
@@ -63,7 +66,9 @@ impl<'a> FiringSearch<'a> {
     pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
-            let Some(firing) = self.most_promising(self.min_useful_bound_m()) else { return };
+            let Some(firing) = self.most_promising(self.min_useful_bound_m()) else {
+                return;
+            };
             self.solved[firing] = true;
             self.solve(grid, firing);
             let escapes = self.best.as_ref().is_some_and(|best| best.gap_m > 0.0);
@@ -87,20 +92,36 @@ impl<'a> FiringSearch<'a> {
 
     /// Returns the unsolved firing with the highest bound above `floor_m`; of equal neighbours the middle one.
     fn most_promising(&self, floor_m: f64) -> Option<usize> {
-        let open =
-            || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
-        let highest_m = open().map(|(_, bound)| *bound).fold(f64::NEG_INFINITY, f64::max);
+        let open = || {
+            self.bounds_m
+                .iter()
+                .enumerate()
+                .filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m)
+        };
+        let highest_m = open()
+            .map(|(_, bound)| *bound)
+            .fold(f64::NEG_INFINITY, f64::max);
         let first = open().find(|(_, bound)| **bound >= highest_m)?.0;
-        let alike = (first..self.bounds_m.len()).take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
+        let alike = (first..self.bounds_m.len())
+            .take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
         Some(first + alike.count() / 2)
     }
 
     fn solve(&mut self, grid: &Grid, firing: usize) {
         match self.solve_program(grid, firing) {
-            ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers } => {
+            ProgramOutcome::Profile {
+                gap_m,
+                acceleration_mps2,
+                multipliers,
+            } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
-                    self.best = Some(ModelEscape { firing, gap_m, acceleration_mps2, grid: grid.clone() });
+                    self.best = Some(ModelEscape {
+                        firing,
+                        gap_m,
+                        acceleration_mps2,
+                        grid: grid.clone(),
+                    });
                 }
             }
             ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
@@ -117,13 +138,20 @@ impl<'a> FiringSearch<'a> {
     fn cut_unreachable_firings(&mut self) {
         let stands_from = Multipliers::standstill_step(self.problem);
         let empty = |firing: usize| {
-            let proof = DualProof::new(self.problem, Multipliers::for_standstill(self.problem, firing, 1));
+            let proof = DualProof::new(
+                self.problem,
+                Multipliers::for_standstill(self.problem, firing, 1),
+            );
             proof.infimum(self.problem, firing, true) > ROUNDING_MARGIN
         };
         let (mut below, mut above) = (stands_from, self.problem.never_firing());
         while below < above {
             let middle = usize::midpoint(below, above);
-            if empty(middle) { below = middle + 1 } else { above = middle }
+            if empty(middle) {
+                below = middle + 1
+            } else {
+                above = middle
+            }
         }
         for bound_m in self.bounds_m.iter_mut().take(below).skip(stands_from) {
             *bound_m = f64::NEG_INFINITY;

@@ -39,7 +39,8 @@ mod sensor_attack;
 mod sequential;
 
 pub use attack::{
-    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS, MAX_VEHICLE_STEPS, attack,
+    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
+    MAX_VEHICLE_STEPS, attack,
 };
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
@@ -51,6 +52,6 @@ pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
 pub use report::AttackReport;
 pub use sensor_attack::{
-    FaultKindResult, MildestFault, SearchedSizes, SensorAttackResult, SensorFailure, attack_sensors,
-    max_sensor_simulations,
+    FaultKindResult, MildestFault, SearchedSizes, SensorAttackResult, SensorFailure,
+    attack_sensors, max_sensor_simulations,
 };

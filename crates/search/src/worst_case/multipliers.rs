@@ -35,18 +35,33 @@ const NEGLIGIBLE_SHARE: f64 = 1e-9;
 impl Multipliers {
     pub(super) fn zero(problem: &AvoidanceProblem) -> Self {
         let egos = problem.egos.len();
-        Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
+        Self {
+            between: vec![Vec::new(); egos.saturating_sub(1)],
+            speed: vec![Vec::new(); egos],
+            ..Self::default()
+        }
     }
 
     /// Returns one set of multipliers for each initial gap, in which only the row of that gap has a multiplier.
     pub(super) fn for_initial_gaps(problem: &AvoidanceProblem) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
         let none = Self::zero(problem);
-        let front = Self { front: first(), ..none.clone() };
-        let rear = problem.follower.as_ref().map(|_| Self { rear: first(), ..none.clone() });
+        let front = Self {
+            front: first(),
+            ..none.clone()
+        };
+        let rear = problem.follower.as_ref().map(|_| Self {
+            rear: first(),
+            ..none.clone()
+        });
         let between = (0..none.between.len()).map(move |pair| {
             let mut multipliers = none.clone();
-            multipliers.between.iter_mut().skip(pair).take(1).for_each(|list| *list = first());
+            multipliers
+                .between
+                .iter_mut()
+                .skip(pair)
+                .take(1)
+                .for_each(|list| *list = first());
             multipliers
         });
         [Some(front), rear].into_iter().flatten().chain(between)
@@ -54,7 +69,10 @@ impl Multipliers {
 
     /// Returns multipliers in which only the firing row has one.
     pub(super) fn for_firing(problem: &AvoidanceProblem) -> Self {
-        Self { fired: 1.0, ..Self::zero(problem) }
+        Self {
+            fired: 1.0,
+            ..Self::zero(problem)
+        }
     }
 
     /// Returns the first step at which a fully braking last ego stands.
@@ -68,9 +86,16 @@ impl Multipliers {
     /// Returns multipliers of two kinds of rows: the brake fires at step τ, and the last ego does not reverse once it
     /// stands. With φ = 1, the firing row gives q(t) = t_τ - t + θ. After standstill, a speed row every `spacing` steps
     /// reduces q by the time of `spacing` steps, so that q stays near 0.
-    pub(super) fn for_standstill(problem: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
+    pub(super) fn for_standstill(
+        problem: &AvoidanceProblem,
+        firing: usize,
+        spacing: usize,
+    ) -> Self {
         let mut multipliers = Self::for_firing(problem);
-        let theta_s = problem.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
+        let theta_s = problem
+            .follower
+            .as_ref()
+            .map_or(0.0, |follower| follower.ttc_s);
         let over_s = spacing as f64 * problem.step_s;
         let mut list = vec![(firing, theta_s + 0.5 * over_s)];
         let mut step = firing;
@@ -86,12 +111,21 @@ impl Multipliers {
     }
 
     fn lists(&self) -> impl Iterator<Item = &Vec<WeightedInstant>> {
-        [&self.front, &self.rear].into_iter().chain(&self.between).chain(&self.speed)
+        [&self.front, &self.rear]
+            .into_iter()
+            .chain(&self.between)
+            .chain(&self.speed)
     }
 
     pub(super) fn without_negligible(mut self) -> Self {
-        let largest = self.lists().flatten().fold(self.fired, |most, (_, value)| most.max(*value));
-        let lists = [&mut self.front, &mut self.rear].into_iter().chain(&mut self.between).chain(&mut self.speed);
+        let largest = self
+            .lists()
+            .flatten()
+            .fold(self.fired, |most, (_, value)| most.max(*value));
+        let lists = [&mut self.front, &mut self.rear]
+            .into_iter()
+            .chain(&mut self.between)
+            .chain(&mut self.speed);
         for list in lists {
             list.retain(|(_, value)| *value > NEGLIGIBLE_SHARE * largest);
         }
@@ -145,12 +179,20 @@ impl DualProof {
         for list in &mut kinks {
             list.sort_unstable_by_key(|(step, ..)| std::cmp::Reverse(*step));
         }
-        Self { multipliers, kinks, constant, weight }
+        Self {
+            multipliers,
+            kinks,
+            constant,
+            weight,
+        }
     }
 
     /// Returns the multipliers for a firing; without `fired`, the multiplier of the firing row is 0.
     pub(super) fn multipliers(&self, fired: bool) -> Multipliers {
-        Multipliers { fired: if fired { self.multipliers.fired } else { 0.0 }, ..self.multipliers.clone() }
+        Multipliers {
+            fired: if fired { self.multipliers.fired } else { 0.0 },
+            ..self.multipliers.clone()
+        }
     }
 
     pub(super) fn uses_firing(&self) -> bool {
@@ -175,24 +217,44 @@ impl DualProof {
         let last = problem.egos.len().saturating_sub(1);
         for (index, (ego, kinks)) in problem.egos.iter().zip(&self.kinks).enumerate() {
             let extra = kink.filter(|_| index == last);
-            total += min_integral(kinks, extra, problem.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
+            total += min_integral(
+                kinks,
+                extra,
+                problem.step_s,
+                [ego.max_brake_mps2, ego.max_accel_mps2],
+            );
         }
         total
     }
 
     /// Returns the infimum of L minus the largest L that a profile with all gaps at least `gap_m` can have. If the
     /// result is positive, there is no such profile.
-    pub(super) fn excess(&self, problem: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
+    pub(super) fn excess(
+        &self,
+        problem: &AvoidanceProblem,
+        firing: usize,
+        fired: bool,
+        gap_m: f64,
+    ) -> f64 {
         self.infimum(problem, firing, fired) + gap_m * self.weight
     }
 
     /// Returns the upper bound of the smallest gap of an escape, in metres; minus infinity if there is no escape.
-    pub(super) fn gap_bound_m(&self, problem: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
+    pub(super) fn gap_bound_m(
+        &self,
+        problem: &AvoidanceProblem,
+        firing: usize,
+        fired: bool,
+    ) -> f64 {
         let infimum = self.infimum(problem, firing, fired);
         if infimum > ROUNDING_MARGIN && self.weight <= 1e-9 * infimum {
             return f64::NEG_INFINITY;
         }
-        if self.weight > 0.0 { -infimum / self.weight } else { f64::INFINITY }
+        if self.weight > 0.0 {
+            -infimum / self.weight
+        } else {
+            f64::INFINITY
+        }
     }
 }
 
@@ -215,7 +277,11 @@ fn min_integral(
             (Some(_), None) => true,
             (None, _) => false,
         };
-        let next = if take_extra { extra.take() } else { kinks.next() };
+        let next = if take_extra {
+            extra.take()
+        } else {
+            kinks.next()
+        };
         // From the last kink back to this one, or to the start.
         let to = next.map_or(0, |(step, ..)| step);
         if at != usize::MAX && at > to {
@@ -224,7 +290,9 @@ fn min_integral(
             total += min_integral_linear(value, earlier, over_s, limits);
             value = earlier;
         }
-        let Some((step, by_slope, by_value)) = next else { return total };
+        let Some((step, by_slope, by_value)) = next else {
+            return total;
+        };
         at = step;
         slope += by_slope;
         value += by_value;

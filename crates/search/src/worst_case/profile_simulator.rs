@@ -4,7 +4,9 @@ use super::attack::{Attack, AttackError, AttackObjective, Envelope};
 use super::escape::script_pieces;
 use crumple_core::observer::{Observer, RunProgress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch};
+use crumple_world::sim::{
+    Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
+};
 
 pub(super) struct ProfileSimulator<'a> {
     pub(super) scenario: &'a Scenario,
@@ -38,7 +40,16 @@ impl<'a> ProfileSimulator<'a> {
         observer: &'a dyn Observer<RunProgress>,
     ) -> Self {
         let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
-        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, budget, observer }
+        Self {
+            scenario,
+            options,
+            envelope,
+            cell,
+            evaluations: 0,
+            programs: 0,
+            budget,
+            observer,
+        }
     }
 
     pub(super) fn cell_count(&self) -> usize {
@@ -59,27 +70,47 @@ impl<'a> ProfileSimulator<'a> {
         })
     }
 
-    pub(super) fn simulate(&mut self, profiles: &[Vec<f64>]) -> Result<Vec<ProfileOutcome>, AttackError> {
-        let scripted = profiles.iter().map(|cells| self.with_leader_script(cells)).collect::<Result<Vec<_>, _>>()?;
+    pub(super) fn simulate(
+        &mut self,
+        profiles: &[Vec<f64>],
+    ) -> Result<Vec<ProfileOutcome>, AttackError> {
+        let scripted = profiles
+            .iter()
+            .map(|cells| self.with_leader_script(cells))
+            .collect::<Result<Vec<_>, _>>()?;
         let runs = scripted
             .iter()
             .map(|scenario| Run::new(scenario, self.options.clone()))
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
-        let trials =
-            simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::from_simulated(&simulated));
-        self.observer.notify(&RunProgress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
+        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| {
+            ProfileOutcome::from_simulated(&simulated)
+        });
+        self.observer.notify(&RunProgress {
+            done: self.evaluations as u64,
+            total: Some(self.budget as u64),
+        })?;
         Ok(trials)
     }
 
-    pub(super) fn report(&mut self, cells_mps2: &[f64], predicted_margin_m: f64) -> Result<Attack, AttackError> {
+    pub(super) fn report(
+        &mut self,
+        cells_mps2: &[f64],
+        predicted_margin_m: f64,
+    ) -> Result<Attack, AttackError> {
         let scenario = self.with_leader_script(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
-            spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);
+            spec.about = format!(
+                "A lead braking found by convex programming from {}.",
+                self.scenario.spec().name
+            );
         })?;
         let run = Run::new(&scenario, self.options.clone())?;
         self.evaluations += 1;
-        let trial = ProfileOutcome::from_simulated(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
+        let trial = ProfileOutcome::from_simulated(&crumple_world::sim::simulate(
+            &run,
+            RecordingLevel::Summary,
+        ));
         Ok(Attack {
             outcome: trial.outcome.clone(),
             effort_m2ps3: AttackObjective::Mildest.cost(cells_mps2, self.cell_s()),
@@ -101,11 +132,16 @@ impl ProfileOutcome {
         let margin_m = match &simulated.outcome {
             Outcome::ControllerFailed(_) => -depth_m(MAX_IMPACT_SPEED_MPS),
             Outcome::Collision(contact) => -depth_m(contact.impact_speed_mps),
-            Outcome::NoCollision => {
-                simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
-            }
+            Outcome::NoCollision => simulated
+                .vehicles
+                .iter()
+                .filter_map(|vehicle| vehicle.min_gap_m)
+                .fold(f64::INFINITY, f64::min),
         };
-        Self { outcome: simulated.outcome.clone(), margin_m }
+        Self {
+            outcome: simulated.outcome.clone(),
+            margin_m,
+        }
     }
 
     pub(super) fn collides(&self) -> bool {

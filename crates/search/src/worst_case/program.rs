@@ -54,7 +54,11 @@ impl Grid {
         let mut step = 0;
         while step < problem.steps {
             steps.push(step);
-            step += if step >= calm { 5 * cell.max(1) } else { cell.max(1) };
+            step += if step >= calm {
+                5 * cell.max(1)
+            } else {
+                cell.max(1)
+            };
         }
         steps.push(problem.steps);
         Self { steps }
@@ -80,17 +84,28 @@ pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize) -> P
     let mut program = EscapeProgram::new(problem, grid);
     program.add_motion_rows();
     program.add_gap_rows(firing);
-    program.quadratic_program.add_linear_cost(GAP_VARIABLE, -1.0);
+    program
+        .quadratic_program
+        .add_linear_cost(GAP_VARIABLE, -1.0);
     let (at, multipliers) = match program.quadratic_program.solve() {
-        QuadraticSolution::Optimal { point: at, multipliers } => (at, multipliers),
+        QuadraticSolution::Optimal {
+            point: at,
+            multipliers,
+        } => (at, multipliers),
         QuadraticSolution::Infeasible(multipliers) => {
             return ProgramOutcome::Infeasible(program.multipliers(&multipliers));
         }
         QuadraticSolution::SolverFailed(status) => return ProgramOutcome::SolverFailed(status),
     };
-    let acceleration_mps2 = (0..problem.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
+    let acceleration_mps2 = (0..problem.egos.len())
+        .map(|ego| program.accelerations(&at, ego))
+        .collect();
     let gap_m = at.first().copied().unwrap_or(f64::NAN);
-    ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers: program.multipliers(&multipliers) }
+    ProgramOutcome::Profile {
+        gap_m,
+        acceleration_mps2,
+        multipliers: program.multipliers(&multipliers),
+    }
 }
 
 struct EscapeProgram<'a> {
@@ -105,7 +120,12 @@ const GAP_VARIABLE: usize = 0;
 impl<'a> EscapeProgram<'a> {
     fn new(problem: &'a AvoidanceProblem, grid: &'a Grid) -> Self {
         let variables = 1 + 2 * problem.egos.len() * grid.cell_count();
-        Self { problem, grid, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
+        Self {
+            problem,
+            grid,
+            quadratic_program: QuadraticProgram::new(variables),
+            rows: Vec::new(),
+        }
     }
 
     /// Returns the variable w of an ego at a grid instant after the first; d is the next one.
@@ -120,7 +140,11 @@ impl<'a> EscapeProgram<'a> {
     /// Returns the change of speed in the cell before an instant.
     fn speed_change_terms(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
         let w = self.speed_variable(ego, instant);
-        if instant > 1 { vec![(w, 1.0), (self.speed_variable(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
+        if instant > 1 {
+            vec![(w, 1.0), (self.speed_variable(ego, instant - 1), -1.0)]
+        } else {
+            vec![(w, 1.0)]
+        }
     }
 
     fn add_inequality(&mut self, row: ConstraintRow, terms: &[(usize, f64)], bound: f64) {
@@ -144,43 +168,81 @@ impl<'a> EscapeProgram<'a> {
                     self.quadratic_program.add_equality(&change, 0.0);
                 } else {
                     let back: Vec<_> = change.iter().map(|&(variable, c)| (variable, -c)).collect();
-                    self.add_inequality(ConstraintRow::Other, &change, limits.max_accel_mps2 * cell_s);
-                    self.add_inequality(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
+                    self.add_inequality(
+                        ConstraintRow::Other,
+                        &change,
+                        limits.max_accel_mps2 * cell_s,
+                    );
+                    self.add_inequality(
+                        ConstraintRow::Other,
+                        &back,
+                        limits.max_brake_mps2 * cell_s,
+                    );
                 }
                 let step = self.grid.steps[instant];
-                self.add_inequality(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.problem.speed_slack_mps(ego));
+                self.add_inequality(
+                    ConstraintRow::Speed(ego, step),
+                    &[(w, -1.0)],
+                    self.problem.speed_slack_mps(ego),
+                );
             }
         }
     }
 
     fn add_gap_rows(&mut self, firing: usize) {
         let problem = self.problem;
-        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], problem.initial_gap_m());
+        self.add_inequality(
+            ConstraintRow::Other,
+            &[(GAP_VARIABLE, 1.0)],
+            problem.initial_gap_m(),
+        );
         let last = problem.egos.len() - 1;
-        let (leader_rests, follower_rests) =
-            (problem.leader_standstill_step(), problem.follower_standstill_step(firing));
+        let (leader_rests, follower_rests) = (
+            problem.leader_standstill_step(),
+            problem.follower_standstill_step(firing),
+        );
         for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
             // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
             if step <= leader_rests || instant == self.grid.cell_count() {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Front(step), &terms, problem.front_slack_m(step));
+                self.add_inequality(
+                    ConstraintRow::Front(step),
+                    &terms,
+                    problem.front_slack_m(step),
+                );
             }
             for ahead in 0..last {
-                let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, problem.pair_slack_m(ahead, step));
+                let terms = [
+                    (d(self, ahead + 1), 1.0),
+                    (d(self, ahead), -1.0),
+                    (GAP_VARIABLE, 1.0),
+                ];
+                self.add_inequality(
+                    ConstraintRow::Pair(ahead, step),
+                    &terms,
+                    problem.pair_slack_m(ahead, step),
+                );
             }
             if problem.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Rear(step), &terms, problem.rear_slack_m(firing, step));
+                self.add_inequality(
+                    ConstraintRow::Rear(step),
+                    &terms,
+                    problem.rear_slack_m(firing, step),
+                );
             }
         }
         if let Some(follower) = &problem.follower
             && firing < problem.never_firing()
         {
             let terms = self.guard_terms(firing, follower.ttc_s);
-            self.add_inequality(ConstraintRow::Fired, &terms, problem.fired_slack_m(firing) - GUARD_MARGIN_M);
+            self.add_inequality(
+                ConstraintRow::Fired,
+                &terms,
+                problem.fired_slack_m(firing) - GUARD_MARGIN_M,
+            );
         }
     }
 
@@ -213,11 +275,19 @@ impl<'a> EscapeProgram<'a> {
             if self.grid.steps[instant - 1] < self.problem.dead_steps[ego] {
                 return 0.0;
             }
-            let wanted = at.get(self.speed_variable(ego, instant)).copied().unwrap_or(before);
+            let wanted = at
+                .get(self.speed_variable(ego, instant))
+                .copied()
+                .unwrap_or(before);
             // Treat negligible speeds as standstill.
-            let wanted = if wanted - lowest_mps < STANDSTILL_SPEED_MPS { lowest_mps } else { wanted };
+            let wanted = if wanted - lowest_mps < STANDSTILL_SPEED_MPS {
+                lowest_mps
+            } else {
+                wanted
+            };
             let cell_s = self.cell_s(instant);
-            let held = ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
+            let held =
+                ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
             before += held * cell_s;
             held
         });

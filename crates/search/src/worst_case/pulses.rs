@@ -32,26 +32,51 @@ struct ScanSize {
 
 /// Returns pulses and ramps of several depths, lengths and onsets: 40, 112 or 864, depending on the budget.
 pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
-    let ScanSize { depths, lengths, onsets, forms } = match budget {
-        ..400 => ScanSize { depths: 4, lengths: 5, onsets: 2, forms: &[BrakeForm::Pulse] },
-        400..2000 => ScanSize { depths: 4, lengths: 7, onsets: 2, forms: &[BrakeForm::Pulse, BrakeForm::Ramp] },
-        2000.. => {
-            ScanSize { depths: 6, lengths: 16, onsets: 3, forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall] }
-        }
+    let ScanSize {
+        depths,
+        lengths,
+        onsets,
+        forms,
+    } = match budget {
+        ..400 => ScanSize {
+            depths: 4,
+            lengths: 5,
+            onsets: 2,
+            forms: &[BrakeForm::Pulse],
+        },
+        400..2000 => ScanSize {
+            depths: 4,
+            lengths: 7,
+            onsets: 2,
+            forms: &[BrakeForm::Pulse, BrakeForm::Ramp],
+        },
+        2000.. => ScanSize {
+            depths: 6,
+            lengths: 16,
+            onsets: 3,
+            forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall],
+        },
     };
     let (cells, most) = (bench.cell_count(), bench.envelope.max_brake_mps2);
     // From 0.4 s to the whole duration, on a logarithmic scale.
     let shortest = (0.4 / bench.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
-    let length =
-        |index: usize| (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize;
+    let length = |index: usize| {
+        (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize
+    };
     let spacing_mps2 = most / depths as f64;
     let mut all = Vec::new();
     for &form in forms {
         for onset in (0..onsets).map(|index| index * cells / (4 * onsets)) {
             for length in (0..lengths).map(length) {
                 for depth in 1..=depths {
-                    all.push(Pulse { form, onset, length, depth_mps2: depth as f64 * spacing_mps2, spacing_mps2 });
+                    all.push(Pulse {
+                        form,
+                        onset,
+                        length,
+                        depth_mps2: depth as f64 * spacing_mps2,
+                        spacing_mps2,
+                    });
                 }
             }
         }
@@ -76,7 +101,9 @@ impl Pulse {
         let most = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;
         let mut held = |cell: usize| {
-            let into = cell.checked_sub(self.onset).filter(|into| *into < self.length);
+            let into = cell
+                .checked_sub(self.onset)
+                .filter(|into| *into < self.length);
             let wanted = into.map_or(0.0, |into| {
                 let share = (into + 1) as f64 / self.length as f64;
                 -self.depth_mps2

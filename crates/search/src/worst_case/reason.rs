@@ -94,13 +94,18 @@ fn describe_undecided_gap(low_m: f64, high_m: f64) -> String {
              excludes an escape"
         )
     } else {
-        format!("no escape was found, and the proof shows only that no controller keeps more than {high_m:.6} m")
+        format!(
+            "no escape was found, and the proof shows only that no controller keeps more than {high_m:.6} m"
+        )
     }
 }
 
 impl UndecidedReason {
     /// Returns true if the programs do not model a driver: an escape may be found without them.
     pub(super) fn is_not_modelled(&self) -> bool {
-        matches!(self, Self::Leader | Self::LaneChanges | Self::Follower { .. } | Self::BehindFollower { .. })
+        matches!(
+            self,
+            Self::Leader | Self::LaneChanges | Self::Follower { .. } | Self::BehindFollower { .. }
+        )
     }
 }

@@ -22,31 +22,66 @@ impl ScriptedLeader {
         let first = |of: fn(&VehicleSpec) -> f64| scenario.vehicles().first().map_or(0.0, of);
         let length_m = first(VehicleSpec::length_m);
         let (position_m, speed_mps) = (first(|v| v.position_m), first(|v| v.speed_mps));
-        let mut motion = Motion { position_m, speed_mps, acceleration_mps2: 0.0 };
+        let mut motion = Motion {
+            position_m,
+            speed_mps,
+            acceleration_mps2: 0.0,
+        };
         let mut rear_m = vec![motion.position_m - length_m];
         for &held_mps2 in &acceleration_mps2 {
-            motion = Motion { acceleration_mps2: held_mps2, ..motion }.after(scenario.spec().step_s);
+            motion = Motion {
+                acceleration_mps2: held_mps2,
+                ..motion
+            }
+            .after(scenario.spec().step_s);
             rear_m.push(motion.position_m - length_m);
         }
-        let moves = rear_m.windows(2).rposition(|pair| pair.first() != pair.last());
+        let moves = rear_m
+            .windows(2)
+            .rposition(|pair| pair.first() != pair.last());
         let rests_from = moves.map_or(0, |step| step + 1);
-        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, standstill_step: rests_from }
+        Self {
+            position_m,
+            speed_mps,
+            length_m,
+            acceleration_mps2,
+            rear_m,
+            standstill_step: rests_from,
+        }
     }
 }
 
 /// Returns the acceleration of the scripted leader in each step. Without noise it is the command, also at standstill.
 fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
-    let Some(leader) = scenario.vehicles().first() else { return Vec::new() };
-    let Driver::Profile(profile) = &leader.driver else { return Vec::new() };
+    let Some(leader) = scenario.vehicles().first() else {
+        return Vec::new();
+    };
+    let Driver::Profile(profile) = &leader.driver else {
+        return Vec::new();
+    };
     if leader.acceleration_noise_mps2 > 0.0 {
         return simulated_acceleration_mps2(scenario);
     }
     let step_s = scenario.spec().step_s;
-    let mut motion = Motion { position_m: 0.0, speed_mps: leader.speed_mps, acceleration_mps2: 0.0 };
+    let mut motion = Motion {
+        position_m: 0.0,
+        speed_mps: leader.speed_mps,
+        acceleration_mps2: 0.0,
+    };
     let of_step = |step: usize| {
-        let asked = profile.acceleration_mps2(step as f64 * step_s, (step + 1) as f64 * step_s, motion.speed_mps);
-        let acceleration_mps2 = asked.max(-scenario.usable_brake_mps2(0)).min(leader.max_accel_mps2());
-        motion = Motion { acceleration_mps2, ..motion }.after(step_s);
+        let asked = profile.acceleration_mps2(
+            step as f64 * step_s,
+            (step + 1) as f64 * step_s,
+            motion.speed_mps,
+        );
+        let acceleration_mps2 = asked
+            .max(-scenario.usable_brake_mps2(0))
+            .min(leader.max_accel_mps2());
+        motion = Motion {
+            acceleration_mps2,
+            ..motion
+        }
+        .after(step_s);
         acceleration_mps2
     };
     (0..scenario.steps()).map(of_step).collect()
@@ -57,14 +92,28 @@ fn simulated_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let alone = scenario.edited(|spec| {
         spec.vehicles.truncate(2);
         if let Some(other) = spec.vehicles.get_mut(1) {
-            *other = VehicleSpec::new(VehicleClass::Light, -1e6, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
+            *other = VehicleSpec::new(
+                VehicleClass::Light,
+                -1e6,
+                0.0,
+                Driver::Profile(LeadProfile::ConstantSpeed),
+            );
         }
     });
     let Ok(alone) = alone else { return Vec::new() };
-    let Ok(run) = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))) else {
+    let Ok(run) = Run::new(
+        &alone,
+        RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+    ) else {
         return Vec::new();
     };
     let trace = simulate(&run, RecordingLevel::Trace).trace;
     let leader = trace.and_then(|trace| trace.vehicles.into_iter().next());
-    leader.map_or(Vec::new(), |track| track.acceleration_mps2.into_iter().take(scenario.steps()).collect())
+    leader.map_or(Vec::new(), |track| {
+        track
+            .acceleration_mps2
+            .into_iter()
+            .take(scenario.steps())
+            .collect()
+    })
 }

@@ -54,8 +54,14 @@ impl FaultKind {
     }
 
     fn searched_sizes(&self) -> SearchedSizes {
-        let [smallest, largest] = [1, self.count].map(|place| self.amount(FaultSize { place, part: 0 }));
-        SearchedSizes { count: self.count, smallest, largest, unit: self.unit }
+        let [smallest, largest] =
+            [1, self.count].map(|place| self.amount(FaultSize { place, part: 0 }));
+        SearchedSizes {
+            count: self.count,
+            smallest,
+            largest,
+            unit: self.unit,
+        }
     }
 }
 
@@ -108,7 +114,9 @@ const KINDS: [FaultKind; 8] = [
         count: 1000,
         decimals: 3,
         unit: "s",
-        set: |faults, length_s| (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, length_s),
+        set: |faults, length_s| {
+            (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, length_s)
+        },
     },
     FaultKind {
         name: "range",
@@ -130,7 +138,16 @@ const KINDS: [FaultKind; 8] = [
         unit: "s",
         set: |faults, delay_s| faults.detection_delay_s = delay_s,
     },
-    FaultKind { name: GHOST, limit: "2 s long", none: 0, step: 10, count: 200, decimals: 3, unit: "s", set: |_, _| {} },
+    FaultKind {
+        name: GHOST,
+        limit: "2 s long",
+        none: 0,
+        step: 10,
+        count: 200,
+        decimals: 3,
+        unit: "s",
+        set: |_, _| {},
+    },
 ];
 
 /// A size of a fault: so many steps of its kind, and parts of a step.
@@ -254,9 +271,18 @@ pub fn attack_sensors(
     options: &RunOptions,
     observer: &dyn Observer<RunProgress>,
 ) -> Result<SensorAttackResult, AttackError> {
-    let mut kinds: Vec<_> = KINDS.iter().map(|kind| KindSearch::new(kind, scenario)).collect();
+    let mut kinds: Vec<_> = KINDS
+        .iter()
+        .map(|kind| KindSearch::new(kind, scenario))
+        .collect();
     check_size(scenario, count_simulations(&kinds))?;
-    let mut search = FaultSearch { scenario, options, observer, skip: [false; 2], evaluations: 0 };
+    let mut search = FaultSearch {
+        scenario,
+        options,
+        observer,
+        skip: [false; 2],
+        evaluations: 0,
+    };
     let [collides, brakes] = search.simulate(&[scenario.spec().sensors.faults.clone()])?[0];
     search.skip = [collides, brakes];
     while search.advance(&mut kinds)? {}
@@ -264,7 +290,10 @@ pub fn attack_sensors(
     Ok(SensorAttackResult {
         collides_without_fault: collides,
         brakes_unnecessarily_without_fault: brakes,
-        kinds: kinds.iter().map(|kind| kind.result(&scenario.spec().sensors.faults)).collect(),
+        kinds: kinds
+            .iter()
+            .map(|kind| kind.result(&scenario.spec().sensors.faults))
+            .collect(),
         evaluations: search.evaluations,
     })
 }
@@ -272,16 +301,28 @@ pub fn attack_sensors(
 /// Returns the largest number of simulations of a [search](attack_sensors): all sizes of each kind, and all parts.
 #[must_use]
 pub fn max_sensor_simulations() -> u64 {
-    KINDS.iter().map(|kind| kind.max_simulations(kind.ghost_count())).sum::<u64>() + 1
+    KINDS
+        .iter()
+        .map(|kind| kind.max_simulations(kind.ghost_count()))
+        .sum::<u64>()
+        + 1
 }
 
 fn count_simulations(kinds: &[KindSearch]) -> usize {
-    kinds.iter().map(|search| search.kind.max_simulations(search.ghosts.len())).sum::<u64>() as usize + 1
+    kinds
+        .iter()
+        .map(|search| search.kind.max_simulations(search.ghosts.len()))
+        .sum::<u64>() as usize
+        + 1
 }
 
 impl FaultKind {
     fn ghost_count(&self) -> usize {
-        if self.name == GHOST { GHOST_ONSETS as usize * GHOST_GAPS_M.len() * GHOST_SPEEDS } else { 1 }
+        if self.name == GHOST {
+            GHOST_ONSETS as usize * GHOST_GAPS_M.len() * GHOST_SPEEDS
+        } else {
+            1
+        }
     }
 
     fn max_simulations(&self, ghosts: usize) -> u64 {
@@ -291,15 +332,29 @@ impl FaultKind {
 
 impl KindSearch {
     fn new(kind: &'static FaultKind, scenario: &Scenario) -> Self {
-        let ghosts = if kind.name == GHOST { ghosts(scenario).into_iter().map(Some).collect() } else { vec![None] };
-        Self { kind, ghosts, found: [None; 2], done: 0 }
+        let ghosts = if kind.name == GHOST {
+            ghosts(scenario).into_iter().map(Some).collect()
+        } else {
+            vec![None]
+        };
+        Self {
+            kind,
+            ghosts,
+            found: [None; 2],
+            done: 0,
+        }
     }
 
     /// Returns the faults of the sensors with a size of this kind.
     fn scale(&self, base: &SensorFaults, size: FaultSize, ghost: usize) -> SensorFaults {
         let (mut faults, amount) = (base.clone(), self.kind.amount(size));
         match self.ghosts[ghost] {
-            Some(ghost) => faults.ghost = Some(GhostObject { duration_s: amount, ..ghost }),
+            Some(ghost) => {
+                faults.ghost = Some(GhostObject {
+                    duration_s: amount,
+                    ..ghost
+                })
+            }
             None => (self.kind.set)(&mut faults, amount),
         }
         faults
@@ -308,16 +363,29 @@ impl KindSearch {
     /// Returns the next sizes to simulate, each with every object; none once each failure is found or all are done.
     fn next_round(&self, skip: [bool; 2]) -> Vec<(FaultSize, usize)> {
         let is_open = (0..2).any(|failure| !skip[failure] && self.found[failure].is_none());
-        let last = if is_open { (self.done + ROUND).min(self.kind.count) } else { self.done };
+        let last = if is_open {
+            (self.done + ROUND).min(self.kind.count)
+        } else {
+            self.done
+        };
         let places = self.done + 1..=last;
-        places.flat_map(|place| self.with_ghosts(FaultSize { place, part: 0 })).collect()
+        places
+            .flat_map(|place| self.with_ghosts(FaultSize { place, part: 0 }))
+            .collect()
     }
 
     /// Returns the sizes between each smallest size that fails and the one before.
     fn parts(&self) -> Vec<(FaultSize, usize)> {
-        let mut places: Vec<u32> = self.found.iter().flatten().map(|(size, _)| size.place - 1).collect();
+        let mut places: Vec<u32> = self
+            .found
+            .iter()
+            .flatten()
+            .map(|(size, _)| size.place - 1)
+            .collect();
         places.dedup();
-        let parts = places.into_iter().flat_map(|place| (1..PARTS).map(move |part| FaultSize { place, part }));
+        let parts = places
+            .into_iter()
+            .flat_map(|place| (1..PARTS).map(move |part| FaultSize { place, part }));
         parts.flat_map(|size| self.with_ghosts(size)).collect()
     }
 
@@ -341,23 +409,42 @@ impl KindSearch {
             let (size, ghost) = found?;
             let faults = self.scale(base, size, ghost);
             let (share, amount) = (kind.share(size), kind.amount(size));
-            Some(MildestFault { kind: kind.name, share, amount, unit: kind.unit, faults })
+            Some(MildestFault {
+                kind: kind.name,
+                share,
+                amount,
+                unit: kind.unit,
+                faults,
+            })
         });
         let (name, limit, sizes) = (kind.name, kind.limit, kind.searched_sizes());
-        FaultKindResult { kind: name, limit, sizes, collision, unnecessary_braking }
+        FaultKindResult {
+            kind: name,
+            limit,
+            sizes,
+            collision,
+            unnecessary_braking,
+        }
     }
 }
 
 /// Returns objects at some times and gaps, standing or at half the speed of the vehicle under test.
 fn ghosts(scenario: &Scenario) -> Vec<GhostObject> {
     let own_mps = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
-    let own_mps = own_mps.and_then(|index| scenario.vehicles().get(index)).map_or(0.0, |own| own.speed_mps);
+    let own_mps = own_mps
+        .and_then(|index| scenario.vehicles().get(index))
+        .map_or(0.0, |own| own.speed_mps);
     let mut ghosts = Vec::new();
     for onset in 0..GHOST_ONSETS {
         let onset_s = scenario.spec().duration_s * f64::from(onset) / f64::from(GHOST_ONSETS);
         for gap_m in GHOST_GAPS_M {
             for speed_mps in [0.0, 0.5 * own_mps] as [f64; GHOST_SPEEDS] {
-                ghosts.push(GhostObject { onset_s, duration_s: 0.0, gap_m, speed_mps });
+                ghosts.push(GhostObject {
+                    onset_s,
+                    duration_s: 0.0,
+                    gap_m,
+                    speed_mps,
+                });
             }
         }
     }
@@ -367,7 +454,10 @@ fn ghosts(scenario: &Scenario) -> Vec<GhostObject> {
 impl FaultSearch<'_> {
     /// Simulates the next sizes of all kinds. Returns false if there are none.
     fn advance(&mut self, kinds: &mut [KindSearch]) -> Result<bool, AttackError> {
-        let rounds: Vec<_> = kinds.iter().map(|kind| kind.next_round(self.skip)).collect();
+        let rounds: Vec<_> = kinds
+            .iter()
+            .map(|kind| kind.next_round(self.skip))
+            .collect();
         self.simulate_all(kinds, &rounds)?;
         for (kind, round) in kinds.iter_mut().zip(&rounds) {
             kind.done = round.last().map_or(kind.done, |(size, _)| size.place);
@@ -389,7 +479,11 @@ impl FaultSearch<'_> {
     ) -> Result<(), AttackError> {
         let base = &self.scenario.spec().sensors.faults;
         let pairs = kinds.iter().zip(rounds);
-        let scaled = pairs.flat_map(|(kind, round)| round.iter().map(|&(size, ghost)| kind.scale(base, size, ghost)));
+        let scaled = pairs.flat_map(|(kind, round)| {
+            round
+                .iter()
+                .map(|&(size, ghost)| kind.scale(base, size, ghost))
+        });
         let scaled: Vec<_> = scaled.collect();
         let mut failed = Vec::with_capacity(scaled.len());
         // The runs of a batch are in memory together.
@@ -408,13 +502,20 @@ impl FaultSearch<'_> {
     /// Simulates the scenario with each set of faults. Returns which failures happen.
     fn simulate(&mut self, faults: &[SensorFaults]) -> Result<Vec<[bool; 2]>, AttackError> {
         let prepare = |faults: &SensorFaults| -> Result<Run, AttackError> {
-            let faulty = self.scenario.edited(|spec| spec.sensors.faults = faults.clone())?;
+            let faulty = self
+                .scenario
+                .edited(|spec| spec.sensors.faults = faults.clone())?;
             Ok(Run::new(&faulty, self.options.clone())?)
         };
         let runs = faults.iter().map(prepare).collect::<Result<Vec<_>, _>>()?;
-        let failed = simulate_batch(&runs, RecordingLevel::Trace, |_, result| self.failures(&result));
+        let failed = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+            self.failures(&result)
+        });
         self.evaluations += runs.len();
-        self.observer.notify(&RunProgress { done: self.evaluations as u64, total: None })?;
+        self.observer.notify(&RunProgress {
+            done: self.evaluations as u64,
+            total: None,
+        })?;
         Ok(failed)
     }
 
@@ -423,7 +524,11 @@ impl FaultSearch<'_> {
             let trace = result.trace.as_ref()?;
             UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)
         };
-        let tested = (0..self.scenario.vehicles().len()).filter(|&vehicle| self.scenario.is_under_test(vehicle));
-        [!result.outcome.is_safe(), tested.filter_map(brakes).any(|braking| !braking.is_empty())]
+        let tested = (0..self.scenario.vehicles().len())
+            .filter(|&vehicle| self.scenario.is_under_test(vehicle));
+        [
+            !result.outcome.is_safe(),
+            tested.filter_map(brakes).any(|braking| !braking.is_empty()),
+        ]
     }
 }

@@ -17,7 +17,8 @@ const PREFIX: &str = ".crumple-unfinished-";
 const PROTECTED_PREFIX: &str = ".crumple-unfinished-file-";
 
 pub(crate) fn is_unfinished(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
+    path.file_name()
+        .is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
 }
 
 /// Returns the name of the numbered file of a run folder.
@@ -33,7 +34,9 @@ pub(crate) fn parse_number(name: &str) -> Option<u64> {
 pub(super) fn create_lock(folder: &Path) -> io::Result<NamedTempFile> {
     loop {
         // The letters keep random names distinct from numbers.
-        let file = tempfile::Builder::new().prefix(PROTECTED_PREFIX).tempfile_in(folder)?;
+        let file = tempfile::Builder::new()
+            .prefix(PROTECTED_PREFIX)
+            .tempfile_in(folder)?;
         let is_locked = !matches!(file.as_file().try_lock(), Err(TryLockError::WouldBlock));
         // Before the lock, another process may have removed the file as abandoned. On a file system without locks no
         // process does so.
@@ -54,8 +57,13 @@ pub(super) fn create_protected(lock: &Path, number: usize) -> io::Result<(File, 
 /// Returns the file whose lock protects an unfinished file: itself if there is no other.
 fn lock_of(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let lock = name.rsplit_once('-').map(|(lock, _)| lock).filter(|lock| lock.starts_with(PROTECTED_PREFIX));
-    lock.map(|lock| path.with_file_name(lock)).filter(|lock| lock.exists()).unwrap_or_else(|| path.to_owned())
+    let lock = name
+        .rsplit_once('-')
+        .map(|(lock, _)| lock)
+        .filter(|lock| lock.starts_with(PROTECTED_PREFIX));
+    lock.map(|lock| path.with_file_name(lock))
+        .filter(|lock| lock.exists())
+        .unwrap_or_else(|| path.to_owned())
 }
 
 /// Removes the unfinished files of ended writers from a folder, except the numbered files of a run folder.
@@ -75,7 +83,11 @@ pub(crate) fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
 }
 
 fn remove_abandoned(folder: &Path, and_numbered: bool) -> Result<(), DiskError> {
-    for entry in none_if_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
+    for entry in none_if_missing(fs::read_dir(folder))
+        .map_err(DiskError::at(folder))?
+        .into_iter()
+        .flatten()
+    {
         let path = entry.map_err(DiskError::at(folder))?.path();
         if !is_unfinished(&path) {
             continue;
@@ -90,7 +102,8 @@ fn remove_abandoned(folder: &Path, and_numbered: bool) -> Result<(), DiskError> 
 }
 
 fn is_numbered(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| parse_number(&name.to_string_lossy()).is_some())
+    path.file_name()
+        .is_some_and(|name| parse_number(&name.to_string_lossy()).is_some())
 }
 
 /// Takes the lock of a file whose writer has ended; `None` if the writer still holds it, or a run folder owns the file.
@@ -100,7 +113,11 @@ fn lock_if_abandoned(path: &Path) -> Option<File> {
         return None;
     }
     // Some file systems lock only files that are open for writing.
-    let file = File::options().read(true).write(true).open(lock_of(path)).ok()?;
+    let file = File::options()
+        .read(true)
+        .write(true)
+        .open(lock_of(path))
+        .ok()?;
     file.try_lock().is_ok().then_some(file)
 }
 
@@ -117,7 +134,14 @@ mod tests {
         let mut writing = StagedFiles::default();
         writing.stage(&at("other.json"), "alive").unwrap();
         writing.stage(&at("second.json"), "alive").unwrap();
-        for name in ["file-a1B2c3", "file-a1B2c3-0", "file-d4E5f6-1", "file-123456", "a1B2c3", "7"] {
+        for name in [
+            "file-a1B2c3",
+            "file-a1B2c3-0",
+            "file-d4E5f6-1",
+            "file-123456",
+            "a1B2c3",
+            "7",
+        ] {
             fs::write(at(&format!("{PREFIX}{name}")), "dead").unwrap();
         }
         super::super::write(&at("result.json"), "whole").unwrap();
@@ -126,7 +150,11 @@ mod tests {
             .map(|entry| fs::read_to_string(entry.unwrap().path()).unwrap())
             .collect();
         contents.sort();
-        assert_eq!(contents, ["", "alive", "alive", "dead", "whole"], "the lock, and the file of a run folder, stay");
+        assert_eq!(
+            contents,
+            ["", "alive", "alive", "dead", "whole"],
+            "the lock, and the file of a run folder, stay"
+        );
         writing.commit().unwrap();
         assert_eq!(fs::read_to_string(at("other.json")).unwrap(), "alive");
         remove_all_unfinished(folder.path()).unwrap();
@@ -139,9 +167,19 @@ mod tests {
     fn staged_files_are_closed() {
         let folder = tempfile::tempdir().unwrap();
         let mut files = StagedFiles::default();
-        (0..20).for_each(|number| files.stage(&folder.path().join(number.to_string()), "").unwrap());
-        let open =
-            fs::read_dir("/proc/self/fd").unwrap().flatten().filter_map(|entry| fs::read_link(entry.path()).ok());
-        assert_eq!(open.filter(|path| path.starts_with(folder.path())).count(), 1, "the lock");
+        (0..20).for_each(|number| {
+            files
+                .stage(&folder.path().join(number.to_string()), "")
+                .unwrap()
+        });
+        let open = fs::read_dir("/proc/self/fd")
+            .unwrap()
+            .flatten()
+            .filter_map(|entry| fs::read_link(entry.path()).ok());
+        assert_eq!(
+            open.filter(|path| path.starts_with(folder.path())).count(),
+            1,
+            "the lock"
+        );
     }
 }

@@ -38,7 +38,10 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
     let path = folder.join(MANIFEST_FILE);
     let Some(manifest) = Manifest::read(&path)? else {
         let is_own = |path: &PathBuf| {
-            disk::is_unfinished(path) || [LOCK_FILE, PREVIOUS_FOLDER].iter().any(|own| path.ends_with(own))
+            disk::is_unfinished(path)
+                || [LOCK_FILE, PREVIOUS_FOLDER]
+                    .iter()
+                    .any(|own| path.ends_with(own))
         };
         return match sorted_entries(folder)?.iter().all(is_own) {
             true => Ok(RunState::Missing),
@@ -49,8 +52,14 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
         return Ok(RunState::InProgress(manifest.kind));
     }
     match manifest.unlisted_files(folder)?.first() {
-        Some(unlisted_file) => Err(RunFolderError::damaged(unlisted_file, UNLISTED_FILE_MESSAGE)),
-        None => Ok(RunState::Complete(CompletedRun { folder: folder.to_owned(), manifest })),
+        Some(unlisted_file) => Err(RunFolderError::damaged(
+            unlisted_file,
+            UNLISTED_FILE_MESSAGE,
+        )),
+        None => Ok(RunState::Complete(CompletedRun {
+            folder: folder.to_owned(),
+            manifest,
+        })),
     }
 }
 
@@ -67,8 +76,12 @@ impl CompletedRun {
     /// [`RunFolderError`] if it is missing, is not as it was written, or is not UTF-8.
     pub fn read(&self, name: &str) -> Result<String, RunFolderError> {
         let path = self.folder.join(name);
-        let no_text =
-            |error| RunFolderError::Disk(DiskError::at(&path)(io::Error::new(io::ErrorKind::InvalidData, error)));
+        let no_text = |error| {
+            RunFolderError::Disk(DiskError::at(&path)(io::Error::new(
+                io::ErrorKind::InvalidData,
+                error,
+            )))
+        };
         String::from_utf8(self.read_bytes(name)?).map_err(no_text)
     }
 
@@ -84,12 +97,18 @@ impl CompletedRun {
     /// [`RunFolderError`] if it is missing, or is not as it was written.
     pub fn read_bytes(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         let path = self.folder.join(name);
-        if self.manifest.whole_file_state(name).is_some_and(|state| state.max_bytes() > MAX_BYTES) {
+        if self
+            .manifest
+            .whole_file_state(name)
+            .is_some_and(|state| state.max_bytes() > MAX_BYTES)
+        {
             let problem = format!("longer than {MAX_BYTES} bytes, the limit for such a file");
             return Err(RunFolderError::damaged(&path, problem));
         }
         let bytes = self.manifest.read_contents(&self.folder, name)?;
-        self.manifest.check(name, bytes.as_deref()).map_err(|problem| RunFolderError::damaged(&path, problem))?;
+        self.manifest
+            .check(name, bytes.as_deref())
+            .map_err(|problem| RunFolderError::damaged(&path, problem))?;
         bytes.ok_or_else(|| RunFolderError::missing(&path))
     }
 
@@ -101,7 +120,10 @@ impl CompletedRun {
         let text = self.read(name)?;
         match sha256(&text) == self.manifest.configuration_sha256 {
             true => Ok(text),
-            false => Err(self.damaged_error(name, "the run in the same folder has a different configuration")),
+            false => Err(self.damaged_error(
+                name,
+                "the run in the same folder has a different configuration",
+            )),
         }
     }
 

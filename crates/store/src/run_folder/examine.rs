@@ -45,8 +45,12 @@ impl FolderExamination {
             let problem = found.as_ref().err()?;
             Some(RunFolderError::damaged(&folder.join(name), problem))
         };
-        let unlisted_file =
-            || Some(RunFolderError::damaged(&folder.join(self.unlisted_files.first()?), UNLISTED_FILE_MESSAGE));
+        let unlisted_file = || {
+            Some(RunFolderError::damaged(
+                &folder.join(self.unlisted_files.first()?),
+                UNLISTED_FILE_MESSAGE,
+            ))
+        };
         self.files.iter().find_map(problem).or_else(unlisted_file)
     }
 }
@@ -59,9 +63,18 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let path = folder.join(MANIFEST_FILE);
     let manifest = Manifest::read(&path)?.ok_or_else(|| RunFolderError::missing(&path))?;
     match FolderLock::try_acquire(folder) {
-        Ok(None) => return Err(RunFolderError::InUse { folder: folder.to_owned(), kind: manifest.kind }),
+        Ok(None) => {
+            return Err(RunFolderError::InUse {
+                folder: folder.to_owned(),
+                kind: manifest.kind,
+            });
+        }
         // No process can run in a folder that is not writable.
-        Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {}
+        Err(error)
+            if matches!(
+                error.source.kind(),
+                ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied
+            ) => {}
         lock => drop(lock?),
     }
     let state = |name: String| -> Result<_, RunFolderError> {
@@ -72,16 +85,38 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
         }
     };
     let names = manifest.file_names();
-    let mut files = names.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
-    let name = |path: PathBuf| path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
-    let mut unlisted: Vec<String> = manifest.unlisted_files(folder)?.into_iter().map(name).collect();
+    let mut files = names
+        .into_iter()
+        .map(state)
+        .collect::<Result<Vec<_>, _>>()?;
+    let name = |path: PathBuf| {
+        path.strip_prefix(folder)
+            .unwrap_or(&path)
+            .to_string_lossy()
+            .into_owned()
+    };
+    let mut unlisted: Vec<String> = manifest
+        .unlisted_files(folder)?
+        .into_iter()
+        .map(name)
+        .collect();
     for included in manifest.included_folders() {
         let found = match examine(&folder.join(&included)) {
             Err(RunFolderError::Damaged { .. }) => continue, // Its manifest is one of the files above.
             found => found?.into_included(),
         };
-        files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
-        unlisted.extend(found.unlisted_files.into_iter().map(|name| format!("{included}/{name}")));
+        files.extend(
+            found
+                .files
+                .into_iter()
+                .map(|(name, state)| (format!("{included}/{name}"), state)),
+        );
+        unlisted.extend(
+            found
+                .unlisted_files
+                .into_iter()
+                .map(|name| format!("{included}/{name}")),
+        );
     }
     Ok(FolderExamination {
         is_complete: manifest.program.is_none(),
@@ -91,7 +126,10 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
         },
         files,
         unlisted_files: unlisted,
-        identity: manifest.program.as_deref().map(|program| manifest.identity(program)),
+        identity: manifest
+            .program
+            .as_deref()
+            .map(|program| manifest.identity(program)),
         unrelated_files: manifest.unrelated_files(folder)?,
         kind: manifest.kind,
     })

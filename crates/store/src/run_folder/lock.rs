@@ -34,7 +34,9 @@ impl FolderLock {
             Err(TryLockError::Error(source)) => return Err(DiskError::at(&path)(source)),
         };
         // Some systems cannot open folders, and some file systems cannot lock them.
-        let Ok(folder) = File::open(folder) else { return Ok(Some(lock)) };
+        let Ok(folder) = File::open(folder) else {
+            return Ok(Some(lock));
+        };
         match folder.try_lock() {
             Ok(()) => lock.folder = Some(folder),
             Err(TryLockError::WouldBlock) => return Ok(None),
@@ -60,9 +62,15 @@ fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let unusable = DiskError::at(&path);
     if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
         let problem = "is not a plain file, so crumple cannot lock it: remove it";
-        return Err(unusable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+        return Err(unusable(io::Error::new(
+            io::ErrorKind::InvalidData,
+            problem,
+        )));
     }
-    let file = regular_file::open_with(&path, File::options().create(true).truncate(false).write(true));
+    let file = regular_file::open_with(
+        &path,
+        File::options().create(true).truncate(false).write(true),
+    );
     let file = file.map_err(unusable)?;
     Ok((file, path))
 }
@@ -71,7 +79,10 @@ fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be locked, or the error of `work`.
-pub fn with_folder_lock<T, E: From<DiskError>>(folder: &Path, work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
+pub fn with_folder_lock<T, E: From<DiskError>>(
+    folder: &Path,
+    work: impl FnOnce() -> Result<T, E>,
+) -> Result<T, E> {
     let (file, path) = open_lock_file(folder)?;
     file.lock().map_err(DiskError::at(&path))?;
     let _lock = FolderLock { file, folder: None };
@@ -94,7 +105,10 @@ mod tests {
         drop(held);
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         fs::remove_file(folder.path().join(LOCK_FILE)).unwrap();
-        assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none(), "the folder itself is locked");
+        assert!(
+            FolderLock::try_acquire(folder.path()).unwrap().is_none(),
+            "the folder itself is locked"
+        );
         drop(lock);
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());
     }

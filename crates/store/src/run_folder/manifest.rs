@@ -46,7 +46,12 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    pub(super) fn new(kind: &str, program: &str, configuration_sha256: &str, outputs: &[&str]) -> Self {
+    pub(super) fn new(
+        kind: &str,
+        program: &str,
+        configuration_sha256: &str,
+        outputs: &[&str],
+    ) -> Self {
         Self {
             version: VERSION,
             kind: kind.to_owned(),
@@ -66,63 +71,111 @@ impl Manifest {
         configuration_sha256: &str,
         files: impl Iterator<Item = (&'a str, &'a [u8])>,
     ) -> Self {
-        let files = files.map(|(name, contents)| (name.to_owned(), FileState::from_contents(contents))).collect();
-        Self { program: None, shares_folders: true, files, ..Self::new(kind, "", configuration_sha256, &[]) }
+        let files = files
+            .map(|(name, contents)| (name.to_owned(), FileState::from_contents(contents)))
+            .collect();
+        Self {
+            program: None,
+            shares_folders: true,
+            files,
+            ..Self::new(kind, "", configuration_sha256, &[])
+        }
     }
 
     /// Returns a hash that is unique to the kind, the configuration and the program.
     pub(super) fn identity(&self, program: &str) -> String {
-        Sha256::default().with(&self.kind).with(&self.configuration_sha256).with(program).hexadecimal()
+        Sha256::default()
+            .with(&self.kind)
+            .with(&self.configuration_sha256)
+            .with(program)
+            .hexadecimal()
     }
 
     /// Reads the manifest in a file; returns `None` if there is no such file.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, RunFolderError> {
-        let Some(bytes) = read_regular_file(path, MAX_BYTES)? else { return Ok(None) };
+        let Some(bytes) = read_regular_file(path, MAX_BYTES)? else {
+            return Ok(None);
+        };
         let damaged = |problem: String| RunFolderError::damaged(path, problem);
         let found: Self = serde_json::from_slice(&bytes).map_err(|error| {
-            damaged(format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
+            damaged(format!(
+                "line {}, column {}: not as crumple writes it",
+                error.line(),
+                error.column()
+            ))
         })?;
         if found.version != VERSION {
-            return Err(damaged(format!("version: {}, and this release reads {VERSION}", found.version)));
+            return Err(damaged(format!(
+                "version: {}, and this release reads {VERSION}",
+                found.version
+            )));
         }
         match found.to_json() {
             Ok(text) if text.as_bytes() == bytes && found.is_inside_folder() => Ok(Some(found)),
-            _ => Err(damaged("sha256: the file has changed since it was written".to_owned())),
+            _ => Err(damaged(
+                "sha256: the file has changed since it was written".to_owned(),
+            )),
         }
     }
 
     /// Returns true if all its names are inside its folder.
     fn is_inside_folder(&self) -> bool {
-        self.files.keys().chain(&self.outputs).all(|name| is_inside_folder(name))
+        self.files
+            .keys()
+            .chain(&self.outputs)
+            .all(|name| is_inside_folder(name))
             && self.pending.iter().all(PendingChange::is_inside_folder)
     }
 
     pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
         let path = folder.join(MANIFEST_FILE);
-        let text = self.to_json().map_err(|error| DiskError::at(&path)(error.into()))?;
+        let text = self
+            .to_json()
+            .map_err(|error| DiskError::at(&path)(error.into()))?;
         disk::write(&path, text)
     }
 
     /// Returns the text of the file, with its digest.
     pub(super) fn to_json(&self) -> Result<String, serde_json::Error> {
-        let with = |sha256| serde_json::to_string_pretty(&Self { sha256, ..self.clone() }).map(|text| text + "\n");
+        let with = |sha256| {
+            serde_json::to_string_pretty(&Self {
+                sha256,
+                ..self.clone()
+            })
+            .map(|text| text + "\n")
+        };
         with(sha256(with(String::new())?))
     }
 
     /// Reads a regular file, or its pending replacement, of at most the recorded size; `None` if it does not exist.
-    pub(super) fn read_contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
+    pub(super) fn read_contents(
+        &self,
+        folder: &Path,
+        name: &str,
+    ) -> Result<Option<Vec<u8>>, RunFolderError> {
         let path = folder.join(name);
         let Some(state) = self.files.get(name) else {
             let is_unlisted = !self.has_entry(name) && path.symlink_metadata().is_ok();
-            return if is_unlisted { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
+            return if is_unlisted {
+                Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE))
+            } else {
+                Ok(None)
+            };
         };
         let read = |path: &Path| read_regular_file(path, state.max_bytes());
         let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| {
-            found.as_ref().is_ok_and(|bytes| bytes.as_ref().is_some_and(|bytes| state.matches_contents(bytes)))
+            found.as_ref().is_ok_and(|bytes| {
+                bytes
+                    .as_ref()
+                    .is_some_and(|bytes| state.matches_contents(bytes))
+            })
         };
         let found = read(&path);
         let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));
-        unfinished.map(|unfinished| read(&folder.join(unfinished))).filter(is_whole).unwrap_or(found)
+        unfinished
+            .map(|unfinished| read(&folder.join(unfinished)))
+            .filter(is_whole)
+            .unwrap_or(found)
     }
 
     /// Returns the name of the file that will replace a file.
@@ -135,7 +188,9 @@ impl Manifest {
 
     /// Returns the name and SHA-256 of every file except append-only ones, and of the manifest.
     pub(super) fn digests(&self) -> Vec<(String, String)> {
-        let own = self.to_json().map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
+        let own = self
+            .to_json()
+            .map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
         let files = self.files.iter().filter_map(|(name, state)| match state {
             FileState::Whole { sha256, .. } => Some((name.clone(), sha256.clone())),
             FileState::AppendOnly(_) => None,
@@ -158,17 +213,34 @@ impl Manifest {
         if self.shares_folders {
             return Ok(Vec::new());
         }
-        let (folders, files): (Vec<&str>, Vec<&str>) =
-            self.outputs.iter().map(String::as_str).partition(|name| name.ends_with('/'));
-        let is_unlisted = |name: &&str| !self.has_entry(name) && root.join(name).symlink_metadata().is_ok();
-        let mut unlisted: Vec<PathBuf> = files.into_iter().filter(is_unlisted).map(|name| root.join(name)).collect();
+        let (folders, files): (Vec<&str>, Vec<&str>) = self
+            .outputs
+            .iter()
+            .map(String::as_str)
+            .partition(|name| name.ends_with('/'));
+        let is_unlisted =
+            |name: &&str| !self.has_entry(name) && root.join(name).symlink_metadata().is_ok();
+        let mut unlisted: Vec<PathBuf> = files
+            .into_iter()
+            .filter(is_unlisted)
+            .map(|name| root.join(name))
+            .collect();
         let folders = folders.into_iter().map(|name| name.trim_end_matches('/'));
-        for folder in self.folders().into_iter().chain(folders).collect::<BTreeSet<_>>() {
+        for folder in self
+            .folders()
+            .into_iter()
+            .chain(folders)
+            .collect::<BTreeSet<_>>()
+        {
             let place = root.join(folder);
             if place.is_symlink() {
                 unlisted.push(place);
             } else if !self.includes_folder(folder) {
-                unlisted.extend(sorted_entries(&place)?.into_iter().filter(|path| !self.is_expected(root, path)));
+                unlisted.extend(
+                    sorted_entries(&place)?
+                        .into_iter()
+                        .filter(|path| !self.is_expected(root, path)),
+                );
             }
         }
         Ok(unlisted)
@@ -176,31 +248,50 @@ impl Manifest {
 
     /// Returns true if a path in a folder of the run belongs to it. Any subfolder may belong to an incomplete run.
     fn is_expected(&self, root: &Path, path: &Path) -> bool {
-        let Ok(name) = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned()) else { return false };
+        let Ok(name) = path
+            .strip_prefix(root)
+            .map(|name| name.to_string_lossy().into_owned())
+        else {
+            return false;
+        };
         if path.is_dir() && !path.is_symlink() {
-            let is_below = |known: &str| known.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with('/'));
+            let is_below = |known: &str| {
+                known
+                    .strip_prefix(name.as_str())
+                    .is_some_and(|rest| rest.starts_with('/'))
+            };
             return self.program.is_some() || self.files.keys().any(|known| is_below(known));
         }
-        self.has_entry(&name) || path == root.join(PREVIOUS_FOLDER).join(MANIFEST_FILE) || disk::is_unfinished(path)
+        self.has_entry(&name)
+            || path == root.join(PREVIOUS_FOLDER).join(MANIFEST_FILE)
+            || disk::is_unfinished(path)
     }
 
     /// Returns the entries of the root folder that do not belong to the run.
     pub(super) fn unrelated_files(&self, root: &Path) -> Result<Vec<String>, DiskError> {
         let known = self.folders();
         let outputs = self.outputs.iter().map(String::as_str);
-        let tops: BTreeSet<&str> = known.into_iter().chain(outputs).filter_map(|name| name.split('/').next()).collect();
+        let tops: BTreeSet<&str> = known
+            .into_iter()
+            .chain(outputs)
+            .filter_map(|name| name.split('/').next())
+            .collect();
         let own = [MANIFEST_FILE, LOCK_FILE, PREVIOUS_FOLDER];
-        let is_own = |name: &str| self.has_entry(name) || tops.contains(name) || own.contains(&name);
+        let is_own =
+            |name: &str| self.has_entry(name) || tops.contains(name) || own.contains(&name);
         let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-        let mut beside: Vec<String> =
-            names.filter(|name| !is_own(name) && !disk::is_unfinished(Path::new(name))).collect();
+        let mut beside: Vec<String> = names
+            .filter(|name| !is_own(name) && !disk::is_unfinished(Path::new(name)))
+            .collect();
         beside.sort_unstable();
         Ok(beside)
     }
 
     pub(super) fn whole_file_state(&self, name: &str) -> Option<&FileState> {
-        self.files.get(name).filter(|state| matches!(state, FileState::Whole { .. }))
+        self.files
+            .get(name)
+            .filter(|state| matches!(state, FileState::Whole { .. }))
     }
 
     pub(super) fn set_state(&mut self, name: &str, state: FileState) {
@@ -208,7 +299,13 @@ impl Manifest {
     }
 
     pub(super) fn included_folders(&self) -> Vec<String> {
-        let folder = |name: &String| Some(name.strip_suffix(MANIFEST_FILE)?.strip_suffix('/')?.to_owned());
+        let folder = |name: &String| {
+            Some(
+                name.strip_suffix(MANIFEST_FILE)?
+                    .strip_suffix('/')?
+                    .to_owned(),
+            )
+        };
         self.files.keys().filter_map(folder).collect()
     }
 
@@ -225,20 +322,30 @@ impl Manifest {
     }
 
     pub(super) fn folders(&self) -> BTreeSet<&str> {
-        self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
+        self.files
+            .keys()
+            .filter_map(|name| name.rsplit_once('/'))
+            .map(|(folder, _)| folder)
+            .collect()
     }
 
     /// Announces that the file `unfinished` will replace the file `name`, which then has the given state.
     pub(super) fn add_pending_move(&mut self, name: &str, unfinished: String, state: FileState) {
         self.pending.retain(|pending| pending.name() != name);
-        self.pending.push(PendingChange::Move { unfinished, name: name.to_owned() });
+        self.pending.push(PendingChange::Move {
+            unfinished,
+            name: name.to_owned(),
+        });
         self.set_state(name, state);
     }
 
     /// Announces the removal of a file, if it exists.
     pub(super) fn add_pending_removal(&mut self, name: &str) {
         let was = self.files.remove(name);
-        self.pending.extend(was.map(|was| PendingChange::Remove { name: name.to_owned(), old_state: was }));
+        self.pending.extend(was.map(|was| PendingChange::Remove {
+            name: name.to_owned(),
+            old_state: was,
+        }));
     }
 
     /// Applies the pending changes of this process.
@@ -257,7 +364,11 @@ impl Manifest {
         for pending in &self.pending {
             if self.is_unapplied(folder, pending)? {
                 open.push(pending);
-            } else if let Some(parent) = folder.join(pending.name()).parent().filter(|parent| parent.is_dir()) {
+            } else if let Some(parent) = folder
+                .join(pending.name())
+                .parent()
+                .filter(|parent| parent.is_dir())
+            {
                 // The change was applied, and may not have reached the disk.
                 disk::sync_folder(parent)?;
             }
@@ -272,13 +383,23 @@ impl Manifest {
         let path = folder.join(pending.name());
         match pending {
             PendingChange::Move { unfinished, name } => match self.files.get(name) {
-                Some(state) if !state.matches_file(&path) && state.matches_file(&folder.join(unfinished)) => Ok(true),
+                Some(state)
+                    if !state.matches_file(&path)
+                        && state.matches_file(&folder.join(unfinished)) =>
+                {
+                    Ok(true)
+                }
                 _ => self.check_file(folder, name).map(|()| false),
             },
             PendingChange::Remove { old_state: was, .. } => match path.symlink_metadata() {
                 Err(_) => Ok(false),
-                Ok(_) if matches!(was, FileState::AppendOnly(_)) || was.matches_file(&path) => Ok(true),
-                Ok(_) => Err(RunFolderError::damaged(&path, "has changed since it was written")),
+                Ok(_) if matches!(was, FileState::AppendOnly(_)) || was.matches_file(&path) => {
+                    Ok(true)
+                }
+                Ok(_) => Err(RunFolderError::damaged(
+                    &path,
+                    "has changed since it was written",
+                )),
             },
         }
     }
@@ -312,14 +433,21 @@ impl Manifest {
                 regular_file_len(&path)?;
                 prefix.check_file(&path)?.map_err(damaged)
             }
-            None => self.check(name, self.read_contents(folder, name)?.as_deref()).map_err(damaged),
+            None => self
+                .check(name, self.read_contents(folder, name)?.as_deref())
+                .map_err(damaged),
         }
     }
 }
 
 pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
-    let entries = none_if_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten();
-    let found = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>();
+    let entries = none_if_missing(fs::read_dir(folder))
+        .map_err(DiskError::at(folder))?
+        .into_iter()
+        .flatten();
+    let found = entries
+        .map(|entry| Ok(entry?.path()))
+        .collect::<io::Result<Vec<_>>>();
     let mut found = found.map_err(DiskError::at(folder))?;
     found.sort_unstable();
     Ok(found)

@@ -69,8 +69,13 @@ pub fn read_kind(folder: &Path) -> Option<String> {
 /// Returns the name and SHA-256 of every file of a run of this kind, and of `work.json`; empty without a manifest.
 #[must_use]
 pub fn read_digests(folder: &Path, kind: &str) -> Vec<(String, String)> {
-    let manifest = Manifest::read(&folder.join(MANIFEST_FILE)).ok().flatten().filter(|manifest| manifest.kind == kind);
-    manifest.map(|manifest| manifest.digests()).unwrap_or_default()
+    let manifest = Manifest::read(&folder.join(MANIFEST_FILE))
+        .ok()
+        .flatten()
+        .filter(|manifest| manifest.kind == kind);
+    manifest
+        .map(|manifest| manifest.digests())
+        .unwrap_or_default()
 }
 
 /// Returns a hash that is unique to the kind, the configuration and this program ([`RunFolder::identity`]).
@@ -80,8 +85,7 @@ pub fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
 }
 
 /// Message about a file that the manifest does not list.
-const UNLISTED_FILE_MESSAGE: &str =
-    "work.json does not list this file: it belongs to another run or to version 0.1.0, or work.json was lost";
+const UNLISTED_FILE_MESSAGE: &str = "work.json does not list this file: it belongs to another run or to version 0.1.0, or work.json was lost";
 
 /// An open run folder.
 #[derive(Debug)]
@@ -158,7 +162,10 @@ impl RunFolderError {
 
     /// Returns the error about a file whose content is not what its writer wrote.
     pub fn damaged(path: &Path, problem: impl Into<String>) -> Self {
-        Self::Damaged { path: path.to_owned(), problem: problem.into() }
+        Self::Damaged {
+            path: path.to_owned(),
+            problem: problem.into(),
+        }
     }
 }
 
@@ -185,34 +192,66 @@ impl RunFolder {
     pub fn open(folder: &Path, options: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
         let kind = || options.kind.to_owned();
-        let lock = FolderLock::try_acquire(folder)?
-            .ok_or_else(|| RunFolderError::InUse { folder: folder.to_owned(), kind: kind() })?;
-        let (path, configuration_sha256) = (folder.join(MANIFEST_FILE), sha256(options.configuration));
+        let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| RunFolderError::InUse {
+            folder: folder.to_owned(),
+            kind: kind(),
+        })?;
+        let (path, configuration_sha256) =
+            (folder.join(MANIFEST_FILE), sha256(options.configuration));
         let program = program::identity()?;
         let manifest = match Manifest::read(&path)? {
             // The first change writes the manifest, so that a run that cannot start leaves no file.
-            None => Manifest::new(options.kind, program, &configuration_sha256, options.outputs),
+            None => Manifest::new(
+                options.kind,
+                program,
+                &configuration_sha256,
+                options.outputs,
+            ),
             Some(found) if found.kind != options.kind => {
-                return Err(RunFolderError::OtherKind { path, found: found.kind, kind: kind() });
+                return Err(RunFolderError::OtherKind {
+                    path,
+                    found: found.kind,
+                    kind: kind(),
+                });
             }
             Some(_) if !options.resume => {
-                return Err(RunFolderError::AlreadyExists { folder: folder.to_owned(), kind: kind() });
+                return Err(RunFolderError::AlreadyExists {
+                    folder: folder.to_owned(),
+                    kind: kind(),
+                });
             }
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = options.configuration_file;
                 if found.check_file(folder, name).is_err() {
-                    let problem = "in the same folder does not match it: one of them belongs to another run";
-                    return Err(RunFolderError::damaged(&path, format!("the `{name}` {problem}")));
+                    let problem =
+                        "in the same folder does not match it: one of them belongs to another run";
+                    return Err(RunFolderError::damaged(
+                        &path,
+                        format!("the `{name}` {problem}"),
+                    ));
                 }
-                return Err(RunFolderError::OtherConfiguration { path: folder.join(name), kind: kind() });
+                return Err(RunFolderError::OtherConfiguration {
+                    path: folder.join(name),
+                    kind: kind(),
+                });
             }
             // Any build may read a complete run.
-            Some(found) if found.program.as_deref().is_some_and(|found| found != program) => {
+            Some(found)
+                if found
+                    .program
+                    .as_deref()
+                    .is_some_and(|found| found != program) =>
+            {
                 return Err(RunFolderError::OtherBuild { path });
             }
             Some(found) => found,
         };
-        let work = Self { folder: folder.to_owned(), program, manifest: Mutex::new(manifest), _lock: lock };
+        let work = Self {
+            folder: folder.to_owned(),
+            program,
+            manifest: Mutex::new(manifest),
+            _lock: lock,
+        };
         work.recover()?;
         Ok(work)
     }
@@ -253,7 +292,8 @@ impl RunFolder {
     /// # Errors
     /// [`RunFolderError::Damaged`] if the file is missing, or is not as it was written.
     pub fn read_required(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
-        self.read(name)?.ok_or_else(|| RunFolderError::missing(&self.path(name)))
+        self.read(name)?
+            .ok_or_else(|| RunFolderError::missing(&self.path(name)))
     }
 
     /// Creates a transaction: changes that are announced and applied together.
@@ -277,8 +317,8 @@ impl RunFolder {
     pub fn include(&self, folder: &str) -> Result<(), RunFolderError> {
         let name = format!("{folder}/{MANIFEST_FILE}");
         let path = self.path(&name);
-        let bytes =
-            state::read_regular_file(&path, manifest::MAX_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
+        let bytes = state::read_regular_file(&path, manifest::MAX_BYTES)?
+            .ok_or_else(|| RunFolderError::missing(&path))?;
         let mut manifest = self.lock_manifest();
         manifest.set_state(&name, FileState::from_contents(&bytes));
         Ok(manifest.write(&self.folder)?)
@@ -315,8 +355,13 @@ impl RunFolder {
             return Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE));
         }
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
-        let Some(folder) = folder.filter(|folder| !manifest.folders().contains(folder)) else { return Ok(()) };
-        match sorted_entries(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
+        let Some(folder) = folder.filter(|folder| !manifest.folders().contains(folder)) else {
+            return Ok(());
+        };
+        match sorted_entries(&self.path(folder))?
+            .iter()
+            .find(|path| !path.is_dir())
+        {
             Some(left_over) => Err(RunFolderError::damaged(left_over, UNLISTED_FILE_MESSAGE)),
             None => Ok(()),
         }
@@ -332,12 +377,21 @@ impl RunFolder {
             }
         }
         if let Some(unlisted_file) = manifest.unlisted_files(&self.folder)?.first() {
-            return Err(RunFolderError::damaged(unlisted_file, UNLISTED_FILE_MESSAGE));
+            return Err(RunFolderError::damaged(
+                unlisted_file,
+                UNLISTED_FILE_MESSAGE,
+            ));
         }
-        manifest.file_names().iter().try_for_each(|name| manifest.check_file(&self.folder, name))?;
+        manifest
+            .file_names()
+            .iter()
+            .try_for_each(|name| manifest.check_file(&self.folder, name))?;
         for folder in manifest.included_folders() {
             let folder = self.path(&folder);
-            examine(&folder)?.into_included().first_damage(&folder).map_or(Ok(()), Err)?;
+            examine(&folder)?
+                .into_included()
+                .first_damage(&folder)
+                .map_or(Ok(()), Err)?;
         }
         Ok(())
     }

@@ -31,7 +31,9 @@ impl PendingChange {
     pub(super) fn is_inside_folder(&self) -> bool {
         match self {
             Self::Move { unfinished, name } => {
-                is_inside_folder(name) && !unfinished.contains('/') && disk::is_unfinished(Path::new(unfinished))
+                is_inside_folder(name)
+                    && !unfinished.contains('/')
+                    && disk::is_unfinished(Path::new(unfinished))
             }
             Self::Remove { name, .. } => is_inside_folder(name),
         }
@@ -53,7 +55,9 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
         }
     }
     // Sync the new names before the old names are removed: each folder reaches the disk separately.
-    parents.iter().try_for_each(|parent| disk::make_folder(parent))?;
+    parents
+        .iter()
+        .try_for_each(|parent| disk::make_folder(parent))?;
     for change in changes {
         if let PendingChange::Move { unfinished, name } = change {
             let path = folder.join(name);
@@ -61,11 +65,15 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
         }
     }
     parents.remove(folder);
-    parents.par_iter().try_for_each(|parent| disk::sync_folder(parent))?;
+    parents
+        .par_iter()
+        .try_for_each(|parent| disk::sync_folder(parent))?;
     disk::remove(&gone)?;
     disk::sync_folder(folder)
 }
 
 pub(super) fn is_inside_folder(name: &str) -> bool {
-    Path::new(name).components().all(|part| matches!(part, Component::Normal(_)))
+    Path::new(name)
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)))
 }

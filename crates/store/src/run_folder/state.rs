@@ -52,8 +52,14 @@ impl Prefix {
         }
         Ok(match (left, digest.hexadecimal() == self.sha256) {
             (0, true) => Ok(()),
-            (0, false) => Err(format!("its first {} bytes have changed since they were written", self.bytes)),
-            _ => Err(format!("shorter than the {} bytes that were written", self.bytes)),
+            (0, false) => Err(format!(
+                "its first {} bytes have changed since they were written",
+                self.bytes
+            )),
+            _ => Err(format!(
+                "shorter than the {} bytes that were written",
+                self.bytes
+            )),
         })
     }
 }
@@ -62,7 +68,10 @@ pub(super) const MISSING_FILE_MESSAGE: &str = "the file is missing";
 
 impl FileState {
     pub(super) fn from_contents(contents: &[u8]) -> Self {
-        Self::Whole { bytes: contents.len() as u64, sha256: sha256(contents) }
+        Self::Whole {
+            bytes: contents.len() as u64,
+            sha256: sha256(contents),
+        }
     }
 
     pub(super) fn max_bytes(&self) -> u64 {
@@ -76,7 +85,10 @@ impl FileState {
         match self {
             // `Prefix::check_file` checks these.
             Self::AppendOnly(_) => true,
-            Self::Whole { bytes, sha256: expected } => *bytes == found.len() as u64 && sha256(found) == *expected,
+            Self::Whole {
+                bytes,
+                sha256: expected,
+            } => *bytes == found.len() as u64 && sha256(found) == *expected,
         }
     }
 
@@ -88,9 +100,10 @@ impl FileState {
 /// Returns the length of a file; `None` if it does not exist. A link, folder or pipe is an error.
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
     match none_if_missing(fs::symlink_metadata(path)).map_err(DiskError::at(path))? {
-        Some(found) if !found.is_file() => {
-            Err(RunFolderError::damaged(path, "is not a plain file: crumple keeps results in plain files only"))
-        }
+        Some(found) if !found.is_file() => Err(RunFolderError::damaged(
+            path,
+            "is not a plain file: crumple keeps results in plain files only",
+        )),
         found => Ok(found.map(|found| found.len())),
     }
 }
@@ -98,9 +111,10 @@ pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderErro
 /// Reads a regular file of at most `most` bytes; returns `None` if it does not exist.
 pub(super) fn read_regular_file(path: &Path, most: u64) -> Result<Option<Vec<u8>>, RunFolderError> {
     match regular_file_len(path)? {
-        Some(bytes) if bytes > most => {
-            Err(RunFolderError::damaged(path, "has changed since it was written: it is longer"))
-        }
+        Some(bytes) if bytes > most => Err(RunFolderError::damaged(
+            path,
+            "has changed since it was written: it is longer",
+        )),
         Some(_) => Ok(disk::read(path, most)?),
         None => Ok(None),
     }

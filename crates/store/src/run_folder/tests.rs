@@ -14,7 +14,12 @@ const OPTIONS: RunFolderOptions<'_> = RunFolderOptions {
 fn finished_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
-    work.transaction().write("a.json", "first").write("deep/b.json", "b").write("c.json", "c").commit().unwrap();
+    work.transaction()
+        .write("a.json", "first")
+        .write("deep/b.json", "b")
+        .write("c.json", "c")
+        .commit()
+        .unwrap();
     work.write("a.json", "second").unwrap();
     work.transaction().remove("c.json").commit().unwrap();
     work.finish().unwrap();
@@ -31,23 +36,52 @@ fn only_written_files_are_read() {
     let folder = finished_folder();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
-    assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
+    assert_eq!(
+        (work.read("c.json").unwrap(), work.is_complete()),
+        (None, true)
+    );
     assert_eq!(work.lock_manifest().file_names(), ["a.json", "deep/b.json"]);
     fs::write(work.path("c.json"), "left over").unwrap();
     let text = work.read("c.json").unwrap_err().to_string();
-    assert!(text.contains("c.json: work.json does not list this file"), "{text}");
-    assert!(matches!(RunFolder::open(folder.path(), OPTIONS), Err(RunFolderError::InUse { .. })));
+    assert!(
+        text.contains("c.json: work.json does not list this file"),
+        "{text}"
+    );
+    assert!(matches!(
+        RunFolder::open(folder.path(), OPTIONS),
+        Err(RunFolderError::InUse { .. })
+    ));
 }
 
 #[test]
 fn another_folders_work_is_refused() {
     let folder = finished_folder();
     for (asked, expected) in [
-        (RunFolderOptions { resume: false, ..OPTIONS }, "already holds a count"),
-        (RunFolderOptions { kind: "training", ..OPTIONS }, "the folder holds a count, not a training"),
-        (RunFolderOptions { configuration: "runs = 4", ..OPTIONS }, "the count there has a different configuration"),
+        (
+            RunFolderOptions {
+                resume: false,
+                ..OPTIONS
+            },
+            "already holds a count",
+        ),
+        (
+            RunFolderOptions {
+                kind: "training",
+                ..OPTIONS
+            },
+            "the folder holds a count, not a training",
+        ),
+        (
+            RunFolderOptions {
+                configuration: "runs = 4",
+                ..OPTIONS
+            },
+            "the count there has a different configuration",
+        ),
     ] {
-        let text = RunFolder::open(folder.path(), asked).unwrap_err().to_string();
+        let text = RunFolder::open(folder.path(), asked)
+            .unwrap_err()
+            .to_string();
         assert!(text.contains(expected), "{text}");
     }
 }
@@ -59,10 +93,16 @@ fn any_damage_names_its_file() {
     let names = [MANIFEST_FILE, "a.json", "deep/b.json"];
     let whole = names.map(|name| fs::read(folder.path().join(name)).unwrap());
     let refused = |name: &str| {
-        let error = RunFolder::open(folder.path(), OPTIONS).err().map(|error| error.to_string());
+        let error = RunFolder::open(folder.path(), OPTIONS)
+            .err()
+            .map(|error| error.to_string());
         let seen = examine(folder.path());
         let is_seen = seen.is_err()
-            || seen.is_ok_and(|seen| seen.files.iter().any(|(file, found)| file == name && found.is_err()));
+            || seen.is_ok_and(|seen| {
+                seen.files
+                    .iter()
+                    .any(|(file, found)| file == name && found.is_err())
+            });
         assert!(is_seen, "{name} is damaged, and no examination says so");
         error.unwrap_or_else(|| panic!("{name} is damaged, and believed"))
     };
@@ -97,15 +137,21 @@ fn any_damage_names_its_file() {
 fn the_next_writer_completes_an_announced_change() {
     let announced = || {
         let folder = finished_folder();
-        let before = ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
+        let before =
+            ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
         {
             let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
             let mut manifest = work.lock_manifest();
-            for ((name, contents), unfinished) in
-                [("a.json", "third"), ("new/c.json", "third")].into_iter().zip(manifest.unfinished_names())
+            for ((name, contents), unfinished) in [("a.json", "third"), ("new/c.json", "third")]
+                .into_iter()
+                .zip(manifest.unfinished_names())
             {
                 fs::write(folder.path().join(&unfinished), contents).unwrap();
-                manifest.add_pending_move(name, unfinished, FileState::from_contents(contents.as_bytes()));
+                manifest.add_pending_move(
+                    name,
+                    unfinished,
+                    FileState::from_contents(contents.as_bytes()),
+                );
             }
             manifest.add_pending_removal("deep/b.json");
             manifest.program = Some(work.program.to_owned());
@@ -117,11 +163,20 @@ fn the_next_writer_completes_an_announced_change() {
         let work = RunFolder::open(folder, OPTIONS).unwrap();
         assert!(!work.is_complete());
         let read = |name| String::from_utf8(work.read_required(name).unwrap()).unwrap();
-        assert_eq!((read("a.json"), read("new/c.json")), ("third".to_owned(), "third".to_owned()));
+        assert_eq!(
+            (read("a.json"), read("new/c.json")),
+            ("third".to_owned(), "third".to_owned())
+        );
         assert_eq!(work.read("deep/b.json").unwrap(), None);
         work.write("a.json", "fourth").unwrap();
         drop(work);
-        assert_eq!(RunFolder::open(folder, OPTIONS).unwrap().read_required("a.json").unwrap(), b"fourth");
+        assert_eq!(
+            RunFolder::open(folder, OPTIONS)
+                .unwrap()
+                .read_required("a.json")
+                .unwrap(),
+            b"fourth"
+        );
     };
     for made in 0..=3 {
         let (folder, _) = announced();
@@ -137,22 +192,39 @@ fn the_next_writer_completes_an_announced_change() {
             fs::remove_file(path("deep/b.json")).unwrap();
         }
         let seen = examine(folder.path()).unwrap();
-        assert!(seen.files.iter().all(|(_, state)| state.is_ok()), "{seen:?}");
+        assert!(
+            seen.files.iter().all(|(_, state)| state.is_ok()),
+            "{seen:?}"
+        );
         is_new(folder.path());
     }
     // Once the change is applied, the previous contents are damage, and so are contents that were never announced.
-    for (name, contents) in [("a.json", "second"), ("a.json", "fourth"), ("new/c.json", "")] {
+    for (name, contents) in [
+        ("a.json", "second"),
+        ("a.json", "fourth"),
+        ("new/c.json", ""),
+    ] {
         let (folder, _) = announced();
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join(name), contents).unwrap();
-        assert_refused(folder.path(), &format!("{name}: has changed since it was written"));
+        assert_refused(
+            folder.path(),
+            &format!("{name}: has changed since it was written"),
+        );
     }
     let (folder, _) = announced();
     fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
     assert_refused(folder.path(), "new/c.json: the file is missing");
     let (folder, before) = announced();
-    fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
-    assert_refused(folder.path(), "deep/b.json: has changed since it was written");
+    fs::write(
+        folder.path().join("deep/b.json"),
+        [&before[1][..], b"!"].concat(),
+    )
+    .unwrap();
+    assert_refused(
+        folder.path(),
+        "deep/b.json: has changed since it was written",
+    );
 }
 
 /// An append-only file may be longer than its recorded prefix. Announcing it again keeps the prefix.
@@ -162,17 +234,37 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
     let path = folder.path().join("journal");
     let open = || RunFolder::open(folder.path(), OPTIONS);
     let work = open().unwrap();
-    work.transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
+    work.transaction()
+        .write("plan.json", "plan")
+        .append_only("journal")
+        .commit()
+        .unwrap();
     fs::write(&path, "first").unwrap();
-    work.record_prefix("journal", Prefix { bytes: 5, sha256: sha256("first") }).unwrap();
+    work.record_prefix(
+        "journal",
+        Prefix {
+            bytes: 5,
+            sha256: sha256("first"),
+        },
+    )
+    .unwrap();
     drop(work);
     for whole in ["first", "first, second"] {
         fs::write(&path, whole).unwrap();
-        open().unwrap().transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
+        open()
+            .unwrap()
+            .transaction()
+            .write("plan.json", "plan")
+            .append_only("journal")
+            .commit()
+            .unwrap();
     }
     for (damaged, text) in [
         ("firs", "shorter than the 5 bytes"),
-        ("First, second", "its first 5 bytes have changed since they were written"),
+        (
+            "First, second",
+            "its first 5 bytes have changed since they were written",
+        ),
     ] {
         fs::write(&path, damaged).unwrap();
         assert_refused(folder.path(), &format!("journal: {text}"));
@@ -186,19 +278,31 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
 fn strangers_are_named_and_nothing_goes_on_beside_them() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let asked = RunFolderOptions { outputs: &["result.json", "parts/"], ..OPTIONS };
+    let asked = RunFolderOptions {
+        outputs: &["result.json", "parts/"],
+        ..OPTIONS
+    };
     let named = |unlisted: &[&str]| {
         let found = examine(root).unwrap();
-        assert!(found.unlisted_files == unlisted && found.is_intact() == unlisted.is_empty(), "{found:?}");
+        assert!(
+            found.unlisted_files == unlisted && found.is_intact() == unlisted.is_empty(),
+            "{found:?}"
+        );
         match (unlisted.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
             (Some(name), error) => {
                 let (text, path) = (error.unwrap().to_string(), root.join(name));
-                assert!(text.starts_with(&format!("{}: {UNLISTED_FILE_MESSAGE}", path.display())), "{text}");
+                assert!(
+                    text.starts_with(&format!("{}: {UNLISTED_FILE_MESSAGE}", path.display())),
+                    "{text}"
+                );
             }
         }
     };
-    RunFolder::open(root, asked).unwrap().write("plan.json", "plan").unwrap();
+    RunFolder::open(root, asked)
+        .unwrap()
+        .write("plan.json", "plan")
+        .unwrap();
     fs::create_dir(root.join("parts")).unwrap();
     fs::write(root.join("notes.txt"), "beside the work").unwrap();
     named(&[]);
@@ -214,7 +318,11 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     drop(inner);
     let work = RunFolder::open(root, asked).unwrap();
     work.include("inner").unwrap();
-    work.transaction().write("result.json", "result").write("parts/a", "a").commit().unwrap();
+    work.transaction()
+        .write("result.json", "result")
+        .write("parts/a", "a")
+        .commit()
+        .unwrap();
     work.finish().unwrap();
     drop(work);
     named(&[]);
@@ -240,13 +348,28 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
     let outside = folder.path().join("outside");
     fs::write(&outside, "mine").unwrap();
     let inner = folder.path().join("inner");
-    for (name, unfinished) in [("../outside", ".crumple-unfinished-0"), ("a.json", "../outside"), ("a.json", "b.json")]
-    {
+    for (name, unfinished) in [
+        ("../outside", ".crumple-unfinished-0"),
+        ("a.json", "../outside"),
+        ("a.json", "b.json"),
+    ] {
         fs::create_dir_all(&inner).unwrap();
-        let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(OPTIONS.configuration), &[]);
-        manifest.add_pending_move(name, unfinished.to_owned(), FileState::from_contents(b"mine"));
+        let mut manifest = Manifest::new(
+            "count",
+            program::identity().unwrap(),
+            &sha256(OPTIONS.configuration),
+            &[],
+        );
+        manifest.add_pending_move(
+            name,
+            unfinished.to_owned(),
+            FileState::from_contents(b"mine"),
+        );
         manifest.write(&inner).unwrap();
-        assert_refused(&inner, "work.json: sha256: the file has changed since it was written");
+        assert_refused(
+            &inner,
+            "work.json: sha256: the file has changed since it was written",
+        );
         assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
         fs::remove_dir_all(&inner).unwrap();
     }
@@ -266,12 +389,18 @@ fn leftover_files_are_neither_overwritten_nor_included() {
     assert!(!first.exists());
     for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
         let text = work.write(name, "ours").unwrap_err().to_string();
-        assert!(text.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")), "{text}");
+        assert!(
+            text.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")),
+            "{text}"
+        );
     }
     work.write("b.json", "ours").unwrap();
     drop(work);
     for name in ["notes.txt", "a.json", "parts/7"] {
-        assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), "mine");
+        assert_eq!(
+            fs::read_to_string(folder.path().join(name)).unwrap(),
+            "mine"
+        );
     }
     fs::remove_dir_all(folder.path().join("parts")).unwrap();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
@@ -291,10 +420,16 @@ fn half_done_work_of_another_build_is_refused() {
     let folder = finished_folder();
     let path = folder.path().join(MANIFEST_FILE);
     let mut manifest = Manifest::read(&path).unwrap().unwrap();
-    assert!(RunFolder::open(folder.path(), OPTIONS).unwrap().is_complete());
+    assert!(
+        RunFolder::open(folder.path(), OPTIONS)
+            .unwrap()
+            .is_complete()
+    );
     manifest.program = Some("0".repeat(64));
     manifest.write(folder.path()).unwrap();
-    let text = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    let text = RunFolder::open(folder.path(), OPTIONS)
+        .unwrap_err()
+        .to_string();
     assert!(text.ends_with(OTHER_BUILD_MESSAGE), "{text}");
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }
@@ -304,17 +439,31 @@ fn half_done_work_of_another_build_is_refused() {
 fn a_folder_with_older_copies_is_examined_and_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
-    work.transaction().write("log", "2").write("previous/log", "1").commit().unwrap();
+    work.transaction()
+        .write("log", "2")
+        .write("previous/log", "1")
+        .commit()
+        .unwrap();
     drop(work);
-    fs::copy(folder.path().join(MANIFEST_FILE), folder.path().join("previous").join(MANIFEST_FILE)).unwrap();
+    fs::copy(
+        folder.path().join(MANIFEST_FILE),
+        folder.path().join("previous").join(MANIFEST_FILE),
+    )
+    .unwrap();
     let seen = examine(folder.path()).unwrap();
-    assert!(seen.is_intact() && seen.unrelated_files.is_empty(), "{seen:?}");
+    assert!(
+        seen.is_intact() && seen.unrelated_files.is_empty(),
+        "{seen:?}"
+    );
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("log", "3").unwrap();
     work.finish().unwrap();
     drop(work);
     assert!(examine(folder.path()).unwrap().is_intact());
-    assert!(matches!(read_state(folder.path()).unwrap(), RunState::Complete(_)));
+    assert!(matches!(
+        read_state(folder.path()).unwrap(),
+        RunState::Complete(_)
+    ));
 }
 
 /// Files and manifest of an included run belong to both runs.
@@ -324,7 +473,12 @@ fn damage_of_an_included_folder_is_damage() {
         let folder = tempfile::tempdir().unwrap();
         let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
         let inner = RunFolder::open(&folder.path().join("rounds/01"), OPTIONS).unwrap();
-        inner.transaction().write("a.json", "a").write("deep/b.json", "b").commit().unwrap();
+        inner
+            .transaction()
+            .write("a.json", "a")
+            .write("deep/b.json", "b")
+            .commit()
+            .unwrap();
         inner.finish().unwrap();
         drop(inner);
         work.include("rounds/01").unwrap();
@@ -333,7 +487,11 @@ fn damage_of_an_included_folder_is_damage() {
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
         assert_refused(folder.path(), &format!("rounds/01/{name}: "));
-        let seen = examine(folder.path()).unwrap().files.into_iter().find(|(_, state)| state.is_err());
+        let seen = examine(folder.path())
+            .unwrap()
+            .files
+            .into_iter()
+            .find(|(_, state)| state.is_err());
         assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
     }
 }
@@ -346,9 +504,22 @@ fn files_of_a_wrong_size_are_not_read() {
         |path| fs::File::create(path).unwrap().set_len(1 << 40).unwrap(),
         |path| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
         |path| fs::create_dir(path).unwrap(),
-        |path| assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success()),
+        |path| {
+            assert!(
+                std::process::Command::new("mkfifo")
+                    .arg(path)
+                    .status()
+                    .unwrap()
+                    .success()
+            )
+        },
     ];
-    for name in [MANIFEST_FILE, "a.json", "deep/b.json", "deep/left-over.json"] {
+    for name in [
+        MANIFEST_FILE,
+        "a.json",
+        "deep/b.json",
+        "deep/left-over.json",
+    ] {
         for replace in replaced {
             let folder = finished_folder();
             let path = folder.path().join(name);
@@ -360,7 +531,10 @@ fn files_of_a_wrong_size_are_not_read() {
             assert_refused(folder.path(), name);
             match examine(folder.path()) {
                 Ok(seen) => {
-                    let is_damaged = seen.files.iter().any(|(file, state)| file == name && state.is_err());
+                    let is_damaged = seen
+                        .files
+                        .iter()
+                        .any(|(file, state)| file == name && state.is_err());
                     assert!(is_damaged || seen.unlisted_files == [name], "{name}");
                 }
                 Err(error) => assert!(error.to_string().contains(name)),

@@ -27,12 +27,16 @@ enum FileChange {
 
 impl<'a> FolderTransaction<'a> {
     pub(super) fn new(work: &'a RunFolder) -> Self {
-        Self { run_folder: work, changes: Vec::new() }
+        Self {
+            run_folder: work,
+            changes: Vec::new(),
+        }
     }
 
     /// Writes a file atomically. Leaves a file with the same contents alone.
     pub fn write(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
-        self.changes.push((name.to_owned(), FileChange::Write(contents.into())));
+        self.changes
+            .push((name.to_owned(), FileChange::Write(contents.into())));
         self
     }
 
@@ -58,7 +62,9 @@ impl<'a> FolderTransaction<'a> {
         let mut manifest = work.lock_manifest();
         // Apply the changes that an earlier attempt announced.
         manifest.recover_pending(&work.folder)?;
-        self.changes.iter().try_for_each(|(name, _)| work.check_unoccupied(&manifest, name))?;
+        self.changes
+            .iter()
+            .try_for_each(|(name, _)| work.check_unoccupied(&manifest, name))?;
         let changes = std::mem::take(&mut self.changes);
         let (mut next, mut staged) = (manifest.clone(), Vec::new());
         let mut unfinished = manifest.unfinished_names();
@@ -67,9 +73,13 @@ impl<'a> FolderTransaction<'a> {
                 FileChange::Remove => next.add_pending_removal(&name),
                 // Keep a prefix that is already recorded.
                 FileChange::AppendOnly if next.prefix(&name).is_some() => {}
-                FileChange::AppendOnly => {
-                    next.set_state(&name, FileState::AppendOnly(Prefix { bytes: 0, sha256: sha256("") }))
-                }
+                FileChange::AppendOnly => next.set_state(
+                    &name,
+                    FileState::AppendOnly(Prefix {
+                        bytes: 0,
+                        sha256: sha256(""),
+                    }),
+                ),
                 FileChange::Write(contents) => {
                     let state = FileState::from_contents(&contents);
                     if next.whole_file_state(&name) != Some(&state)
@@ -86,7 +96,9 @@ impl<'a> FolderTransaction<'a> {
             return Ok(());
         }
         // In parallel, because each call waits for the disk. Names are synced before the manifest that lists them.
-        staged.into_par_iter().try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
+        staged
+            .into_par_iter()
+            .try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
         disk::sync_folder(&work.folder)?;
         next.program = Some(work.program.to_owned());
         next.write(&work.folder)?;

@@ -68,7 +68,8 @@ impl<'b> Choices<'b> {
 
     /// Returns one of the values, nominally the first; `None` if there are none.
     pub fn choose<T: Copy>(&mut self, all: &[T]) -> Option<T> {
-        all.get(usize::from(self.byte()) % all.len().max(1)).copied()
+        all.get(usize::from(self.byte()) % all.len().max(1))
+            .copied()
     }
 }
 
@@ -93,6 +94,9 @@ mod tests {
         let about = |bits: u16| Choices::new(&bits.to_le_bytes()).around(25.0, [0.0, 45.0]);
         assert_eq!((about(u16::MAX), about(u16::MAX - 1)), (0.0, 45.0));
         assert!((1..100).all(|bits| (about(bits) - 25.0).abs() < 0.1));
-        assert_eq!(Choices::new(&[255, 255, 255]).optional(1, |choices| choices.up_to(2.0)), Some(2.0));
+        assert_eq!(
+            Choices::new(&[255, 255, 255]).optional(1, |choices| choices.up_to(2.0)),
+            Some(2.0)
+        );
     }
 }

@@ -6,7 +6,8 @@ use super::choices::Choices;
 use super::shape::DriverKind;
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::scenario::{
-    Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec,
+    Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
+    VehicleSpec,
 };
 
 /// Bytes of a driver.
@@ -39,12 +40,17 @@ fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
     let rate_mps2 = |choices: &mut Choices<'_>| choices.around(3.0, [0.0, 9.0]);
     match index {
         0 => LeadProfile::ConstantSpeed,
-        1 => LeadProfile::Brake(Brake { onset_s: onset_s(choices), rate_mps2: rate_mps2(choices) }),
+        1 => LeadProfile::Brake(Brake {
+            onset_s: onset_s(choices),
+            rate_mps2: rate_mps2(choices),
+        }),
         2 => LeadProfile::RampBrake(RampBrake {
             onset_s: onset_s(choices),
             rate_mps2: rate_mps2(choices),
             ramp_s: choices.around(1.5, [0.0, 2.0]),
-            release_s: choices.optional(128, |choices| choices.up_to(1.0)).unwrap_or_default(),
+            release_s: choices
+                .optional(128, |choices| choices.up_to(1.0))
+                .unwrap_or_default(),
         }),
         3 => LeadProfile::BrakeToSpeed(BrakeToSpeed {
             onset_s: onset_s(choices),
@@ -75,8 +81,12 @@ fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec
 
 /// Controllers to generate: all with a role up to [`Role::Reference`], and the built-in policy.
 pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
-    let rules = ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference);
-    rules.chain([ControllerSpec::Policy(Default::default())]).collect()
+    let rules = ControllerSpec::all()
+        .into_iter()
+        .filter(|spec| spec.role() <= Role::Reference);
+    rules
+        .chain([ControllerSpec::Policy(Default::default())])
+        .collect()
 });
 
 fn read_controller(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
@@ -98,7 +108,11 @@ pub fn make_scripted(vehicle: &mut VehicleSpec, profile: LeadProfile) {
     if highest_mps2 > vehicle.max_accel_mps2() {
         vehicle.max_accel_mps2 = Some(highest_mps2);
     }
-    (vehicle.reaction_delay_s, vehicle.actuator_delay_s, vehicle.actuator_lag_s) = (0.0, 0.0, 0.0);
+    (
+        vehicle.reaction_delay_s,
+        vehicle.actuator_delay_s,
+        vehicle.actuator_lag_s,
+    ) = (0.0, 0.0, 0.0);
     vehicle.jerk_limit_mps3 = None;
     vehicle.driver = Driver::Profile(profile);
 }

@@ -19,7 +19,10 @@ pub fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Sce
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];
     (0..MAX_VEHICLES * places.len()).fold(scenario, |scenario, index| {
-        let change = read_lane_change(&mut choices.read_sub_block(CHANGE_BYTES), scenario.spec().duration_s);
+        let change = read_lane_change(
+            &mut choices.read_sub_block(CHANGE_BYTES),
+            scenario.spec().duration_s,
+        );
         let (vehicle, place) = (index / places.len(), places[index % places.len()]);
         let set = |spec: &mut ScenarioSpec| {
             if let Some(vehicle) = spec.vehicles.get_mut(vehicle) {
@@ -54,7 +57,10 @@ mod tests {
     fn no_bytes_and_zero_bytes_keep_all_lanes() {
         let paper = built_in_scenario("paper-1").unwrap();
         for bytes in [vec![], vec![0; LANE_BYTES]] {
-            assert_eq!(with_lane_changes(paper.clone(), &mut Unstructured::new(&bytes)), paper);
+            assert_eq!(
+                with_lane_changes(paper.clone(), &mut Unstructured::new(&bytes)),
+                paper
+            );
         }
     }
 

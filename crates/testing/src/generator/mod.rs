@@ -8,7 +8,9 @@ mod scenario;
 mod shape;
 
 pub use choices::Choices;
-pub use driver::{CONTROLLERS, DRIVER_BYTES, controller_from_bytes, make_scripted, profile_from_bytes};
+pub use driver::{
+    CONTROLLERS, DRIVER_BYTES, controller_from_bytes, make_scripted, profile_from_bytes,
+};
 pub use lanes::{LANE_BYTES, with_lane_changes};
 pub(crate) use scenario::place_vehicles;
 pub use scenario::{SCENARIO_BYTES, read_scenario, read_scenario_of_shape, with_compatible_step};

@@ -6,8 +6,8 @@ use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
-    Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec,
-    SensorFaults, Sensors, VehicleClass, VehicleSpec, whole_multiple,
+    Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec, whole_multiple,
 };
 
 const ROAD_BYTES: usize = 24;
@@ -15,7 +15,8 @@ const DRIVE_BYTES: usize = 6 + DRIVER_BYTES;
 const BODY_BYTES: usize = 32;
 
 /// Bytes of a scenario, including its shape.
-pub const SCENARIO_BYTES: usize = ScenarioShape::BYTES + ROAD_BYTES + MAX_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
+pub const SCENARIO_BYTES: usize =
+    ScenarioShape::BYTES + ROAD_BYTES + MAX_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
 
 const DURATION_S: f64 = 15.0;
 const SPEED_MPS: f64 = 25.0;
@@ -40,7 +41,10 @@ pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>
     let mut bodies = Choices::read_block(from, MAX_VEHICLES * BODY_BYTES);
     let count = shape.drivers.len();
     let vehicles = shape.drivers.iter().enumerate().map(|(index, &kind)| {
-        let (mut drive, mut body) = (drives.read_sub_block(DRIVE_BYTES), bodies.read_sub_block(BODY_BYTES));
+        let (mut drive, mut body) = (
+            drives.read_sub_block(DRIVE_BYTES),
+            bodies.read_sub_block(BODY_BYTES),
+        );
         let (gap_m, speed_mps) = read_motion(&mut drive);
         let mut vehicle = read_vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
         match read_driver(kind, &mut drive) {
@@ -57,7 +61,10 @@ pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>
 ///
 /// # Errors
 /// [`InvalidField`] if no scenario may have that step.
-pub fn with_compatible_step(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
+pub fn with_compatible_step(
+    scenario: &Scenario,
+    interval_s: f64,
+) -> Result<Scenario, InvalidField> {
     let step_s = scenario.spec().step_s;
     if whole_multiple(interval_s, step_s).is_some() {
         return Ok(scenario.clone());
@@ -70,10 +77,18 @@ pub fn with_compatible_step(scenario: &Scenario, interval_s: f64) -> Result<Scen
 }
 
 /// Builds the specification; each vehicle's position is relative to its leader until here.
-fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
+fn scenario_spec(
+    step_s: f64,
+    mut vehicles: Vec<VehicleSpec>,
+    choices: &mut Choices<'_>,
+) -> ScenarioSpec {
     // Most scenarios are much shorter than the paper's: they cost less, and events happen early.
-    let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
-    let friction = choices.optional(85, |choices| choices.around(1.0, [0.05, 1.0])).unwrap_or(1.0);
+    let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3))
+        .round()
+        .max(1.0);
+    let friction = choices
+        .optional(85, |choices| choices.around(1.0, [0.05, 1.0]))
+        .unwrap_or(1.0);
     let nominal = Sensors::default();
     let mut sensors = Sensors {
         position_noise_m: choices.around(nominal.position_noise_m, [0.0, 0.2]),
@@ -86,8 +101,17 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
         faults: SensorFaults::default(),
     };
     let seed = choices.seed();
-    let to_rear_m: f64 = vehicles.iter().skip(1).map(|vehicle| vehicle.position_m).sum();
-    let lengths_m: f64 = vehicles.iter().rev().skip(1).map(VehicleSpec::length_m).sum();
+    let to_rear_m: f64 = vehicles
+        .iter()
+        .skip(1)
+        .map(|vehicle| vehicle.position_m)
+        .sum();
+    let lengths_m: f64 = vehicles
+        .iter()
+        .rev()
+        .skip(1)
+        .map(VehicleSpec::length_m)
+        .sum();
     let rear_m = choices.around(0.0, [-1e4, 1e4]);
     sensors.faults = read_faults(choices, steps * step_s);
     place_vehicles(&mut vehicles, rear_m + to_rear_m + lengths_m);
@@ -108,7 +132,13 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
 fn read_faults(choices: &mut Choices<'_>, duration_s: f64) -> SensorFaults {
     let size = f64::from(choices.byte().saturating_sub(160)) / 95.0;
     let kinds = if size > 0.0 { choices.byte() } else { 0 };
-    let of = |bit: u8, most: f64| if kinds >> bit & 1 == 1 { most * size } else { 0.0 };
+    let of = |bit: u8, most: f64| {
+        if kinds >> bit & 1 == 1 {
+            most * size
+        } else {
+            0.0
+        }
+    };
     SensorFaults {
         latency_s: of(0, 0.5),
         gap_bias_m: of(1, 3.0) - of(7, 6.0),
@@ -130,7 +160,8 @@ fn read_faults(choices: &mut Choices<'_>, duration_s: f64) -> SensorFaults {
 pub(crate) fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     let mut rear_bumper_m = None;
     for vehicle in vehicles {
-        vehicle.position_m = rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);
+        vehicle.position_m =
+            rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);
         rear_bumper_m = Some(vehicle.position_m - vehicle.length_m());
     }
 }
@@ -145,25 +176,55 @@ fn read_motion(choices: &mut Choices<'_>) -> (f64, f64) {
 }
 
 fn nominal_class(index: usize, count: usize) -> VehicleClass {
-    if count > 2 && index + 1 == count { VehicleClass::Heavy } else { VehicleClass::Light }
+    if count > 2 && index + 1 == count {
+        VehicleClass::Heavy
+    } else {
+        VehicleClass::Light
+    }
 }
 
 /// Reads a vehicle; its position is still the gap to its leader.
-fn read_vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
-    let other = if nominal == VehicleClass::Heavy { VehicleClass::Light } else { VehicleClass::Heavy };
+fn read_vehicle(
+    nominal: VehicleClass,
+    gap_m: f64,
+    speed_mps: f64,
+    choices: &mut Choices<'_>,
+) -> VehicleSpec {
+    let other = if nominal == VehicleClass::Heavy {
+        VehicleClass::Light
+    } else {
+        VehicleClass::Heavy
+    };
     let class = choices.choose(&[nominal, other]).unwrap_or(nominal);
-    let delay_s = |choices: &mut Choices<'_>| choices.optional(64, |choices| choices.up_to(0.5)).unwrap_or_default();
+    let delay_s = |choices: &mut Choices<'_>| {
+        choices
+            .optional(64, |choices| choices.up_to(0.5))
+            .unwrap_or_default()
+    };
     VehicleSpec {
         length_m: choices.optional(77, |choices| choices.around(class.length_m(), [0.5, 30.0])),
-        mass_kg: choices.optional(77, |choices| choices.around(class.mass_kg(), [500.0, 40_000.0])),
-        max_brake_mps2: choices.optional(77, |choices| choices.around(class.max_brake_mps2(), [2.0, 12.0])),
-        max_accel_mps2: choices.optional(77, |choices| choices.around(class.max_accel_mps2(), [0.0, 6.0])),
-        acceleration_noise_mps2: choices.optional(85, |choices| choices.up_to(1.0)).unwrap_or_default(),
+        mass_kg: choices.optional(77, |choices| {
+            choices.around(class.mass_kg(), [500.0, 40_000.0])
+        }),
+        max_brake_mps2: choices.optional(77, |choices| {
+            choices.around(class.max_brake_mps2(), [2.0, 12.0])
+        }),
+        max_accel_mps2: choices.optional(77, |choices| {
+            choices.around(class.max_accel_mps2(), [0.0, 6.0])
+        }),
+        acceleration_noise_mps2: choices
+            .optional(85, |choices| choices.up_to(1.0))
+            .unwrap_or_default(),
         reaction_delay_s: delay_s(choices),
         actuator_delay_s: delay_s(choices),
         actuator_lag_s: delay_s(choices),
         jerk_limit_mps3: choices.optional(77, |choices| choices.around(10.0, [1.0, 50.0])),
-        ..VehicleSpec::new(class, gap_m, speed_mps, Driver::Profile(LeadProfile::ConstantSpeed))
+        ..VehicleSpec::new(
+            class,
+            gap_m,
+            speed_mps,
+            Driver::Profile(LeadProfile::ConstantSpeed),
+        )
     }
 }
 
@@ -177,11 +238,19 @@ mod tests {
     fn no_bytes_and_zero_bytes_are_the_papers_scenario() {
         for bytes in [vec![], vec![0; 7], vec![0; SCENARIO_BYTES]] {
             let paper_1 = built_in_scenario("paper-1").unwrap();
-            let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("test_case".to_owned(), String::new());
-            assert_eq!(read_scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
+            let named = |spec: &mut ScenarioSpec| {
+                (spec.name, spec.about) = ("test_case".to_owned(), String::new())
+            };
+            assert_eq!(
+                read_scenario(&mut Unstructured::new(&bytes)),
+                paper_1.edited(named).unwrap()
+            );
         }
         let five = read_scenario(&mut Unstructured::new(&[3]));
-        assert_eq!(five.vehicles(), built_in_scenario("paper-3").unwrap().vehicles());
+        assert_eq!(
+            five.vehicles(),
+            built_in_scenario("paper-3").unwrap().vehicles()
+        );
     }
 
     proptest! {

@@ -56,7 +56,8 @@ impl DriverKind {
     }
 
     pub(super) fn from_byte(byte: u8, index: usize, count: usize) -> Self {
-        byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::non_nominal)
+        byte.checked_sub(1)
+            .map_or_else(|| Self::nominal(index, count), Self::non_nominal)
     }
 }
 
@@ -69,7 +70,9 @@ impl ScenarioShape {
         let mut choices = Choices::read_block(from, Self::BYTES);
         let count = choices.choose(&VEHICLE_COUNTS).unwrap_or(VEHICLE_COUNTS[0]);
         let step_s = choices.choose(&STEPS_S).unwrap_or(STEPS_S[0]);
-        let drivers = (0..count).map(|index| DriverKind::from_byte(choices.byte(), index, count)).collect();
+        let drivers = (0..count)
+            .map(|index| DriverKind::from_byte(choices.byte(), index, count))
+            .collect();
         Self { step_s, drivers }
     }
 }

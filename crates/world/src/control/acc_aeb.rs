@@ -51,12 +51,16 @@ pub struct AccAeb {
 
 impl BuiltIn for AccAeb {
     const NAME: &'static str = "acc-aeb";
-    const SUMMARY: &'static str = "cruise control at a time gap of 0.8 s, emergency braking while TTC < 1.4 s";
+    const SUMMARY: &'static str =
+        "cruise control at a time gap of 0.8 s, emergency braking while TTC < 1.4 s";
     type Settings = AccAebSettings;
     type Driver = Self;
 
     fn start(settings: &AccAebSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { settings: settings.clone(), aeb: Aeb::new(settings.ttc_s, ego) }
+        Self {
+            settings: settings.clone(),
+            aeb: Aeb::new(settings.ttc_s, ego),
+        }
     }
 }
 
@@ -73,7 +77,10 @@ impl Controller for AccAeb {
             let spacing_error_m = ahead.gap_m - acc.standstill_gap_m - acc.time_headway_s * v;
             acc.gap_gain_per_s2 * spacing_error_m + acc.speed_gain_per_s * (ahead.speed_mps - v)
         });
-        Ok(cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2))
+        Ok(cruise
+            .min(follow)
+            .max(-acc.comfort_brake_mps2)
+            .min(acc.comfort_accel_mps2))
     }
 }
 
@@ -84,26 +91,65 @@ mod tests {
 
     #[test]
     fn cruises_follows_and_brakes() {
-        let settings = AccAebSettings { set_speed_mps: 25.0, ..AccAebSettings::default() };
+        let settings = AccAebSettings {
+            set_speed_mps: 25.0,
+            ..AccAebSettings::default()
+        };
         let mut controller = AccAeb::start(&settings, &EGO, 0);
-        assert_eq!(command_behind(&mut controller, 25.0, 200.0, 25.0, 0.0), 0.0, "holds its set speed on an open road");
-        assert_eq!(command_behind(&mut controller, 25.0, 22.0, 25.0, 0.0), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
-        assert_eq!(command_behind(&mut controller, 25.0, 21.0, 25.0, 0.0), -0.25);
-        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 20.0, 0.0), -3.5, "comfort limit");
-        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 15.0, 0.0), -7.5, "TTC is 1 s");
-        assert_eq!(command_behind(&mut controller, 20.0, 200.0, 25.0, 0.0), 2.0, "back to the set speed");
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 200.0, 25.0, 0.0),
+            0.0,
+            "holds its set speed on an open road"
+        );
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 22.0, 25.0, 0.0),
+            0.0,
+            "2 m + 0.8 s · 25 m/s is its gap"
+        );
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 21.0, 25.0, 0.0),
+            -0.25
+        );
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 10.0, 20.0, 0.0),
+            -3.5,
+            "comfort limit"
+        );
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 10.0, 15.0, 0.0),
+            -7.5,
+            "TTC is 1 s"
+        );
+        assert_eq!(
+            command_behind(&mut controller, 20.0, 200.0, 25.0, 0.0),
+            2.0,
+            "back to the set speed"
+        );
     }
 
     #[test]
     fn follows_without_a_limit_by_default() {
         let mut controller = AccAeb::start(&AccAebSettings::default(), &EGO, 0);
-        let mut command =
-            |speed_mps, gap_m, ahead_mps| command_behind(&mut controller, speed_mps, gap_m, ahead_mps, 0.0);
+        let mut command = |speed_mps, gap_m, ahead_mps| {
+            command_behind(&mut controller, speed_mps, gap_m, ahead_mps, 0.0)
+        };
         assert_eq!(command(0.0, 2.0, 0.0), 0.0, "at its gap at standstill");
-        assert_eq!(command(0.0, 4.0, 1.0), 0.5 + 0.8, "drives off behind a leader that drives off");
-        assert_eq!(command(25.0, 30.0, 25.0), 1.6, "the gap is 8 m too long, and it closes in at up to 2 m/s");
+        assert_eq!(
+            command(0.0, 4.0, 1.0),
+            0.5 + 0.8,
+            "drives off behind a leader that drives off"
+        );
+        assert_eq!(
+            command(25.0, 30.0, 25.0),
+            1.6,
+            "the gap is 8 m too long, and it closes in at up to 2 m/s"
+        );
         assert!((command(26.0, 200.0, 25.0) - 0.8).abs() < 1e-12);
         assert_eq!(command(28.0, 200.0, 25.0), 0.0);
-        assert_eq!(command(25.0, 500.0, 0.0), 0.0, "does not accelerate towards a standing vehicle");
+        assert_eq!(
+            command(25.0, 500.0, 0.0),
+            0.0,
+            "does not accelerate towards a standing vehicle"
+        );
     }
 }

@@ -35,7 +35,13 @@ settings! {
 impl AutowareAebSettings {
     /// Returns the distance below which the brake fires: v t + v²/(2 a) - v_o²/(2 a_o) + offset, in metres.
     fn rss_distance_m(&self, speed_mps: f64, object_mps: f64) -> f64 {
-        let Self { response_s, brake_mps2, object_brake_mps2, offset_m, .. } = *self;
+        let Self {
+            response_s,
+            brake_mps2,
+            object_brake_mps2,
+            offset_m,
+            ..
+        } = *self;
         speed_mps * response_s + speed_mps * speed_mps / (2.0 * brake_mps2)
             - object_mps * object_mps.abs() / (2.0 * object_brake_mps2)
             + offset_m
@@ -58,7 +64,11 @@ impl BuiltIn for AutowareAeb {
     type Driver = Self;
 
     fn start(settings: &AutowareAebSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { settings: settings.clone(), hold_steps: whole_steps(settings.hold_s, ego.step_s), steps_left: 0 }
+        Self {
+            settings: settings.clone(),
+            hold_steps: whole_steps(settings.hold_s, ego.step_s),
+            steps_left: 0,
+        }
     }
 }
 
@@ -66,11 +76,22 @@ impl Controller for AutowareAeb {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let fires = seen.speed_mps >= MIN_SPEED_MPS
-            && seen
-                .ahead
-                .is_some_and(|ahead| ahead.gap_m < self.settings.rss_distance_m(seen.speed_mps, ahead.speed_mps));
-        self.steps_left = if fires { self.hold_steps.saturating_add(1) } else { self.steps_left.saturating_sub(1) };
-        Ok(if self.steps_left > 0 { -self.settings.brake_mps2 } else { 0.0 })
+            && seen.ahead.is_some_and(|ahead| {
+                ahead.gap_m
+                    < self
+                        .settings
+                        .rss_distance_m(seen.speed_mps, ahead.speed_mps)
+            });
+        self.steps_left = if fires {
+            self.hold_steps.saturating_add(1)
+        } else {
+            self.steps_left.saturating_sub(1)
+        };
+        Ok(if self.steps_left > 0 {
+            -self.settings.brake_mps2
+        } else {
+            0.0
+        })
     }
 }
 
@@ -84,12 +105,24 @@ mod tests {
     fn fires_below_the_distance_computed_by_hand_and_holds() {
         let start = || AutowareAeb::start(&AutowareAebSettings::default(), &EGO, 0);
         for (ahead_mps, by_hand_m) in [(10.0, 3.5), (0.0, 53.5)] {
-            assert_eq!(command_behind(&mut start(), 15.0, by_hand_m, ahead_mps, 0.0), 0.0);
+            assert_eq!(
+                command_behind(&mut start(), 15.0, by_hand_m, ahead_mps, 0.0),
+                0.0
+            );
             let mut driver = start();
-            assert_eq!(command_behind(&mut driver, 15.0, by_hand_m - 0.01, ahead_mps, 0.0), -3.0);
-            let held = (0..300).filter(|_| command_behind(&mut driver, 15.0, 500.0, 15.0, 0.0) < 0.0).count();
+            assert_eq!(
+                command_behind(&mut driver, 15.0, by_hand_m - 0.01, ahead_mps, 0.0),
+                -3.0
+            );
+            let held = (0..300)
+                .filter(|_| command_behind(&mut driver, 15.0, 500.0, 15.0, 0.0) < 0.0)
+                .count();
             assert_eq!(held, 200, "kept for 2 s");
         }
-        assert_eq!(command_behind(&mut start(), 0.05, 0.1, 0.0, 0.0), 0.0, "not below 0.1 m/s");
+        assert_eq!(
+            command_behind(&mut start(), 0.05, 0.1, 0.0, 0.0),
+            0.0,
+            "not below 0.1 m/s"
+        );
     }
 }

@@ -24,12 +24,16 @@ pub struct Baseline {
 
 impl BuiltIn for Baseline {
     const NAME: &'static str = "baseline";
-    const SUMMARY: &'static str = "the paper's ADAS: hold speed, then full braking to standstill once TTC < 1.4 s";
+    const SUMMARY: &'static str =
+        "the paper's ADAS: hold speed, then full braking to standstill once TTC < 1.4 s";
     type Settings = AebSettings;
     type Driver = Self;
 
     fn start(settings: &AebSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { aeb: Aeb::new(settings.ttc_s, ego), braking: false }
+        Self {
+            aeb: Aeb::new(settings.ttc_s, ego),
+            braking: false,
+        }
     }
 }
 
@@ -37,7 +41,11 @@ impl Controller for Baseline {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         self.braking |= self.aeb.demands_braking(seen);
-        Ok(if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 })
+        Ok(if self.braking {
+            -self.aeb.max_brake_mps2
+        } else {
+            0.0
+        })
     }
 }
 
@@ -56,14 +64,20 @@ impl BuiltIn for BaselineUnlatched {
     type Driver = Self;
 
     fn start(settings: &AebSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { aeb: Aeb::new(settings.ttc_s, ego) }
+        Self {
+            aeb: Aeb::new(settings.ttc_s, ego),
+        }
     }
 }
 
 impl Controller for BaselineUnlatched {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(if self.aeb.demands_braking(seen) { -self.aeb.max_brake_mps2 } else { 0.0 })
+        Ok(if self.aeb.demands_braking(seen) {
+            -self.aeb.max_brake_mps2
+        } else {
+            0.0
+        })
     }
 }
 
@@ -76,7 +90,10 @@ pub(super) struct Aeb {
 
 impl Aeb {
     pub(super) fn new(ttc_s: f64, ego: &Ego) -> Self {
-        Self { ttc_s, max_brake_mps2: ego.max_brake_mps2 }
+        Self {
+            ttc_s,
+            max_brake_mps2: ego.max_brake_mps2,
+        }
     }
 
     /// True if time to collision is below the threshold.
@@ -84,8 +101,11 @@ impl Aeb {
     /// Computed as gap - θ (v - v_ahead) < 0. For gaps >= 0 this equals TTC < θ, also if the gap grows.
     #[inline]
     pub(super) fn demands_braking(&self, seen: &Observation) -> bool {
-        seen.ahead
-            .is_some_and(|Neighbour { gap_m, speed_mps, .. }| gap_m - self.ttc_s * (seen.speed_mps - speed_mps) < 0.0)
+        seen.ahead.is_some_and(
+            |Neighbour {
+                 gap_m, speed_mps, ..
+             }| gap_m - self.ttc_s * (seen.speed_mps - speed_mps) < 0.0,
+        )
     }
 }
 

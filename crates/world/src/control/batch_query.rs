@@ -21,7 +21,10 @@ pub(super) trait BatchQuery: Sized {
     fn command_mps2(&self) -> f64;
 }
 
-pub(super) fn decide(one: &mut impl BatchQuery, seen: &Observation) -> Result<f64, ControllerFailure> {
+pub(super) fn decide(
+    one: &mut impl BatchQuery,
+    seen: &Observation,
+) -> Result<f64, ControllerFailure> {
     if one.sample(seen) {
         one.query()?;
     }
@@ -43,12 +46,21 @@ pub(super) fn decide_batch<C: BatchQuery>(
             due.push(place);
         }
     }
-    let groups: Vec<&[usize]> = due.chunk_by(|&a, &b| all[a].shares_batch_with(&all[b])).collect();
+    let groups: Vec<&[usize]> = due
+        .chunk_by(|&a, &b| all[a].shares_batch_with(&all[b]))
+        .collect();
     for group in groups {
         let members: Vec<&C> = group.iter().map(|&place| &all[place]).collect();
-        let together = if members.len() > 1 { C::query_batch(&members) } else { None };
+        let together = if members.len() > 1 {
+            C::query_batch(&members)
+        } else {
+            None
+        };
         for (index, &place) in group.iter().enumerate() {
-            let decided = match together.as_ref().and_then(|answers_mps2| answers_mps2.get(index)) {
+            let decided = match together
+                .as_ref()
+                .and_then(|answers_mps2| answers_mps2.get(index))
+            {
                 Some(&answer_mps2) => all[place].set_command(answer_mps2),
                 None => all[place].query(),
             };

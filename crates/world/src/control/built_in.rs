@@ -131,7 +131,10 @@ with_controllers!(define);
 #[non_exhaustive]
 pub enum InvalidSetting {
     /// An unknown setting.
-    #[error("`{found}` is not a setting of {controller}: {}", describe_known_settings(known))]
+    #[error(
+        "`{found}` is not a setting of {controller}: {}",
+        describe_known_settings(known)
+    )]
     Unknown {
         /// The text found.
         found: String,
@@ -181,7 +184,9 @@ impl ControllerSpec {
     /// Returns the built-in controller of that name with its default settings.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::all().into_iter().find(|controller| controller.name() == name)
+        Self::all()
+            .into_iter()
+            .find(|controller| controller.name() == name)
     }
 
     /// Parses a built-in controller from the command line: a name, and settings that differ from the default, each
@@ -203,8 +208,14 @@ impl ControllerSpec {
             let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
             let (controller, known) = (spec.name(), spec.fields());
             let index = known.iter().position(|field| field.name == name);
-            let Some((place, field)) = index.and_then(|index| Some((spec.get_mut(index)?, known.get(index)?))) else {
-                return Err(InvalidSetting::Unknown { found: setting.to_owned(), controller, known });
+            let Some((place, field)) =
+                index.and_then(|index| Some((spec.get_mut(index)?, known.get(index)?)))
+            else {
+                return Err(InvalidSetting::Unknown {
+                    found: setting.to_owned(),
+                    controller,
+                    known,
+                });
             };
             let (name, range) = (field.name, field.range);
             if given.contains(&name) {
@@ -213,7 +224,14 @@ impl ControllerSpec {
             given.push(name);
             match found.parse::<f64>() {
                 Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // Turns -0 into 0.
-                _ => return Err(InvalidSetting::Value { controller, name, range, found: found.to_owned() }),
+                _ => {
+                    return Err(InvalidSetting::Value {
+                        controller,
+                        name,
+                        range,
+                        found: found.to_owned(),
+                    });
+                }
             }
             Ok(spec)
         }))
@@ -224,8 +242,13 @@ impl ControllerSpec {
     pub fn to_arg(&self) -> String {
         let default = Self::from_name(self.name());
         let default = default.iter().flat_map(Self::values);
-        let set = self.values().zip(default).filter(|(own, default)| own.1 != default.1);
-        set.fold(self.name().to_owned(), |words, ((field, value), _)| format!("{words},{}={value}", field.name))
+        let set = self
+            .values()
+            .zip(default)
+            .filter(|(own, default)| own.1 != default.1);
+        set.fold(self.name().to_owned(), |words, ((field, value), _)| {
+            format!("{words},{}={value}", field.name)
+        })
     }
 
     /// Returns the name in files and on the command line, without settings.
@@ -266,7 +289,9 @@ impl ControllerSpec {
 
     /// Returns the settings with their values.
     pub fn values(&self) -> impl Iterator<Item = (&'static SettingField, f64)> {
-        (0..).zip(self.fields()).filter_map(|(index, field)| Some((field, self.get(index)?)))
+        (0..)
+            .zip(self.fields())
+            .filter_map(|(index, field)| Some((field, self.get(index)?)))
     }
 
     fn get(&self, index: usize) -> Option<f64> {
@@ -287,7 +312,10 @@ impl ControllerSpec {
     /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
     #[must_use]
     pub fn identity(&self) -> String {
-        let values: Vec<_> = self.values().map(|(_, value)| (value + 0.0).to_bits().to_string()).collect();
+        let values: Vec<_> = self
+            .values()
+            .map(|(_, value)| (value + 0.0).to_bits().to_string())
+            .collect();
         let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
         self.policy().map_or_else(rule, |policy| policy.digest())
     }

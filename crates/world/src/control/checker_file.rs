@@ -65,19 +65,25 @@ impl NetworkController {
     pub fn checker_file(&self) -> Result<Vec<u8>, InvalidMapping> {
         let mapping = self.mapping();
         if mapping.history != 1 {
-            let problem =
-                format!("is {}, and only a network that sees nothing but the present can be followed", mapping.history);
+            let problem = format!(
+                "is {}, and only a network that sees nothing but the present can be followed",
+                mapping.history
+            );
             return Err(InvalidMapping::new("history", problem));
         }
         for (index, input) in mapping.inputs.iter().enumerate() {
             if let Some(why) = input.quantity.and_then(why_not_affine) {
                 let problem = format!("`{}` {why}", input.name());
-                return Err(InvalidMapping::new(format!("inputs[{index}].quantity"), problem));
+                return Err(InvalidMapping::new(
+                    format!("inputs[{index}].quantity"),
+                    problem,
+                ));
             }
         }
         let interval_s = mapping.decision_interval_s;
-        let decision_interval_s = interval_s
-            .ok_or_else(|| InvalidMapping::new("decision_interval_s", "is missing, and a network needs it"))?;
+        let decision_interval_s = interval_s.ok_or_else(|| {
+            InvalidMapping::new("decision_interval_s", "is missing, and a network needs it")
+        })?;
         let (mut steps, mut tensors) = (Vec::new(), Vec::new());
         let mut width = self.network().inputs();
         for (index, step) in self.network().steps().iter().enumerate() {
@@ -86,13 +92,23 @@ impl NetworkController {
                 width = biases.len();
             }
         }
-        let OutputMapping { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } =
-            mapping.output;
+        let OutputMapping {
+            answer,
+            variable: _,
+            squash,
+            scale_mps2,
+            offset_mps2,
+            low_mps2,
+            high_mps2,
+        } = mapping.output;
         // Equals the squashing of the mapping: the same function in single precision.
         steps.extend(squash.map(|Squash::Tanh| CheckerFileStep::Tanh));
         let header = CheckerFileHeader {
             version: VERSION,
-            source: CheckerFileSource { format: self.file().format(), sha256: &self.file().sha256 },
+            source: CheckerFileSource {
+                format: self.file().format(),
+                sha256: &self.file().sha256,
+            },
             inputs: &mapping.inputs,
             steps,
             output: CheckerFileOutput {
@@ -109,10 +125,14 @@ impl NetworkController {
         let text = serde_json::to_string(&header).map_err(|error| unwritten(error.to_string()))?;
         let views = tensors
             .iter()
-            .map(|(name, shape, bytes): &NamedTensor| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .map(|(name, shape, bytes): &NamedTensor| {
+                Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+            })
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>();
         views
-            .and_then(|views| safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into())))
+            .and_then(|views| {
+                safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into()))
+            })
             .map_err(|error| unwritten(error.to_string()))
     }
 }
@@ -125,15 +145,25 @@ fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
         | ObservedQuantity::TimeToCollisionBehindS => {
             Some("is a quotient of what is observed, and only sums and differences can be followed")
         }
-        ObservedQuantity::LastAnswerMps2 => Some("is memory, and only a network without memory can be followed"),
+        ObservedQuantity::LastAnswerMps2 => {
+            Some("is memory, and only a network without memory can be followed")
+        }
         _ => None,
     }
 }
 
 /// Converts a step to its file form and appends its numbers to `tensors`.
-fn serialize_step(step: &NetworkStep, index: usize, width: usize, tensors: &mut Vec<NamedTensor>) -> CheckerFileStep {
+fn serialize_step(
+    step: &NetworkStep,
+    index: usize,
+    width: usize,
+    tensors: &mut Vec<NamedTensor>,
+) -> CheckerFileStep {
     let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
-        let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let bytes = numbers
+            .iter()
+            .flat_map(|number| number.to_le_bytes())
+            .collect();
         tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), bytes));
     };
     let each = match step {
@@ -164,8 +194,12 @@ fn serialize_step(step: &NetworkStep, index: usize, width: usize, tensors: &mut 
         }
         Elementwise::Clip { low, high } => {
             // A missing limit is infinite in the network; the file holds the largest finite number instead.
-            let finite =
-                |limits: &[f32]| limits.iter().map(|limit| limit.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
+            let finite = |limits: &[f32]| {
+                limits
+                    .iter()
+                    .map(|limit| limit.clamp(f32::MIN, f32::MAX))
+                    .collect::<Vec<_>>()
+            };
             add("low", &[width], &finite(low));
             add("high", &[width], &finite(high));
             CheckerFileStep::Clip

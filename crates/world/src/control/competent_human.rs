@@ -97,25 +97,42 @@ impl CompetentHuman {
     /// Returns the steps until the foot leaves the pedal because of the current leader; `None` without a risk.
     #[inline]
     fn steps_until_release(&mut self, speed_mps: f64, ahead: &Neighbour) -> Option<u32> {
-        let CompetentHumanSettings { risk_brake_mps2, risk_speed_mps, risk_ttc_s, risk_time_gap_s, .. } = self.settings;
+        let CompetentHumanSettings {
+            risk_brake_mps2,
+            risk_speed_mps,
+            risk_ttc_s,
+            risk_time_gap_s,
+            ..
+        } = self.settings;
         let coasted_mps = self.settings.coasting_mps2 * self.step_s;
         let before = self.leader;
         let appeared_m = before.map(|before| ahead.gap_m - before.next_gap_m);
-        let same = before.filter(|_| appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= NEW_LEADER_GAP_JUMP_M));
+        let same = before.filter(|_| {
+            appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= NEW_LEADER_GAP_JUMP_M)
+        });
         let closing_mps = speed_mps - ahead.speed_mps;
-        let coasting_mps = same.map_or(ahead.speed_mps, |same| ahead.speed_mps.max(same.coasting_mps - coasted_mps));
+        let coasting_mps = same.map_or(ahead.speed_mps, |same| {
+            ahead.speed_mps.max(same.coasting_mps - coasted_mps)
+        });
         self.leader = Some(LeaderPrediction {
             gap_m: ahead.gap_m,
             next_gap_m: ahead.gap_m - closing_mps * self.step_s,
             coasting_mps,
         });
 
-        let cuts_out = before.is_some_and(|before| before.gap_m <= risk_time_gap_s * speed_mps + NEW_LEADER_GAP_JUMP_M)
-            && appeared_m.is_some_and(|appeared_m| appeared_m > NEW_LEADER_GAP_JUMP_M)
+        let cuts_out = before.is_some_and(|before| {
+            before.gap_m <= risk_time_gap_s * speed_mps + NEW_LEADER_GAP_JUMP_M
+        }) && appeared_m
+            .is_some_and(|appeared_m| appeared_m > NEW_LEADER_GAP_JUMP_M)
             && closing_mps > risk_speed_mps;
         let is_near = closing_mps > 0.0 && ahead.gap_m <= risk_ttc_s * closing_mps;
-        let brakes = ahead.acceleration_mps2 < -risk_brake_mps2 || coasting_mps - ahead.speed_mps > risk_speed_mps;
-        if cuts_out || is_near { Some(0) } else { brakes.then_some(self.perception_steps) }
+        let brakes = ahead.acceleration_mps2 < -risk_brake_mps2
+            || coasting_mps - ahead.speed_mps > risk_speed_mps;
+        if cuts_out || is_near {
+            Some(0)
+        } else {
+            brakes.then_some(self.perception_steps)
+        }
     }
 }
 
@@ -131,11 +148,15 @@ impl Controller for CompetentHuman {
         };
         let left = self.steps_to_release.map(|steps| steps.saturating_sub(1));
         self.steps_to_release = left.into_iter().chain(risk).min();
-        Ok(match self.release_timer.tick(self.steps_to_release == Some(0)) {
-            Some(steps) if steps >= self.reaction_steps => -self.brake_ramp.step_towards(self.settings.brake_mps2),
-            Some(_) => -self.settings.coasting_mps2,
-            None => 0.0,
-        })
+        Ok(
+            match self.release_timer.tick(self.steps_to_release == Some(0)) {
+                Some(steps) if steps >= self.reaction_steps => {
+                    -self.brake_ramp.step_towards(self.settings.brake_mps2)
+                }
+                Some(_) => -self.settings.coasting_mps2,
+                None => 0.0,
+            },
+        )
     }
 }
 
@@ -153,10 +174,17 @@ mod tests {
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
         for risk_perception_s in [0.0, 0.4] {
-            let settings =
-                CompetentHumanSettings { risk_perception_s, brake_mps2: 0.4 + 12.65 * 0.57, ..Default::default() };
+            let settings = CompetentHumanSettings {
+                risk_perception_s,
+                brake_mps2: 0.4 + 12.65 * 0.57,
+                ..Default::default()
+            };
             let CompetentHumanSettings {
-                risk_perception_s: tau, reaction_s: t, coasting_mps2: c, jerk_mps3: j, ..
+                risk_perception_s: tau,
+                reaction_s: t,
+                coasting_mps2: c,
+                jerk_mps3: j,
+                ..
             } = settings;
             for v in [14.0_f64, 22.0, 36.1] {
                 let v1 = v - c * t;
@@ -164,12 +192,15 @@ mod tests {
                 let v2 = v1 - c * rise_s - j * rise_s * rise_s / 2.0;
                 let ramp_m = v1 * rise_s - c * rise_s * rise_s / 2.0 - j * rise_s.powi(3) / 6.0;
                 let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
-                let expected_m =
-                    v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
+                let expected_m = v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m
+                    + v2 * v2 / (2.0 * settings.brake_mps2);
                 let found_m = stopping_distance_m(start(&settings), v, |speed_mps| {
                     leader_observation(speed_mps, 90.0, 10.0, -5.01)
                 });
-                assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+                assert!(
+                    (found_m - expected_m).abs() < 1e-9,
+                    "{v} m/s: {found_m} against {expected_m}"
+                );
             }
         }
     }
@@ -179,12 +210,20 @@ mod tests {
         let settings = CompetentHumanSettings::default();
         let mut driver = start(&settings);
         for _ in 0..1000 {
-            assert_eq!(command_behind(&mut driver, 20.0, 25.0, 20.0, -5.0), 0.0, "not harder than 5 m/s²");
+            assert_eq!(
+                command_behind(&mut driver, 20.0, 25.0, 20.0, -5.0),
+                0.0,
+                "not harder than 5 m/s²"
+            );
         }
         let commands = [0; 200].map(|_| command_behind(&mut driver, 20.0, 25.0, 20.0, -5.1));
         assert_eq!(commands[..75], [-0.4; 75]);
         assert_eq!(commands[199], -settings.brake_mps2);
-        assert!(commands.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401));
+        assert!(
+            commands
+                .windows(2)
+                .all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401)
+        );
     }
 
     /// A cut-in is a risk at a time to collision of 2 s. A cut-out within 2 s is one if it reveals a slower vehicle.
@@ -192,15 +231,32 @@ mod tests {
     fn a_new_leader_is_a_risk_as_the_regulation_defines() {
         let reacts = |seen: &[Observation]| {
             let mut driver = start(&CompetentHumanSettings::default());
-            seen.iter().map(|seen| driver.decide(seen).unwrap()).any(|command| command < 0.0)
+            seen.iter()
+                .map(|seen| driver.decide(seen).unwrap())
+                .any(|command| command < 0.0)
         };
         let steady = |gap_m: f64| leader_observation(20.0, gap_m, 20.0, 0.0);
         let far = |ahead_mps: f64| leader_observation(20.0, 200.0, ahead_mps, 0.0);
-        assert!(!reacts(&[steady(300.0), leader_observation(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
-        assert!(reacts(&[steady(300.0), leader_observation(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
-        assert!(reacts(&[steady(40.0), far(0.0)]), "cuts out before a vehicle that stands");
-        assert!(!reacts(&[steady(45.0), far(0.0)]), "was followed at more than 2 s");
-        assert!(!reacts(&[steady(40.0), far(19.8)]), "reveals a vehicle about as fast");
+        assert!(
+            !reacts(&[steady(300.0), leader_observation(20.0, 20.01, 10.0, 0.0)]),
+            "cuts in at 2.001 s"
+        );
+        assert!(
+            reacts(&[steady(300.0), leader_observation(20.0, 20.0, 10.0, 0.0)]),
+            "cuts in at 2 s"
+        );
+        assert!(
+            reacts(&[steady(40.0), far(0.0)]),
+            "cuts out before a vehicle that stands"
+        );
+        assert!(
+            !reacts(&[steady(45.0), far(0.0)]),
+            "was followed at more than 2 s"
+        );
+        assert!(
+            !reacts(&[steady(40.0), far(19.8)]),
+            "reveals a vehicle about as fast"
+        );
         assert!(!reacts(&[far(0.0)]), "no vehicle has cut out");
     }
 
@@ -222,14 +278,24 @@ mod tests {
     /// code has the same result (`comparison_car_following.py`, 1121 runs).
     #[test]
     fn collides_nowhere_on_the_published_grid_of_car_following() {
-        for (kmph, hundredths_g) in (12..130).step_by(2).flat_map(|v| (5..100).step_by(5).map(move |g| (v, g))) {
-            let (v, brake_mps2) = (f64::from(kmph) / 3.6, f64::from(hundredths_g) / 100.0 * 9.81);
+        for (kmph, hundredths_g) in (12..130)
+            .step_by(2)
+            .flat_map(|v| (5..100).step_by(5).map(move |g| (v, g)))
+        {
+            let (v, brake_mps2) = (
+                f64::from(kmph) / 3.6,
+                f64::from(hundredths_g) / 100.0 * 9.81,
+            );
             let (mut own, mut front, mut gap_m) = (v, v, 2.0 * v);
             let mut driver = start(&CompetentHumanSettings::default());
             while own > 0.0 {
                 let front_mps2 = if front > 0.0 { -brake_mps2 } else { 0.0 };
-                let command = command_behind(&mut driver, own, gap_m, front, front_mps2).max(-EGO.max_brake_mps2);
-                let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
+                let command = command_behind(&mut driver, own, gap_m, front, front_mps2)
+                    .max(-EGO.max_brake_mps2);
+                let (next_own, next_front) = (
+                    (own + command * 0.01).max(0.0),
+                    (front - brake_mps2 * 0.01).max(0.0),
+                );
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);
                 assert!(gap_m > 0.0, "{kmph} km/h behind {brake_mps2} m/s²: {gap_m}");

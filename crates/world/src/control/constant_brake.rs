@@ -28,7 +28,8 @@ pub struct ConstantBrake {
 
 impl BuiltIn for ConstantBrake {
     const NAME: &'static str = "constant-brake";
-    const SUMMARY: &'static str = "brakes at 3.25 m/s² from 0.05 s after it observes that the vehicle ahead brakes";
+    const SUMMARY: &'static str =
+        "brakes at 3.25 m/s² from 0.05 s after it observes that the vehicle ahead brakes";
     type Settings = ConstantBrakeSettings;
     type Driver = Self;
 
@@ -45,8 +46,16 @@ impl BuiltIn for ConstantBrake {
 impl Controller for ConstantBrake {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_braking = seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
-        Ok(if self.trigger_timer.tick(is_braking) >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
+        let is_braking = seen
+            .ahead
+            .is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
+        Ok(
+            if self.trigger_timer.tick(is_braking) >= Some(self.delay_steps) {
+                -self.rate_mps2
+            } else {
+                0.0
+            },
+        )
     }
 }
 
@@ -58,9 +67,17 @@ mod tests {
     #[test]
     fn brakes_five_steps_after_it_sees_braking() {
         let mut controller = ConstantBrake::start(&ConstantBrakeSettings::default(), &EGO, 0);
-        assert_eq!(command_behind(&mut controller, 25.0, 16.0, 25.0, -1.0), 0.0, "below the trigger");
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 16.0, 25.0, -1.0),
+            0.0,
+            "below the trigger"
+        );
         let commands = [0; 7].map(|_| command_behind(&mut controller, 25.0, 16.0, 25.0, -3.0));
         assert_eq!(commands, [0.0, 0.0, 0.0, 0.0, 0.0, -3.25, -3.25]);
-        assert_eq!(command_behind(&mut controller, 25.0, 16.0, 25.0, 0.0), -3.25, "to standstill");
+        assert_eq!(
+            command_behind(&mut controller, 25.0, 16.0, 25.0, 0.0),
+            -3.25,
+            "to standstill"
+        );
     }
 }

@@ -9,8 +9,13 @@ pub(super) struct DecisionTimer {
 impl DecisionTimer {
     /// Creates a timer whose first decision is due at once; without an interval, one is due at every step.
     pub(super) fn new(interval_s: Option<f64>, step_s: f64) -> Self {
-        let steps = interval_s.map_or(1, |interval_s| (interval_s / step_s).round().max(1.0) as u32);
-        Self { steps, until_decision: 0 }
+        let steps = interval_s.map_or(1, |interval_s| {
+            (interval_s / step_s).round().max(1.0) as u32
+        });
+        Self {
+            steps,
+            until_decision: 0,
+        }
     }
 
     pub(super) fn is_whole_steps(interval_s: f64, step_s: f64) -> bool {

@@ -23,13 +23,14 @@ pub struct EmergencyBrake {
 
 impl BuiltIn for EmergencyBrake {
     const NAME: &'static str = "emergency-brake";
-    const SUMMARY: &'static str =
-        "hold speed; brake at 7.5 m/s² from TTC < 1.4 s until no longer closing in (both numbers are settings)";
+    const SUMMARY: &'static str = "hold speed; brake at 7.5 m/s² from TTC < 1.4 s until no longer closing in (both numbers are settings)";
     type Settings = EmergencyBrakeSettings;
     type Driver = Self;
 
     fn start(settings: &EmergencyBrakeSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { brake: HeldBrake::new(settings.ttc_s, settings.brake_mps2, ego) }
+        Self {
+            brake: HeldBrake::new(settings.ttc_s, settings.brake_mps2, ego),
+        }
     }
 }
 
@@ -51,7 +52,12 @@ pub(super) struct HeldBrake {
 
 impl HeldBrake {
     pub(super) fn new(ttc_s: f64, brake_mps2: f64, ego: &Ego) -> Self {
-        Self { aeb: Aeb::new(ttc_s, ego), brake_mps2, never_fires: ttc_s == 0.0, is_braking: false }
+        Self {
+            aeb: Aeb::new(ttc_s, ego),
+            brake_mps2,
+            never_fires: ttc_s == 0.0,
+            is_braking: false,
+        }
     }
 
     /// Returns the demanded braking, in m/s², positive; `None` while the brake is released.
@@ -60,7 +66,9 @@ impl HeldBrake {
         if self.never_fires {
             return None;
         }
-        let is_closing = seen.ahead.is_some_and(|ahead| seen.speed_mps > ahead.speed_mps);
+        let is_closing = seen
+            .ahead
+            .is_some_and(|ahead| seen.speed_mps > ahead.speed_mps);
         self.is_braking = self.aeb.demands_braking(seen) || self.is_braking && is_closing;
         self.is_braking.then_some(self.brake_mps2)
     }
@@ -73,13 +81,35 @@ mod tests {
 
     #[test]
     fn brakes_at_its_level_until_it_no_longer_closes_in() {
-        let settings = EmergencyBrakeSettings { ttc_s: 2.0, brake_mps2: 4.0 };
+        let settings = EmergencyBrakeSettings {
+            ttc_s: 2.0,
+            brake_mps2: 4.0,
+        };
         let mut driver = EmergencyBrake::start(&settings, &EGO, 0);
-        assert_eq!(command_behind(&mut driver, 20.0, 20.0, 10.0, 0.0), 0.0, "TTC is exactly 2 s");
+        assert_eq!(
+            command_behind(&mut driver, 20.0, 20.0, 10.0, 0.0),
+            0.0,
+            "TTC is exactly 2 s"
+        );
         assert_eq!(command_behind(&mut driver, 20.0, 19.99, 10.0, 0.0), -4.0);
-        assert_eq!(command_behind(&mut driver, 10.1, 50.0, 10.0, 0.0), -4.0, "still closing in");
-        assert_eq!(command_behind(&mut driver, 10.0, 50.0, 10.0, 0.0), 0.0, "released");
-        let mut never = EmergencyBrake::start(&EmergencyBrakeSettings { ttc_s: 0.0, ..settings }, &EGO, 0);
+        assert_eq!(
+            command_behind(&mut driver, 10.1, 50.0, 10.0, 0.0),
+            -4.0,
+            "still closing in"
+        );
+        assert_eq!(
+            command_behind(&mut driver, 10.0, 50.0, 10.0, 0.0),
+            0.0,
+            "released"
+        );
+        let mut never = EmergencyBrake::start(
+            &EmergencyBrakeSettings {
+                ttc_s: 0.0,
+                ..settings
+            },
+            &EGO,
+            0,
+        );
         assert_eq!(command_behind(&mut never, 20.0, 0.0, 0.0, 0.0), 0.0);
     }
 }

@@ -47,19 +47,39 @@ fn membership(gap_m: f64, safe_m: f64, unsafe_m: f64) -> f64 {
 impl FuzzySafetySettings {
     /// Returns the proactive metric, 0 to 1: the danger from a leader that brakes at `ahead_brake_mps2`.
     pub(crate) fn proactive(&self, speed_mps: f64, ahead: &Neighbour) -> f64 {
-        let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, ahead_brake_mps2, .. } = *self;
+        let Self {
+            reaction_s,
+            comfortable_brake_mps2,
+            hardest_brake_mps2,
+            ahead_brake_mps2,
+            ..
+        } = *self;
         let needed_m = |brake_mps2: f64| {
             speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
                 - ahead.speed_mps * ahead.speed_mps / (2.0 * ahead_brake_mps2)
         };
         let safe_m = needed_m(comfortable_brake_mps2) + self.margin_m;
-        membership(ahead.gap_m - self.standstill_m, safe_m, needed_m(hardest_brake_mps2))
+        membership(
+            ahead.gap_m - self.standstill_m,
+            safe_m,
+            needed_m(hardest_brake_mps2),
+        )
     }
 
     /// Returns the critical metric, 0 to 1: the danger from a leader that holds its speed. Until the driver reacts, its
     /// current acceleration lasts, limited to the comfortable deceleration.
-    pub(crate) fn critical(&self, speed_mps: f64, acceleration_mps2: f64, ahead: &Neighbour) -> f64 {
-        let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, .. } = *self;
+    pub(crate) fn critical(
+        &self,
+        speed_mps: f64,
+        acceleration_mps2: f64,
+        ahead: &Neighbour,
+    ) -> f64 {
+        let Self {
+            reaction_s,
+            comfortable_brake_mps2,
+            hardest_brake_mps2,
+            ..
+        } = *self;
         let closing_mps = speed_mps - ahead.speed_mps;
         if closing_mps <= 0.0 {
             return 0.0;
@@ -74,7 +94,11 @@ impl FuzzySafetySettings {
         }
         let until_m = 0.5 * (closing_mps + then_mps) * reaction_s;
         let needed_m = |brake_mps2: f64| until_m + then_mps * then_mps / (2.0 * brake_mps2);
-        membership(gap_m, needed_m(comfortable_brake_mps2), needed_m(hardest_brake_mps2))
+        membership(
+            gap_m,
+            needed_m(comfortable_brake_mps2),
+            needed_m(hardest_brake_mps2),
+        )
     }
 
     /// Returns the deceleration that the metrics demand, in m/s², positive; 0 if both are 0.
@@ -82,7 +106,8 @@ impl FuzzySafetySettings {
         let Some(ahead) = seen.ahead else { return 0.0 };
         let critical = self.critical(seen.speed_mps, seen.acceleration_mps2, &ahead);
         let asked_mps2 = if critical > 0.0 {
-            self.comfortable_brake_mps2 + critical * (self.hardest_brake_mps2 - self.comfortable_brake_mps2)
+            self.comfortable_brake_mps2
+                + critical * (self.hardest_brake_mps2 - self.comfortable_brake_mps2)
         } else {
             self.proactive(seen.speed_mps, &ahead) * self.comfortable_brake_mps2
         };
@@ -102,8 +127,7 @@ pub struct FuzzySafety {
 
 impl BuiltIn for FuzzySafety {
     const NAME: &'static str = "fuzzy-safety";
-    const SUMMARY: &'static str =
-        "reference driver of UN R157: the fuzzy safety model, which brakes early and in proportion to the danger";
+    const SUMMARY: &'static str = "reference driver of UN R157: the fuzzy safety model, which brakes early and in proportion to the danger";
     const ROLE: Role = Role::Reference;
     type Settings = FuzzySafetySettings;
     type Driver = Self;
@@ -124,7 +148,11 @@ impl Controller for FuzzySafety {
         let asked_mps2 = self.settings.demanded_brake_mps2(seen);
         let reacts = self.reaction_timer.tick(asked_mps2 > 0.0) >= Some(self.reaction_steps);
         // `0.0 -` avoids a command of -0.
-        Ok(if reacts { 0.0 - self.brake_ramp.step_towards(asked_mps2) } else { 0.0 })
+        Ok(if reacts {
+            0.0 - self.brake_ramp.step_towards(asked_mps2)
+        } else {
+            0.0
+        })
     }
 }
 
@@ -134,14 +162,26 @@ mod tests {
     use super::*;
 
     fn ahead(gap_m: f64, speed_mps: f64) -> Neighbour {
-        Neighbour { gap_m, speed_mps, acceleration_mps2: 0.0 }
+        Neighbour {
+            gap_m,
+            speed_mps,
+            acceleration_mps2: 0.0,
+        }
     }
 
     /// Closed form: v τ, a ramp of jerk j to b, then v₂²/(2 b). Each step of the ramp is j dt³/12 longer.
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
-        let settings = FuzzySafetySettings { hardest_brake_mps2: 12.65 * 0.48, ..Default::default() };
-        let FuzzySafetySettings { reaction_s: tau, jerk_mps3: j, hardest_brake_mps2: b, .. } = settings;
+        let settings = FuzzySafetySettings {
+            hardest_brake_mps2: 12.65 * 0.48,
+            ..Default::default()
+        };
+        let FuzzySafetySettings {
+            reaction_s: tau,
+            jerk_mps3: j,
+            hardest_brake_mps2: b,
+            ..
+        } = settings;
         for v in [14.0_f64, 22.0, 36.1] {
             let rise_s = b / j;
             let v2 = v - j * rise_s * rise_s / 2.0;
@@ -149,8 +189,13 @@ mod tests {
             let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
             let expected_m = v * tau + ramp_m - held_m + v2 * v2 / (2.0 * b);
             let driver = FuzzySafety::start(&settings, &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, -1.0, -1.0, 0.0));
-            assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+            let found_m = stopping_distance_m(driver, v, |speed_mps| {
+                leader_observation(speed_mps, -1.0, -1.0, 0.0)
+            });
+            assert!(
+                (found_m - expected_m).abs() < 1e-9,
+                "{v} m/s: {found_m} against {expected_m}"
+            );
         }
     }
 
@@ -166,7 +211,8 @@ mod tests {
         }
         let closing_m = |b: f64| 0.5 * (8.0 + 7.25) * 0.75 + 7.25 * 7.25 / (2.0 * b);
         for (share, metric) in [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0)] {
-            let gap_m = settings.graze_m + closing_m(4.0) + share * (closing_m(6.0) - closing_m(4.0));
+            let gap_m =
+                settings.graze_m + closing_m(4.0) + share * (closing_m(6.0) - closing_m(4.0));
             let found = settings.critical(v, -1.0, &ahead(gap_m, front));
             assert!((found - metric).abs() < 1e-12, "{found} at {share}");
         }
@@ -180,7 +226,11 @@ mod tests {
             assert_eq!(settings.critical(12.0, own_mps2, &ahead(0.61, 10.0)), 0.0);
             assert_eq!(settings.critical(12.0, own_mps2, &ahead(0.59, 10.0)), 1.0);
         }
-        assert_eq!(settings.critical(10.0, 3.0, &ahead(0.1, 10.0)), 0.0, "nobody closes in");
+        assert_eq!(
+            settings.critical(10.0, 3.0, &ahead(0.1, 10.0)),
+            0.0,
+            "nobody closes in"
+        );
     }
 
     /// Behind leaders that brake at 0.05 to 0.95 g from 12 to 128 km/h, no run of 1121 collides, as in the authors'
@@ -188,8 +238,14 @@ mod tests {
     #[test]
     fn no_collision_on_the_grid_of_its_authors() {
         let settings = FuzzySafetySettings::default();
-        for (kmph, hundredths_g) in (12..130).step_by(2).flat_map(|v| (5..100).step_by(5).map(move |g| (v, g))) {
-            let (v, brake_mps2) = (f64::from(kmph) / 3.6, f64::from(hundredths_g) / 100.0 * 9.81);
+        for (kmph, hundredths_g) in (12..130)
+            .step_by(2)
+            .flat_map(|v| (5..100).step_by(5).map(move |g| (v, g)))
+        {
+            let (v, brake_mps2) = (
+                f64::from(kmph) / 3.6,
+                f64::from(hundredths_g) / 100.0 * 9.81,
+            );
             let mut gap_m = v * 0.75 + v * v / 8.0 - v * v / 14.0 + 4.0;
             let (mut own, mut front, mut command, mut hardest) = (v, v, 0.0, 0.0_f64);
             let mut driver = FuzzySafety::start(&settings, &EGO, 0);
@@ -198,12 +254,21 @@ mod tests {
                 seen.acceleration_mps2 = command;
                 command = driver.decide(&seen).unwrap();
                 hardest = hardest.max(-command);
-                let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
+                let (next_own, next_front) = (
+                    (own + command * 0.01).max(0.0),
+                    (front - brake_mps2 * 0.01).max(0.0),
+                );
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);
-                assert!(gap_m > 0.09, "{kmph} km/h behind {brake_mps2} m/s²: {gap_m}");
+                assert!(
+                    gap_m > 0.09,
+                    "{kmph} km/h behind {brake_mps2} m/s²: {gap_m}"
+                );
             }
-            assert!(brake_mps2 > 2.0 || hardest <= 4.0, "{kmph} km/h behind {brake_mps2}: {hardest} m/s²");
+            assert!(
+                brake_mps2 > 2.0 || hardest <= 4.0,
+                "{kmph} km/h behind {brake_mps2}: {hardest} m/s²"
+            );
         }
     }
 }

@@ -8,7 +8,12 @@ pub(super) struct InputHistory<T>(Vec<T>);
 
 impl<T: Copy + Default> InputHistory<T> {
     /// Appends the inputs of a decision to `into`, in the order of the mapping.
-    pub(super) fn push(&mut self, mapping: &Mapping, now: impl Iterator<Item = T>, into: &mut Vec<T>) {
+    pub(super) fn push(
+        &mut self,
+        mapping: &Mapping,
+        now: impl Iterator<Item = T>,
+        into: &mut Vec<T>,
+    ) {
         if mapping.history == 1 {
             return into.extend(now);
         }
@@ -19,7 +24,8 @@ impl<T: Copy + Default> InputHistory<T> {
                 HistoryPadding::First => self.0 = self.0.repeat(mapping.history),
                 HistoryPadding::Zeros => {
                     let before = width * (mapping.history - 1);
-                    self.0.splice(..0, std::iter::repeat_n(T::default(), before));
+                    self.0
+                        .splice(..0, std::iter::repeat_n(T::default(), before));
                 }
             }
         } else {
@@ -41,13 +47,31 @@ mod tests {
     #[test]
     fn the_decisions_before_the_first_are_the_first_or_zeros() {
         for (padding, newest_first, wanted) in [
-            (HistoryPadding::First, false, [[1, 2, 1, 2, 1, 2], [1, 2, 1, 2, 3, 4]]),
-            (HistoryPadding::Zeros, false, [[0, 0, 0, 0, 1, 2], [0, 0, 1, 2, 3, 4]]),
-            (HistoryPadding::Zeros, true, [[1, 2, 0, 0, 0, 0], [3, 4, 1, 2, 0, 0]]),
+            (
+                HistoryPadding::First,
+                false,
+                [[1, 2, 1, 2, 1, 2], [1, 2, 1, 2, 3, 4]],
+            ),
+            (
+                HistoryPadding::Zeros,
+                false,
+                [[0, 0, 0, 0, 1, 2], [0, 0, 1, 2, 3, 4]],
+            ),
+            (
+                HistoryPadding::Zeros,
+                true,
+                [[1, 2, 0, 0, 0, 0], [3, 4, 1, 2, 0, 0]],
+            ),
         ] {
             let own = Mapping::native();
             let inputs = own.inputs.iter().take(2).cloned().collect();
-            let mapping = Mapping { history: 3, history_padding: padding, newest_first, inputs, ..own };
+            let mapping = Mapping {
+                history: 3,
+                history_padding: padding,
+                newest_first,
+                inputs,
+                ..own
+            };
             let mut history = InputHistory::default();
             let seen = [[1, 2], [3, 4]].map(|now| {
                 let mut row = Vec::new();

@@ -104,7 +104,8 @@ impl BuiltIn for Human {
 
     fn start(settings: &HumanSettings, ego: &Ego, seed: u64) -> Self {
         let mut stream = stream(seed, Purpose::HumanDriver, ego.vehicle as u64);
-        let level_mps2 = settings.brake_mps2 + settings.brake_deviation_mps2 * NormalSampler::new().sample(&mut stream);
+        let level_mps2 = settings.brake_mps2
+            + settings.brake_deviation_mps2 * NormalSampler::new().sample(&mut stream);
         let shape = settings.reaction_shape;
         Self(Box::new(HumanState {
             step_s: ego.step_s,
@@ -133,9 +134,18 @@ impl HumanState {
             self.glance_steps -= 1;
             return false;
         }
-        let HumanSettings { glance_per_s, glance_s, glance_shape, .. } = self.settings;
-        if self.steps_to_brake.is_none() && self.stream.random::<f64>() < glance_per_s * self.step_s {
-            self.glance_steps = whole_steps(glance_s * log_normal(&mut self.stream, glance_shape), self.step_s);
+        let HumanSettings {
+            glance_per_s,
+            glance_s,
+            glance_shape,
+            ..
+        } = self.settings;
+        if self.steps_to_brake.is_none() && self.stream.random::<f64>() < glance_per_s * self.step_s
+        {
+            self.glance_steps = whole_steps(
+                glance_s * log_normal(&mut self.stream, glance_shape),
+                self.step_s,
+            );
         }
         true
     }
@@ -151,13 +161,23 @@ impl HumanState {
         let expansion = Self::expansion_rad_per_s(closing_mps, ahead.gap_m);
         let threshold = self.settings.looming_rad_per_s;
         let brake_lights = ahead.acceleration_mps2 <= -BRAKE_LIGHT_MPS2;
-        let reacts = brake_lights || expansion > threshold || self.steps_to_brake.is_some() && closing_mps > 0.0;
-        let mean_s = if brake_lights { self.settings.reaction_s } else { self.settings.surprise_s };
+        let reacts = brake_lights
+            || expansion > threshold
+            || self.steps_to_brake.is_some() && closing_mps > 0.0;
+        let mean_s = if brake_lights {
+            self.settings.reaction_s
+        } else {
+            self.settings.surprise_s
+        };
         self.steps_to_brake = reacts.then(|| match self.steps_to_brake {
             Some(steps) => steps.saturating_sub(1),
             None => whole_steps(mean_s * self.reaction_share, self.step_s),
         });
-        if expansion.abs() > threshold { ahead.speed_mps } else { speed_mps }
+        if expansion.abs() > threshold {
+            ahead.speed_mps
+        } else {
+            speed_mps
+        }
     }
 
     /// Returns the model of car following, which keeps the time gap and the speed of the first observation.
@@ -166,7 +186,9 @@ impl HumanState {
         *self.idm.get_or_insert_with(|| {
             let usual = IdmSettings::default();
             let first_s = ahead.map(|ahead| (ahead.gap_m - usual.standstill_gap_m) / speed_mps);
-            let time_headway_s = first_s.filter(|first_s| first_s.is_finite()).unwrap_or(longest_s);
+            let time_headway_s = first_s
+                .filter(|first_s| first_s.is_finite())
+                .unwrap_or(longest_s);
             Idm::from(&IdmSettings {
                 time_headway_s: time_headway_s.min(longest_s).max(MIN_TIME_GAP_S),
                 desired_speed_mps: usual.desired_speed_mps.max(speed_mps),
@@ -183,14 +205,24 @@ impl Controller for Human {
         let model = driver.model(seen.speed_mps, seen.ahead.as_ref());
         let emergency_mps2 = driver.aeb.demand_mps2(seen);
         if driver.looks_ahead() {
-            let ahead = seen.ahead.map(|ahead| [ahead.gap_m, driver.perceive(seen.speed_mps, &ahead)]);
+            let ahead = seen
+                .ahead
+                .map(|ahead| [ahead.gap_m, driver.perceive(seen.speed_mps, &ahead)]);
             if ahead.is_none() {
                 driver.steps_to_brake = None;
             }
-            let strongest_mps2 = if driver.steps_to_brake == Some(0) { driver.brake_mps2 } else { COASTING_MPS2 };
-            driver.held_mps2 = model.acceleration_mps2(seen.speed_mps, ahead).max(-strongest_mps2);
+            let strongest_mps2 = if driver.steps_to_brake == Some(0) {
+                driver.brake_mps2
+            } else {
+                COASTING_MPS2
+            };
+            driver.held_mps2 = model
+                .acceleration_mps2(seen.speed_mps, ahead)
+                .max(-strongest_mps2);
         }
-        Ok(emergency_mps2.map_or(driver.held_mps2, |brake_mps2| driver.held_mps2.min(-brake_mps2)))
+        Ok(emergency_mps2.map_or(driver.held_mps2, |brake_mps2| {
+            driver.held_mps2.min(-brake_mps2)
+        }))
     }
 }
 
@@ -216,52 +248,97 @@ mod tests {
     };
 
     /// Returns the number of steps without braking behind a vehicle at `gap_m`, from 25 m/s.
-    fn steps_before_braking(settings: &HumanSettings, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> usize {
+    fn steps_before_braking(
+        settings: &HumanSettings,
+        gap_m: f64,
+        ahead_mps: f64,
+        ahead_mps2: f64,
+    ) -> usize {
         let mut driver = Human::start(settings, &EGO, 0);
         (0..1000)
-            .take_while(|_| command_behind(&mut driver, 25.0, gap_m, ahead_mps, ahead_mps2) >= -COASTING_MPS2)
+            .take_while(|_| {
+                command_behind(&mut driver, 25.0, gap_m, ahead_mps, ahead_mps2) >= -COASTING_MPS2
+            })
             .count()
     }
 
     #[test]
     fn reacts_after_its_reaction_time_and_not_below_the_threshold() {
-        assert_eq!(steps_before_braking(&ALIKE, 20.0, 20.0, -4.0), 125, "brake lights");
-        assert_eq!(steps_before_braking(&ALIKE, 20.0, 20.0, 0.0), 150, "no brake lights");
+        assert_eq!(
+            steps_before_braking(&ALIKE, 20.0, 20.0, -4.0),
+            125,
+            "brake lights"
+        );
+        assert_eq!(
+            steps_before_braking(&ALIKE, 20.0, 20.0, 0.0),
+            150,
+            "no brake lights"
+        );
         // 1.8 · 5 / (54.77² + 0.81) = 0.003 rad/s at 54.77 m.
         assert_eq!(steps_before_braking(&ALIKE, 54.6, 20.0, 0.0), 150);
-        assert_eq!(steps_before_braking(&ALIKE, 54.9, 20.0, 0.0), 1000, "the closing speed is not perceived");
-        let assisted = HumanSettings { aeb_ttc_s: 4.1, ..ALIKE };
-        assert_eq!(steps_before_braking(&assisted, 20.0, 20.0, -4.0), 0, "the emergency brake does not wait");
+        assert_eq!(
+            steps_before_braking(&ALIKE, 54.9, 20.0, 0.0),
+            1000,
+            "the closing speed is not perceived"
+        );
+        let assisted = HumanSettings {
+            aeb_ttc_s: 4.1,
+            ..ALIKE
+        };
+        assert_eq!(
+            steps_before_braking(&assisted, 20.0, 20.0, -4.0),
+            0,
+            "the emergency brake does not wait"
+        );
     }
 
     #[test]
     fn brakes_at_most_at_its_level() {
         let mut driver = Human::start(&ALIKE, &EGO, 0);
-        let hardest = (0..300).map(|_| command_behind(&mut driver, 25.0, 8.0, 5.0, -7.5)).fold(0.0, f64::min);
+        let hardest = (0..300)
+            .map(|_| command_behind(&mut driver, 25.0, 8.0, 5.0, -7.5))
+            .fold(0.0, f64::min);
         assert_eq!(hardest, -5.0);
     }
 
     /// 4000 drivers have the means and the percentiles of the sources; a glance delays the reaction.
     #[test]
     fn drivers_are_distributed_as_their_sources_say() {
-        let drivers: Vec<_> = (0..4000).map(|seed| Human::start(&HumanSettings::default(), &EGO, seed)).collect();
+        let drivers: Vec<_> = (0..4000)
+            .map(|seed| Human::start(&HumanSettings::default(), &EGO, seed))
+            .collect();
         let sorted = |of: fn(&Human) -> f64| {
             let mut all: Vec<f64> = drivers.iter().map(of).collect();
             all.sort_by(f64::total_cmp);
             all
         };
-        let (shares, levels) = (sorted(|driver| driver.0.reaction_share), sorted(|driver| driver.0.brake_mps2));
+        let (shares, levels) = (
+            sorted(|driver| driver.0.reaction_share),
+            sorted(|driver| driver.0.brake_mps2),
+        );
         assert!((shares.iter().sum::<f64>() / 4000.0 - 1.0).abs() < 0.03);
-        assert!((shares[3800] - 2.0 / 1.1).abs() < 0.1, "95th percentile over mean: {}", shares[3800]);
-        assert!((levels[400] - 3.4).abs() < 0.15 && (levels[200] - 0.32 * 9.81).abs() < 0.2, "{}", levels[400]);
+        assert!(
+            (shares[3800] - 2.0 / 1.1).abs() < 0.1,
+            "95th percentile over mean: {}",
+            shares[3800]
+        );
+        assert!(
+            (levels[400] - 3.4).abs() < 0.15 && (levels[200] - 0.32 * 9.81).abs() < 0.2,
+            "{}",
+            levels[400]
+        );
 
-        let distracted = HumanSettings { glance_per_s: 0.5, ..ALIKE };
+        let distracted = HumanSettings {
+            glance_per_s: 0.5,
+            ..ALIKE
+        };
         let mean = (0..400).map(|seed| {
             let mut driver = Human::start(&distracted, &EGO, seed);
             for _ in 0..200 {
                 let _ = command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0);
             }
-            let waits = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) >= -COASTING_MPS2;
+            let waits =
+                |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) >= -COASTING_MPS2;
             (0..1000).take_while(waits).count() as f64
         });
         // Eyes are off for a share of 0.5 · 0.91 / (1 + 0.5 · 0.91) = 31 %, for half a second more on average.

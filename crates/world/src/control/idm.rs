@@ -34,14 +34,17 @@ mod tests {
         // s_e(v) = (s₀ + v T) / sqrt(1 - (v/v₀)⁴), equation 5 of the paper.
         let share = 1.0 - (v / settings.desired_speed_mps).powi(4);
         let gap_m = (settings.standstill_gap_m + v * settings.time_headway_s) / share.sqrt();
-        let command = Idm::start(&settings, &EGO, 0).decide(&leader_observation(v, gap_m, v, 0.0)).unwrap();
+        let command = Idm::start(&settings, &EGO, 0)
+            .decide(&leader_observation(v, gap_m, v, 0.0))
+            .unwrap();
         assert!(command.abs() < 1e-12, "{command}");
     }
 
     #[test]
     fn a_negative_estimated_gap_means_braking() {
-        let command =
-            Idm::start(&IdmSettings::default(), &EGO, 0).decide(&leader_observation(10.0, -0.5, 10.0, 0.0)).unwrap();
+        let command = Idm::start(&IdmSettings::default(), &EGO, 0)
+            .decide(&leader_observation(10.0, -0.5, 10.0, 0.0))
+            .unwrap();
         assert!(command.is_finite() && command < -100.0);
     }
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{
-    ControllerFailure, ControllerSource, ControllerSpec, Ego, NetworkController, ProcessController, RequiredNeighbours,
-    ShieldSettings,
+    ControllerFailure, ControllerSource, ControllerSpec, Ego, NetworkController, ProcessController,
+    RequiredNeighbours, ShieldSettings,
 };
 use crate::policy::Policy;
 use crumple_core::digest::sha256;
@@ -46,9 +46,11 @@ impl ControllerKind {
             Self::Policy(policy) => Some(policy.digest()),
             Self::Network(network) => Some(network.identity().to_owned()),
             Self::Process(process) => process.identity().map(str::to_owned),
-            Self::Shielded(shielded) => {
-                Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
-            }
+            Self::Shielded(shielded) => Some(sha256(format!(
+                "shield {:?} {}",
+                shielded.settings,
+                shielded.controller.identity()?
+            ))),
             Self::Custom(source) => source.identity(),
         }
     }
@@ -63,7 +65,11 @@ impl ControllerKind {
     }
 
     fn process(&self) -> Option<&ProcessController> {
-        if let Self::Process(process) = self.unshielded() { Some(process) } else { None }
+        if let Self::Process(process) = self.unshielded() {
+            Some(process)
+        } else {
+            None
+        }
     }
 
     /// Returns the controller file, network or FMU that defines the mapping or the command, if there is one.
@@ -79,7 +85,11 @@ impl ControllerKind {
     /// Returns warnings, one line each: differences between a network's mapping and the spaces of its training.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        if let Self::Network(network) = self.unshielded() { network.warnings() } else { Vec::new() }
+        if let Self::Network(network) = self.unshielded() {
+            network.warnings()
+        } else {
+            Vec::new()
+        }
     }
 
     /// Returns the time between decisions, in seconds. `None` for every step, or if only the process knows it.
@@ -89,7 +99,9 @@ impl ControllerKind {
             Self::Network(network) => network.mapping().decision_interval_s,
             Self::Process(process) => process.setup().mapping.decision_interval_s,
             Self::Custom(source) => source.interval_s(),
-            _ => self.policy().map(|policy| policy.header().decision_interval_s),
+            _ => self
+                .policy()
+                .map(|policy| policy.header().decision_interval_s),
         }
     }
 
@@ -118,7 +130,8 @@ impl ControllerKind {
     /// Returns false for a process that its file or its handshake declares nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
-        self.process().is_none_or(ProcessController::is_deterministic)
+        self.process()
+            .is_none_or(ProcessController::is_deterministic)
     }
 
     /// Starts the program of a process without a run, and ends it.
@@ -137,7 +150,8 @@ impl ControllerKind {
 
     /// Returns true if the controller can run in lockstep; false for a process without batches.
     pub(crate) fn supports_lockstep(&self, ego: impl FnOnce() -> Ego) -> bool {
-        self.process().is_none_or(|process| process.supports_batches(&ego()))
+        self.process()
+            .is_none_or(|process| process.supports_batches(&ego()))
     }
 
     pub(crate) fn required_neighbours(&self) -> RequiredNeighbours {
@@ -186,6 +200,8 @@ impl<S: ControllerSource + 'static> From<Arc<S>> for ControllerKind {
 
 impl fmt::Debug for ControllerKind {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_tuple("ControllerKind").field(&self.identity()).finish()
+        out.debug_tuple("ControllerKind")
+            .field(&self.identity())
+            .finish()
     }
 }

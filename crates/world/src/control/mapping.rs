@@ -109,7 +109,10 @@ pub enum HistoryPadding {
 }
 
 impl HistoryPadding {
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    #[expect(
+        clippy::trivially_copy_pass_by_ref,
+        reason = "serde passes a reference"
+    )]
     pub(crate) fn is_default(&self) -> bool {
         *self == Self::default()
     }
@@ -145,7 +148,10 @@ pub struct InvalidMapping {
 
 impl InvalidMapping {
     pub(crate) fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self { field: field.into(), problem: problem.into() }
+        Self {
+            field: field.into(),
+            problem: problem.into(),
+        }
     }
 }
 
@@ -154,8 +160,19 @@ impl Mapping {
     #[must_use]
     pub fn native() -> Self {
         use ObservedQuantity as Q;
-        let ObservationScaling { offset, scale, limit, empty_gap_m, history, .. } = ObservationScaling::default();
-        let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
+        let ObservationScaling {
+            offset,
+            scale,
+            limit,
+            empty_gap_m,
+            history,
+            ..
+        } = ObservationScaling::default();
+        let ActionBounds {
+            low_mps2,
+            high_mps2,
+            ..
+        } = ActionBounds::default();
         let order = [
             Q::GapAheadM,
             Q::GapBehindM,
@@ -179,7 +196,11 @@ impl Mapping {
             history,
             history_padding: HistoryPadding::First,
             newest_first: false,
-            inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
+            inputs: order
+                .into_iter()
+                .zip(offset.into_iter().zip(scale))
+                .map(input)
+                .collect(),
             output: OutputMapping {
                 variable: None,
                 answer: None,
@@ -237,7 +258,10 @@ impl Mapping {
     /// [`InvalidMapping`] names the first field that is wrong.
     pub fn check(&self) -> Result<(), InvalidMapping> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
-        if let Some(interval_s) = self.decision_interval_s.filter(|interval_s| !positive(*interval_s)) {
+        if let Some(interval_s) = self
+            .decision_interval_s
+            .filter(|interval_s| !positive(*interval_s))
+        {
             let problem = format!("must be positive, found {interval_s}");
             return Err(InvalidMapping::new("decision_interval_s", problem));
         }
@@ -250,23 +274,41 @@ impl Mapping {
             return Err(InvalidMapping::new("inputs", problem));
         }
         for (index, input) in self.inputs.iter().enumerate() {
-            input
-                .check()
-                .map_err(|(field, problem)| InvalidMapping::new(format!("inputs[{index}]{field}"), problem))?;
+            input.check().map_err(|(field, problem)| {
+                InvalidMapping::new(format!("inputs[{index}]{field}"), problem)
+            })?;
         }
-        self.output.check().map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
+        self.output
+            .check()
+            .map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
     }
 
     /// Returns the inputs that follow from an observation.
     #[inline]
-    pub fn input_values(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
-        self.inputs.iter().map(move |input| input.value(seen, last_answer_mps2))
+    pub fn input_values(
+        &self,
+        seen: &Observation,
+        last_answer_mps2: f64,
+    ) -> impl Iterator<Item = f64> {
+        self.inputs
+            .iter()
+            .map(move |input| input.value(seen, last_answer_mps2))
     }
 
     pub(super) fn limits(&self) -> Vec<[f64; 2]> {
         let has_zeros = self.history > 1 && self.history_padding == HistoryPadding::Zeros;
-        let with_zero = |[low, high]: [f64; 2]| if has_zeros { [low.min(0.0), high.max(0.0)] } else { [low, high] };
-        let limits: Vec<_> = self.inputs.iter().map(|input| with_zero(input.limits())).collect();
+        let with_zero = |[low, high]: [f64; 2]| {
+            if has_zeros {
+                [low.min(0.0), high.max(0.0)]
+            } else {
+                [low, high]
+            }
+        };
+        let limits: Vec<_> = self
+            .inputs
+            .iter()
+            .map(|input| with_zero(input.limits()))
+            .collect();
         limits.repeat(self.history)
     }
 
@@ -278,7 +320,13 @@ impl Mapping {
             Some(Squash::Tanh) => libm::tanhf(answer),
             None => answer,
         };
-        let OutputMapping { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+        let OutputMapping {
+            scale_mps2,
+            offset_mps2,
+            low_mps2,
+            high_mps2,
+            ..
+        } = self.output;
         let wanted_mps2 = offset_mps2 + scale_mps2 * f64::from(answer);
         if wanted_mps2 > high_mps2 {
             high_mps2
@@ -291,7 +339,14 @@ impl Mapping {
 
     /// Returns the unclipped acceleration of an answer, and its allowed range, in m/s².
     pub(crate) fn acceleration_and_range_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
-        let OutputMapping { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+        let OutputMapping {
+            squash,
+            scale_mps2,
+            offset_mps2,
+            low_mps2,
+            high_mps2,
+            ..
+        } = self.output;
         let answer = match squash {
             Some(Squash::Tanh) => libm::tanh(answer),
             None => answer,
@@ -323,19 +378,36 @@ impl InputMapping {
     }
 
     fn check(&self) -> Result<(), (&'static str, String)> {
-        let finite = [(".offset", self.offset), (".scale", self.scale), (".low", self.low), (".high", self.high)];
+        let finite = [
+            (".offset", self.offset),
+            (".scale", self.scale),
+            (".low", self.low),
+            (".high", self.high),
+        ];
         let given = [(".constant", self.constant), (".absent", self.absent)];
-        let given = given.into_iter().filter_map(|(field, value)| Some((field, value?)));
-        if let Some((field, value)) = finite.into_iter().chain(given).find(|(_, value)| !value.is_finite()) {
+        let given = given
+            .into_iter()
+            .filter_map(|(field, value)| Some((field, value?)));
+        if let Some((field, value)) = finite
+            .into_iter()
+            .chain(given)
+            .find(|(_, value)| !value.is_finite())
+        {
             return Err((field, format!("must be a finite number, found {value}")));
         }
         match (self.quantity, self.constant) {
             (None, None) => return Err(("", "needs a quantity or a constant".to_owned())),
             (Some(_), Some(_)) => {
-                return Err((".constant", "an input is a quantity or a constant, not both".to_owned()));
+                return Err((
+                    ".constant",
+                    "an input is a quantity or a constant, not both".to_owned(),
+                ));
             }
             (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
-                return Err((".absent", "is allowed only for quantities of another vehicle".to_owned()));
+                return Err((
+                    ".absent",
+                    "is allowed only for quantities of another vehicle".to_owned(),
+                ));
             }
             (None, Some(_)) if self.absent.is_some() => {
                 return Err((".absent", "a constant is always there".to_owned()));
@@ -363,7 +435,11 @@ impl InputMapping {
         let scaled = (value - self.offset) / self.scale;
         let scaled = if scaled.is_nan() { 0.0 } else { scaled };
         let scaled = if scaled < self.low { self.low } else { scaled };
-        if scaled > self.high { self.high } else { scaled }
+        if scaled > self.high {
+            self.high
+        } else {
+            scaled
+        }
     }
 
     #[inline]
@@ -389,7 +465,10 @@ impl OutputMapping {
             return Err((field, format!("must be a finite number, found {value}")));
         }
         if self.low_mps2 >= self.high_mps2 {
-            return Err(("low_mps2", format!("must be below high_mps2, {}", self.high_mps2)));
+            return Err((
+                "low_mps2",
+                format!("must be below high_mps2, {}", self.high_mps2),
+            ));
         }
         Ok(())
     }

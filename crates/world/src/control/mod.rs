@@ -115,15 +115,15 @@ pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
 pub use process::find_fmu_host;
 pub use process::{
-    FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission, StartRefusal, allow_external,
-    is_external_allowed,
+    FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission,
+    StartRefusal, allow_external, is_external_allowed,
 };
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState, ViabilityKernel,
-    distance_and_speed_after, max_closing_m,
+    ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState,
+    ViabilityKernel, distance_and_speed_after, max_closing_m,
 };
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds, Override, ShieldedController};
 pub(crate) use source::ZeroOrderHold;
@@ -220,9 +220,21 @@ impl Controller for Box<dyn Controller> {
 /// Uses plain comparisons, as `f64::max` of 0 and -0 may return either, and separately compiled engines could differ.
 #[inline]
 pub(crate) fn clamp_command(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
-    let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
-    let command_mps2 = if command_mps2 < -max_brake_mps2 { -max_brake_mps2 } else { command_mps2 };
-    if command_mps2 > max_accel_mps2 { max_accel_mps2 } else { command_mps2 }
+    let command_mps2 = if command_mps2.is_nan() {
+        0.0
+    } else {
+        command_mps2
+    };
+    let command_mps2 = if command_mps2 < -max_brake_mps2 {
+        -max_brake_mps2
+    } else {
+        command_mps2
+    };
+    if command_mps2 > max_accel_mps2 {
+        max_accel_mps2
+    } else {
+        command_mps2
+    }
 }
 
 #[cfg(test)]
@@ -230,13 +242,32 @@ pub(crate) mod tests {
     use super::*;
     use crate::observation::Neighbour;
 
-    pub(crate) const EGO: Ego =
-        Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+    pub(crate) const EGO: Ego = Ego {
+        vehicle: 1,
+        max_brake_mps2: 7.5,
+        max_accel_mps2: 3.0,
+        length_m: 2.0,
+        step_s: 0.01,
+    };
 
     /// Returns an observation at `speed_mps`, with a leader at `gap_m`, `ahead_mps` and `ahead_mps2`.
-    pub(crate) fn leader_observation(speed_mps: f64, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> Observation {
-        let ahead = Neighbour { gap_m, speed_mps: ahead_mps, acceleration_mps2: ahead_mps2 };
-        Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
+    pub(crate) fn leader_observation(
+        speed_mps: f64,
+        gap_m: f64,
+        ahead_mps: f64,
+        ahead_mps2: f64,
+    ) -> Observation {
+        let ahead = Neighbour {
+            gap_m,
+            speed_mps: ahead_mps,
+            acceleration_mps2: ahead_mps2,
+        };
+        Observation {
+            speed_mps,
+            acceleration_mps2: 0.0,
+            ahead: Some(ahead),
+            behind: None,
+        }
     }
 
     /// Returns the command for [`leader_observation`] with these arguments.
@@ -247,7 +278,9 @@ pub(crate) mod tests {
         ahead_mps: f64,
         ahead_mps2: f64,
     ) -> f64 {
-        driver.decide(&leader_observation(speed_mps, gap_m, ahead_mps, ahead_mps2)).unwrap()
+        driver
+            .decide(&leader_observation(speed_mps, gap_m, ahead_mps, ahead_mps2))
+            .unwrap()
     }
 
     /// Returns the stopping distance from `speed_mps` of a driver that observes `seen` at each speed.
@@ -270,9 +303,16 @@ pub(crate) mod tests {
 
     #[test]
     fn every_built_in_controller_answers_an_empty_road_with_a_finite_command() {
-        let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
+        let alone = Observation {
+            speed_mps: 20.0,
+            acceleration_mps2: 0.0,
+            ahead: None,
+            behind: None,
+        };
         for spec in ControllerSpec::all() {
-            let command = AnyController::from_spec(&spec, &EGO, 0).decide(&alone).unwrap();
+            let command = AnyController::from_spec(&spec, &EGO, 0)
+                .decide(&alone)
+                .unwrap();
             assert!(command.is_finite(), "{}: {command}", spec.name());
             assert!(
                 spec.role() > Role::Reference || command >= 0.0,
@@ -289,25 +329,53 @@ pub(crate) mod tests {
             assert_eq!(plain.1, spec.name());
             let fields = spec.fields();
             for (index, field) in fields.iter().enumerate() {
-                *spec.get_mut(index).unwrap() = 0.3 * field.typical_range[0] + 0.7 * field.typical_range[1];
+                *spec.get_mut(index).unwrap() =
+                    0.3 * field.typical_range[0] + 0.7 * field.typical_range[1];
             }
-            assert_eq!(ControllerSpec::parse(&spec.to_arg()), Some(Ok(spec.clone())));
-            assert_eq!(fields.is_empty(), plain == (spec.identity(), spec.to_arg()), "{}", spec.to_arg());
+            assert_eq!(
+                ControllerSpec::parse(&spec.to_arg()),
+                Some(Ok(spec.clone()))
+            );
+            assert_eq!(
+                fields.is_empty(),
+                plain == (spec.identity(), spec.to_arg()),
+                "{}",
+                spec.to_arg()
+            );
         }
     }
 
     #[test]
     fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
-        let problem = |words: &str| ControllerSpec::parse(words).unwrap().unwrap_err().to_string();
+        let problem = |words: &str| {
+            ControllerSpec::parse(words)
+                .unwrap()
+                .unwrap_err()
+                .to_string()
+        };
         assert_eq!(ControllerSpec::parse("no-such,ttc_s=1"), None);
         assert_eq!(
             problem("baseline,ttc=1"),
             "`ttc=1` is not a setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"
         );
-        assert_eq!(problem("match-leader,x"), "`x` is not a setting of match-leader: it has none");
-        assert_eq!(problem("baseline,ttc_s=1,ttc_s=2"), "baseline: ttc_s is given twice");
-        for bad in ["baseline,ttc_s=NaN", "baseline,ttc_s=101", "baseline,ttc_s", "baseline,ttc_s=inf"] {
-            assert!(problem(bad).starts_with("baseline: ttc_s must be a number from 0 to 100, found `"), "{bad}");
+        assert_eq!(
+            problem("match-leader,x"),
+            "`x` is not a setting of match-leader: it has none"
+        );
+        assert_eq!(
+            problem("baseline,ttc_s=1,ttc_s=2"),
+            "baseline: ttc_s is given twice"
+        );
+        for bad in [
+            "baseline,ttc_s=NaN",
+            "baseline,ttc_s=101",
+            "baseline,ttc_s",
+            "baseline,ttc_s=inf",
+        ] {
+            assert!(
+                problem(bad).starts_with("baseline: ttc_s must be a number from 0 to 100, found `"),
+                "{bad}"
+            );
         }
     }
 }

@@ -34,32 +34,50 @@ impl NetworkController {
         mapping.check()?;
         let network = &file.network;
         if mapping.width() != network.inputs() {
-            let problem = format!("there are {}, and the network has {} inputs", mapping.width(), network.inputs());
-            let field = if mapping.history == 1 { "inputs" } else { "history" };
+            let problem = format!(
+                "there are {}, and the network has {} inputs",
+                mapping.width(),
+                network.inputs()
+            );
+            let field = if mapping.history == 1 {
+                "inputs"
+            } else {
+                "history"
+            };
             return Err(InvalidMapping::new(field, problem));
         }
         let answer = match (mapping.output.answer, network.outputs()) {
             (Some(answer), answers) if answer >= answers => {
-                let problem = format!("must be below {answers}, the number of outputs of the network");
+                let problem =
+                    format!("must be below {answers}, the number of outputs of the network");
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (None, answers) if answers > 1 => {
-                let problem =
-                    format!("is missing: the network has {answers} outputs; choose the one that is the command");
+                let problem = format!(
+                    "is missing: the network has {answers} outputs; choose the one that is the command"
+                );
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (answer, _) => answer.unwrap_or_default(),
         };
         // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         mapping.output.answer = Some(answer);
-        let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
+        let refused =
+            |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
         network.answer_ranges(&mapping.limits()).map_err(refused)?;
         if let Some(saved) = file.saved_model() {
             space_check::check(&mapping, saved)?;
         }
-        let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
+        let written = serde_json::to_string(&mapping)
+            .map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
         let identity = sha256(format!("network {} {written}", file.sha256));
-        Ok(Self { file, mapping, identity, normalised: None, file_path: None })
+        Ok(Self {
+            file,
+            mapping,
+            identity,
+            normalised: None,
+            file_path: None,
+        })
     }
 
     /// Creates a controller with the mapping of crumple's own policies.
@@ -70,7 +88,8 @@ impl NetworkController {
         const ASK: &str = "write a controller file that describes its inputs and its output (docs/controllers.md)";
         let mapping = Mapping::native();
         let (inputs, outputs) = (file.network.inputs(), file.network.outputs());
-        let refused = |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
+        let refused =
+            |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
         if inputs != mapping.width() || outputs != 1 {
             return refused(format!(
                 "inputs: {inputs}, outputs: {outputs}; without a controller file crumple expects {} inputs and \
@@ -78,7 +97,9 @@ impl NetworkController {
                 mapping.width()
             ));
         }
-        if let Some((low, high)) = file.saved_model().and_then(|saved| saved.action_space.bounds(0))
+        if let Some((low, high)) = file
+            .saved_model()
+            .and_then(|saved| saved.action_space.bounds(0))
             && !(low >= -1.0 && high <= 1.0)
         {
             return refused(format!(
@@ -86,14 +107,29 @@ impl NetworkController {
             ));
         }
         let controller = Self::new(file, mapping)?;
-        match controller.file.network.answer_ranges(&controller.mapping.limits()) {
-            Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
-            _ => refused("its output is not limited to -1 to 1, for example by tanh or a clip".to_owned()),
+        match controller
+            .file
+            .network
+            .answer_ranges(&controller.mapping.limits())
+        {
+            Ok(ranges)
+                if ranges
+                    .iter()
+                    .all(|[low, high]| *low >= -1.0 && *high <= 1.0) =>
+            {
+                Ok(controller)
+            }
+            _ => refused(
+                "its output is not limited to -1 to 1, for example by tanh or a clip".to_owned(),
+            ),
         }
     }
 
     pub(crate) fn with_file_path(self, path: &Path) -> Self {
-        Self { file_path: Some(path.to_owned()), ..self }
+        Self {
+            file_path: Some(path.to_owned()),
+            ..self
+        }
     }
 
     pub(crate) fn file_path(&self) -> Option<&Path> {
@@ -111,7 +147,8 @@ impl NetworkController {
     /// Returns warnings about the mapping, from the spaces of the training if the network file contains them.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let undecided = |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
+        let undecided =
+            |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
         self.file.saved_model().map(undecided).unwrap_or_default()
     }
 
@@ -145,11 +182,23 @@ impl NetworkController {
         Box::new(NetworkDriver::new(Arc::clone(self), ego))
     }
 
-    fn accelerations_mps2(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
+    fn accelerations_mps2(
+        &self,
+        rows: &[f32],
+        batch: usize,
+        space: &mut Workspace,
+    ) -> impl Iterator<Item = f64> {
         let width = self.file.network.outputs();
         let answer = self.mapping.output.answer.unwrap_or_default();
-        let answers = self.file.network.forward(rows, batch, space).chunks_exact(width);
-        answers.map(move |row| self.mapping.acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN)))
+        let answers = self
+            .file
+            .network
+            .forward(rows, batch, space)
+            .chunks_exact(width);
+        answers.map(move |row| {
+            self.mapping
+                .acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN))
+        })
     }
 }
 
@@ -180,9 +229,18 @@ impl NetworkDriver {
     }
 
     fn push_inputs(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
-        let Self { controller, history, command_mps2, replaced_mps2, .. } = self;
+        let Self {
+            controller,
+            history,
+            command_mps2,
+            replaced_mps2,
+            ..
+        } = self;
         let last_mps2 = replaced_mps2.unwrap_or(*command_mps2);
-        let now = controller.mapping.input_values(seen, last_mps2).map(|value| value as f32);
+        let now = controller
+            .mapping
+            .input_values(seen, last_mps2)
+            .map(|value| value as f32);
         history.push(&controller.mapping, now, rows);
     }
 }
@@ -193,7 +251,11 @@ impl Controller for NetworkDriver {
             let mut rows = std::mem::take(&mut self.rows);
             rows.clear();
             self.push_inputs(seen, &mut rows);
-            let Self { controller, workspace: space, .. } = self;
+            let Self {
+                controller,
+                workspace: space,
+                ..
+            } = self;
             let answer_mps2 = controller.accelerations_mps2(&rows, 1, space).next();
             self.command_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
             self.rows = rows;
@@ -229,7 +291,9 @@ impl Controller for NetworkDriver {
             let (now, later) = rows.split_at(group.len() * controller.mapping.width());
             rows = later;
             for ((index, _), answer_mps2) in
-                group.iter().zip(controller.accelerations_mps2(now, group.len(), &mut space))
+                group
+                    .iter()
+                    .zip(controller.accelerations_mps2(now, group.len(), &mut space))
             {
                 all[*index].command_mps2 = answer_mps2;
             }

@@ -37,7 +37,12 @@ settings! {
 impl OpenpilotSettings {
     /// Returns v²/(2 b) + t_follow v + stop distance - v_lead²/(2 b), in metres.
     fn desired_distance_m(&self, speed_mps: f64, lead_mps: f64) -> f64 {
-        let Self { comfort_brake_mps2, stop_distance_m, follow_s, .. } = *self;
+        let Self {
+            comfort_brake_mps2,
+            stop_distance_m,
+            follow_s,
+            ..
+        } = *self;
         (speed_mps * speed_mps - lead_mps * lead_mps) / (2.0 * comfort_brake_mps2)
             + follow_s * speed_mps
             + stop_distance_m
@@ -61,7 +66,9 @@ impl BuiltIn for Openpilot {
     type Driver = Self;
 
     fn start(settings: &OpenpilotSettings, _ego: &Ego, _seed: u64) -> Self {
-        Self { settings: settings.clone() }
+        Self {
+            settings: settings.clone(),
+        }
     }
 }
 
@@ -80,11 +87,19 @@ impl Controller for Openpilot {
                 return settling_mps2;
             }
             // v²/(2 a) = gap + v_lead²/(2 b) - stop distance: stops where openpilot's equations want it to.
-            let obstacle_m = ahead.gap_m + ahead.speed_mps * ahead.speed_mps / (2.0 * limits.comfort_brake_mps2);
+            let obstacle_m =
+                ahead.gap_m + ahead.speed_mps * ahead.speed_mps / (2.0 * limits.comfort_brake_mps2);
             let room_m = (obstacle_m - limits.stop_distance_m).max(0.01);
-            if v > ahead.speed_mps { (-v * v / (2.0 * room_m)).min(settling_mps2) } else { settling_mps2.max(-1.0) }
+            if v > ahead.speed_mps {
+                (-v * v / (2.0 * room_m)).min(settling_mps2)
+            } else {
+                settling_mps2.max(-1.0)
+            }
         });
-        Ok(cruise.min(follow).max(-limits.max_brake_mps2).min(limits.max_accel_mps2))
+        Ok(cruise
+            .min(follow)
+            .max(-limits.max_brake_mps2)
+            .min(limits.max_accel_mps2))
     }
 }
 
@@ -109,9 +124,20 @@ mod tests {
         assert!((command(20.0, 100.0, 0.0) + 400.0 / 188.0).abs() < 1e-12);
         assert_eq!(command(20.0, 30.0, 0.0), -3.5, "at its limit");
         assert_eq!(command(20.0, 500.0, 20.0), 1.2, "follows without a limit");
-        assert_eq!(command(20.0, 500.0, 10.0), 0.0, "closes a gap at 2 m/s at most");
-        let settings = OpenpilotSettings { set_speed_mps: 20.5, ..settings };
+        assert_eq!(
+            command(20.0, 500.0, 10.0),
+            0.0,
+            "closes a gap at 2 m/s at most"
+        );
+        let settings = OpenpilotSettings {
+            set_speed_mps: 20.5,
+            ..settings
+        };
         let mut controller = Openpilot::start(&settings, &EGO, 0);
-        assert_eq!(command_behind(&mut controller, 20.0, 500.0, 20.0, 0.0), 0.5, "up to its set speed");
+        assert_eq!(
+            command_behind(&mut controller, 20.0, 500.0, 20.0, 0.0),
+            0.5,
+            "up to its set speed"
+        );
     }
 }

@@ -22,7 +22,13 @@ impl PolicyDriver {
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
         let (past, held, space) = Default::default();
-        Self { policy, decision_timer: interval, frame_stack: past, held_action: held, workspace: space }
+        Self {
+            policy,
+            decision_timer: interval,
+            frame_stack: past,
+            held_action: held,
+            workspace: space,
+        }
     }
 }
 
@@ -30,10 +36,15 @@ impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         if self.decision_timer.tick() {
             let last_answer_mps2 = self.held_action.last_answer_mps2();
-            let row = self.policy.observe(seen, last_answer_mps2, &mut self.frame_stack);
-            self.held_action.set(self.policy.choose(row, &mut self.workspace));
+            let row = self
+                .policy
+                .observe(seen, last_answer_mps2, &mut self.frame_stack);
+            self.held_action
+                .set(self.policy.choose(row, &mut self.workspace));
         }
-        Ok(self.held_action.acceleration_mps2(&self.policy.header().action))
+        Ok(self
+            .held_action
+            .acceleration_mps2(&self.policy.header().action))
     }
 
     fn record_command(&mut self, command_mps2: f64) {
@@ -52,7 +63,10 @@ impl Controller for PolicyDriver {
         for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
             if driver.decision_timer.tick() {
                 let last_answer_mps2 = driver.held_action.last_answer_mps2();
-                let row = driver.policy.observe(observation, last_answer_mps2, &mut driver.frame_stack);
+                let row =
+                    driver
+                        .policy
+                        .observe(observation, last_answer_mps2, &mut driver.frame_stack);
                 rows.extend_from_slice(row);
                 due.push((index, row.len(), Arc::clone(&driver.policy)));
             }
@@ -70,7 +84,9 @@ impl Controller for PolicyDriver {
             }
         }
         for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = driver.held_action.acceleration_mps2(&driver.policy.header().action);
+            *command_mps2 = driver
+                .held_action
+                .acceleration_mps2(&driver.policy.header().action);
         }
     }
 }

@@ -30,14 +30,19 @@ pub struct R157Simple {
 
 impl BuiltIn for R157Simple {
     const NAME: &'static str = "r157-simple";
-    const SUMMARY: &'static str = "reference driver of UN R157: brakes at 6 m/s² from 0.35 s after a danger occurs";
+    const SUMMARY: &'static str =
+        "reference driver of UN R157: brakes at 6 m/s² from 0.35 s after a danger occurs";
     const ROLE: Role = Role::Reference;
     type Settings = R157SimpleSettings;
     type Driver = Self;
 
     fn start(settings: &R157SimpleSettings, ego: &Ego, _seed: u64) -> Self {
         let delay_steps = whole_steps(settings.reaction_s, ego.step_s);
-        Self { settings: settings.clone(), delay_steps, reaction_timer: ReactionTimer::default() }
+        Self {
+            settings: settings.clone(),
+            delay_steps,
+            reaction_timer: ReactionTimer::default(),
+        }
     }
 }
 
@@ -45,11 +50,18 @@ impl R157Simple {
     /// True if the leader brakes, or is too near for delayed braking: gap - margin < Δv τ + Δv²/(2 b).
     #[inline]
     fn is_in_danger(&self, seen: &Observation) -> bool {
-        let R157SimpleSettings { reaction_s, brake_mps2, seen_brake_mps2, margin_m } = self.settings;
+        let R157SimpleSettings {
+            reaction_s,
+            brake_mps2,
+            seen_brake_mps2,
+            margin_m,
+        } = self.settings;
         seen.ahead.is_some_and(|ahead| {
             let closing_mps = (seen.speed_mps - ahead.speed_mps).max(0.0);
-            let needed_m = closing_mps * reaction_s + closing_mps * closing_mps / (2.0 * brake_mps2);
-            ahead.acceleration_mps2 < -seen_brake_mps2 || (closing_mps > 0.0 && ahead.gap_m - margin_m < needed_m)
+            let needed_m =
+                closing_mps * reaction_s + closing_mps * closing_mps / (2.0 * brake_mps2);
+            ahead.acceleration_mps2 < -seen_brake_mps2
+                || (closing_mps > 0.0 && ahead.gap_m - margin_m < needed_m)
         })
     }
 }
@@ -59,7 +71,11 @@ impl Controller for R157Simple {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let is_in_danger = self.is_in_danger(seen);
         let brakes = self.reaction_timer.tick(is_in_danger) >= Some(self.delay_steps);
-        Ok(if brakes { -self.settings.brake_mps2 } else { 0.0 })
+        Ok(if brakes {
+            -self.settings.brake_mps2
+        } else {
+            0.0
+        })
     }
 }
 
@@ -72,9 +88,14 @@ mod tests {
     fn stops_within_the_distance_of_its_closed_form() {
         for v in [3.0_f64, 14.0, 36.1] {
             let driver = R157Simple::start(&R157SimpleSettings::default(), &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, 90.0, 10.0, -2.0));
+            let found_m = stopping_distance_m(driver, v, |speed_mps| {
+                leader_observation(speed_mps, 90.0, 10.0, -2.0)
+            });
             let expected_m = v * 0.35 + v * v / 12.0;
-            assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+            assert!(
+                (found_m - expected_m).abs() < 1e-9,
+                "{v} m/s: {found_m} against {expected_m}"
+            );
         }
     }
 
@@ -95,7 +116,10 @@ mod tests {
                 };
                 speed_mps = next_mps;
             }
-            assert!((settings.margin_m - v * EGO.step_s..=settings.margin_m).contains(&gap_m), "{v} m/s: {gap_m}");
+            assert!(
+                (settings.margin_m - v * EGO.step_s..=settings.margin_m).contains(&gap_m),
+                "{v} m/s: {gap_m}"
+            );
         }
     }
 }

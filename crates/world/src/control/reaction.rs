@@ -32,13 +32,21 @@ pub(super) struct BrakeRamp {
 
 impl BrakeRamp {
     pub(super) fn new(from_mps2: f64, jerk_mps3: f64, step_s: f64) -> Self {
-        Self { now_mps2: from_mps2, jerk_mps3, step_s }
+        Self {
+            now_mps2: from_mps2,
+            jerk_mps3,
+            step_s,
+        }
     }
 
     /// Returns the mean braking over the next step towards the demanded one, in m/s², positive.
     #[inline]
     pub(super) fn step_towards(&mut self, asked_mps2: f64) -> f64 {
-        let Self { now_mps2, jerk_mps3, step_s } = *self;
+        let Self {
+            now_mps2,
+            jerk_mps3,
+            step_s,
+        } = *self;
         let rise_s = (asked_mps2 - now_mps2) / jerk_mps3;
         if rise_s <= 0.0 {
             self.now_mps2 = asked_mps2;
@@ -46,7 +54,11 @@ impl BrakeRamp {
         }
         let rising_s = rise_s.min(step_s);
         let risen_mps2 = jerk_mps3 * rising_s;
-        self.now_mps2 = if rise_s <= step_s { asked_mps2 } else { now_mps2 + risen_mps2 };
+        self.now_mps2 = if rise_s <= step_s {
+            asked_mps2
+        } else {
+            now_mps2 + risen_mps2
+        };
         ((now_mps2 + 0.5 * risen_mps2) * rising_s + asked_mps2 * (step_s - rising_s)) / step_s
     }
 }

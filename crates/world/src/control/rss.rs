@@ -24,7 +24,12 @@ impl RssSettings {
     /// Returns the safe distance behind a leader at `ahead_mps`, in metres (the paper's safe longitudinal distance, one
     /// direction): [v ρ + a ρ²/2 + (v + a ρ)²/(2 b) - v_f²/(2 b_f)]₊.
     pub(crate) fn safe_distance_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
-        let Self { response_s, accel_mps2, brake_mps2, ahead_brake_mps2 } = *self;
+        let Self {
+            response_s,
+            accel_mps2,
+            brake_mps2,
+            ahead_brake_mps2,
+        } = *self;
         let fastest_mps = speed_mps + accel_mps2 * response_s;
         let before_m = (speed_mps + 0.5 * accel_mps2 * response_s) * response_s;
         let braking_m = fastest_mps * fastest_mps / (2.0 * brake_mps2);
@@ -42,15 +47,18 @@ pub struct Rss {
 
 impl BuiltIn for Rss {
     const NAME: &'static str = "rss";
-    const SUMMARY: &'static str =
-        "Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017): brakes while nearer than the safe distance";
+    const SUMMARY: &'static str = "Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017): brakes while nearer than the safe distance";
     const ROLE: Role = Role::Reference;
     type Settings = RssSettings;
     type Driver = Self;
 
     fn start(settings: &RssSettings, ego: &Ego, _seed: u64) -> Self {
         let response_steps = whole_steps(settings.response_s, ego.step_s);
-        Self { settings: settings.clone(), response_steps, unsafe_for_steps: 0 }
+        Self {
+            settings: settings.clone(),
+            response_steps,
+            unsafe_for_steps: 0,
+        }
     }
 }
 
@@ -58,7 +66,10 @@ impl Controller for Rss {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let is_safe = |ahead: crate::observation::Neighbour| {
-            ahead.gap_m >= self.settings.safe_distance_m(seen.speed_mps, ahead.speed_mps)
+            ahead.gap_m
+                >= self
+                    .settings
+                    .safe_distance_m(seen.speed_mps, ahead.speed_mps)
         };
         if seen.ahead.is_none_or(is_safe) {
             self.unsafe_for_steps = 0;
@@ -66,7 +77,11 @@ impl Controller for Rss {
         }
         let responds = self.unsafe_for_steps >= self.response_steps;
         self.unsafe_for_steps = self.unsafe_for_steps.saturating_add(1);
-        Ok(if responds { -self.settings.brake_mps2 } else { 0.0 })
+        Ok(if responds {
+            -self.settings.brake_mps2
+        } else {
+            0.0
+        })
     }
 }
 
@@ -79,9 +94,14 @@ mod tests {
     fn stops_within_the_distance_of_its_closed_form() {
         for v in [3.0_f64, 14.0, 36.1] {
             let driver = Rss::start(&RssSettings::default(), &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, -1.0, 0.0, 0.0));
+            let found_m = stopping_distance_m(driver, v, |speed_mps| {
+                leader_observation(speed_mps, -1.0, 0.0, 0.0)
+            });
             let expected_m = v * 0.75 + v * v / 12.0;
-            assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+            assert!(
+                (found_m - expected_m).abs() < 1e-9,
+                "{v} m/s: {found_m} against {expected_m}"
+            );
         }
     }
 

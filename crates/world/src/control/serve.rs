@@ -59,7 +59,8 @@ fn serve_lines(
         let answer = if let Some(hello) = query.get_mut("hello") {
             (vehicle, step_s) = (hello["vehicle"].take(), hello["step_s"].take());
             names = serde_json::from_value(hello["inputs"].take()).map_err(|_| wrong())?;
-            let hello = json!({"crumple": 1, "name": name, "deterministic": true, "inputs": names.len()});
+            let hello =
+                json!({"crumple": 1, "name": name, "deterministic": true, "inputs": names.len()});
             with_interval(hello, source.interval_s())
         } else if let Some(seed) = query["reset"]["seed"].as_u64() {
             let number = |field: &str| vehicle[field].as_f64().ok_or_else(wrong);
@@ -93,7 +94,10 @@ fn with_interval(mut hello: Value, interval_s: Option<f64>) -> Value {
 
 /// Returns the observation of the default inputs; `None` if one is missing.
 fn observation(names: &[String], see: &[f64]) -> Option<Observation> {
-    let quantity = |name: &str| see.get(names.iter().position(|known| known == name)?).copied();
+    let quantity = |name: &str| {
+        see.get(names.iter().position(|known| known == name)?)
+            .copied()
+    };
     let speed_mps = quantity("speed_mps")?;
     let neighbour = |side: &str| {
         Some(Neighbour {
@@ -102,12 +106,21 @@ fn observation(names: &[String], see: &[f64]) -> Option<Observation> {
             acceleration_mps2: quantity(&format!("acceleration_{side}_mps2"))?,
         })
     };
-    let [ahead, behind] = ["ahead", "behind"].map(|side| (quantity(&format!("is_{side}")), neighbour(side)));
+    let [ahead, behind] =
+        ["ahead", "behind"].map(|side| (quantity(&format!("is_{side}")), neighbour(side)));
     Some(Observation {
         speed_mps,
         acceleration_mps2: quantity("acceleration_mps2")?,
-        ahead: if ahead.0? == 0.0 { None } else { Some(ahead.1?) },
-        behind: if behind.0? == 0.0 { None } else { Some(behind.1?) },
+        ahead: if ahead.0? == 0.0 {
+            None
+        } else {
+            Some(ahead.1?)
+        },
+        behind: if behind.0? == 0.0 {
+            None
+        } else {
+            Some(behind.1?)
+        },
     })
 }
 
@@ -127,11 +140,16 @@ mod tests {
             ahead + 100.0 * seen.behind.map_or(-1.0, |behind| behind.gap_m)
         });
         let hello = HELLO.replace('\n', "");
-        let lines: String =
-            std::iter::once(&*hello).chain(queries.iter().copied()).map(|line| format!("{line}\n")).collect();
+        let lines: String = std::iter::once(&*hello)
+            .chain(queries.iter().copied())
+            .map(|line| format!("{line}\n"))
+            .collect();
         let mut text = Vec::new();
         serve_lines("mine", &*controller, lines.as_bytes(), &mut text)?;
-        Ok(String::from_utf8_lossy(&text).lines().map(str::to_owned).collect())
+        Ok(String::from_utf8_lossy(&text)
+            .lines()
+            .map(str::to_owned)
+            .collect())
     }
 
     #[test]
@@ -140,15 +158,33 @@ mod tests {
         let both = r#"{"id":8,"time_s":0.0,"see":[20.0,-2.0,0.0,12.0,0.0,9.0,1.0,0.0,1.0,1.0]}"#;
         let alone = r#"{"id":9,"time_s":0.1,"see":[80.0,0.0,0.0,12.0,0.0,80.0,0.0,0.0,0.0,0.0]}"#;
         let answered = answers(&[reset, both, alone]).unwrap();
-        assert!(answered[0].contains(r#""name":"mine""#) && answered[1].contains(r#""ready":true"#), "{answered:?}");
-        assert!(answered[2].contains(r#""acceleration_mps2":910.0"#), "{answered:?}");
         assert!(
-            answered[3].contains(r#""acceleration_mps2":-101.0"#) && answered[3].contains(r#""id":9"#),
+            answered[0].contains(r#""name":"mine""#) && answered[1].contains(r#""ready":true"#),
             "{answered:?}"
         );
-        for wrong in ["", "{}", r#"{"id":1,"reset":{}}"#, r#"{"id":1,"time_s":0,"see":[1.0]}"#] {
-            assert!(matches!(answers(&[reset, wrong]), Err(ServingError::Message(_))), "{wrong}");
+        assert!(
+            answered[2].contains(r#""acceleration_mps2":910.0"#),
+            "{answered:?}"
+        );
+        assert!(
+            answered[3].contains(r#""acceleration_mps2":-101.0"#)
+                && answered[3].contains(r#""id":9"#),
+            "{answered:?}"
+        );
+        for wrong in [
+            "",
+            "{}",
+            r#"{"id":1,"reset":{}}"#,
+            r#"{"id":1,"time_s":0,"see":[1.0]}"#,
+        ] {
+            assert!(
+                matches!(answers(&[reset, wrong]), Err(ServingError::Message(_))),
+                "{wrong}"
+            );
         }
-        assert!(matches!(answers(&[both]), Err(ServingError::Message(_))), "before a reset");
+        assert!(
+            matches!(answers(&[both]), Err(ServingError::Message(_))),
+            "before a reset"
+        );
     }
 }

@@ -26,7 +26,11 @@ pub(super) fn max_accel_mps2(set_speed_mps: f64, gain_per_s: f64, seen: &Observa
     }
     let Some(ahead) = seen.ahead else { return 0.0 };
     let closes_gap_mps2 = gain_per_s * (ahead.speed_mps + CATCH_UP_MPS - seen.speed_mps);
-    if closes_gap_mps2 > 0.0 { closes_gap_mps2 } else { 0.0 }
+    if closes_gap_mps2 > 0.0 {
+        closes_gap_mps2
+    } else {
+        0.0
+    }
 }
 
 #[cfg(test)]
@@ -36,7 +40,8 @@ mod tests {
     use crate::control::ControllerSpec;
     use crate::observation::EstimatorKind;
     use crate::scenario::{
-        Driver, LeadProfile, PiecewiseAcceleration, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+        Driver, LeadProfile, PiecewiseAcceleration, RecordedSpeeds, Scenario, ScenarioSpec,
+        VehicleClass, VehicleSpec,
     };
     use crate::sim::{RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate};
 
@@ -51,11 +56,21 @@ mod tests {
         let driver = Driver::Profile(leader.clone());
         let ahead = VehicleSpec::new(VehicleClass::Light, 0.0, leader_mps, driver);
         let rear_m = -ahead.length_m() - gap_m;
-        let vehicles = vec![ahead, VehicleSpec::new(VehicleClass::Light, rear_m, own_mps, Driver::UnderTest)];
-        let scenario = Scenario::new(ScenarioSpec::new("drive".to_owned(), seconds, vehicles)).unwrap();
+        let vehicles = vec![
+            ahead,
+            VehicleSpec::new(VehicleClass::Light, rear_m, own_mps, Driver::UnderTest),
+        ];
+        let scenario =
+            Scenario::new(ScenarioSpec::new("drive".to_owned(), seconds, vehicles)).unwrap();
         ["acc-aeb", "openpilot"].map(|name| {
-            let spec = ControllerSpec::parse(&format!("{name}{settings}")).unwrap().unwrap();
-            let run = Run::new(&scenario, RunOptions::new(spec).with_estimator(EstimatorKind::Truth)).unwrap();
+            let spec = ControllerSpec::parse(&format!("{name}{settings}"))
+                .unwrap()
+                .unwrap();
+            let run = Run::new(
+                &scenario,
+                RunOptions::new(spec).with_estimator(EstimatorKind::Truth),
+            )
+            .unwrap();
             let mut result = simulate(&run, RecordingLevel::Trace);
             let trace = result.trace.take().unwrap();
             assert!(result.outcome.is_safe(), "{name}: {:?}", result.outcome);
@@ -70,30 +85,73 @@ mod tests {
     #[test]
     fn the_limit_is_that_of_the_set_speed_or_of_the_leader() {
         let behind = |speed_mps, ahead_mps| leader_observation(speed_mps, 50.0, ahead_mps, 0.0);
-        let alone = Observation { ahead: None, ..behind(20.0, 0.0) };
+        let alone = Observation {
+            ahead: None,
+            ..behind(20.0, 0.0)
+        };
         assert_eq!(max_accel_mps2(25.0, 0.5, &alone), 2.5);
         assert_eq!(max_accel_mps2(15.0, 0.5, &behind(20.0, 30.0)), -2.5);
-        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &alone), 0.0, "holds its speed on an empty road");
-        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(20.0, 20.0)), 1.0);
-        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(25.0, 20.0)), 0.0);
-        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(40.0, 20.0)), 0.0, "does not brake");
+        assert_eq!(
+            max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &alone),
+            0.0,
+            "holds its speed on an empty road"
+        );
+        assert_eq!(
+            max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(20.0, 20.0)),
+            1.0
+        );
+        assert_eq!(
+            max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(25.0, 20.0)),
+            0.0
+        );
+        assert_eq!(
+            max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(40.0, 20.0)),
+            0.0,
+            "does not brake"
+        );
     }
 
     /// From a standing start, and behind a leader that becomes faster.
     #[test]
     fn both_controllers_follow_a_leader_that_accelerates() {
-        let green = RecordedSpeeds { time_s: vec![0.0, 10.0, 30.0], speed_mps: vec![0.0, 15.0, 15.0] };
-        for (_, trace) in drive(5.5, [0.0, 0.0], &LeadProfile::Recorded(green.clone()), 30.0, "") {
+        let green = RecordedSpeeds {
+            time_s: vec![0.0, 10.0, 30.0],
+            speed_mps: vec![0.0, 15.0, 15.0],
+        };
+        for (_, trace) in drive(
+            5.5,
+            [0.0, 0.0],
+            &LeadProfile::Recorded(green.clone()),
+            30.0,
+            "",
+        ) {
             let ego = &trace.vehicles[1];
             let moved_m = last(&ego.position_m) - ego.position_m[0];
             assert!(moved_m > 330.0, "{moved_m}");
-            assert!((last(&ego.speed_mps) - 15.0).abs() < 1.5, "{}", last(&ego.speed_mps));
+            assert!(
+                (last(&ego.speed_mps) - 15.0).abs() < 1.5,
+                "{}",
+                last(&ego.speed_mps)
+            );
         }
-        for (_, trace) in drive(5.5, [0.0, 0.0], &LeadProfile::Recorded(green), 30.0, ",set_speed_mps=8") {
-            let fastest_mps = trace.vehicles[1].speed_mps.iter().copied().fold(0.0, f64::max);
+        for (_, trace) in drive(
+            5.5,
+            [0.0, 0.0],
+            &LeadProfile::Recorded(green),
+            30.0,
+            ",set_speed_mps=8",
+        ) {
+            let fastest_mps = trace.vehicles[1]
+                .speed_mps
+                .iter()
+                .copied()
+                .fold(0.0, f64::max);
             assert!((7.5..=8.0).contains(&fastest_mps), "{fastest_mps}");
         }
-        let pieces = PiecewiseAcceleration { from_s: vec![5.0, 20.0], accel_mps2: vec![1.0, 0.0] };
+        let pieces = PiecewiseAcceleration {
+            from_s: vec![5.0, 20.0],
+            accel_mps2: vec![1.0, 0.0],
+        };
         for (_, trace) in drive(40.0, [15.0, 15.0], &LeadProfile::Pieces(pieces), 80.0, "") {
             assert!((last(&trace.vehicles[1].speed_mps) - 30.0).abs() < 0.1);
             assert!(trace.gaps_m(1).last().unwrap().unwrap() < 52.0);
@@ -105,15 +163,28 @@ mod tests {
     fn a_gap_without_limit_closes_without_hard_braking() {
         for gap_m in [50.0, 200.0, 1000.0] {
             let seconds = 60.0 + gap_m;
-            for (result, trace) in drive(gap_m, [25.0, 25.0], &LeadProfile::ConstantSpeed, seconds, "") {
-                assert!(result.vehicles[1].max_brake_mps2 < 2.5, "{gap_m}: {}", result.vehicles[1].max_brake_mps2);
+            for (result, trace) in drive(
+                gap_m,
+                [25.0, 25.0],
+                &LeadProfile::ConstantSpeed,
+                seconds,
+                "",
+            ) {
+                assert!(
+                    result.vehicles[1].max_brake_mps2 < 2.5,
+                    "{gap_m}: {}",
+                    result.vehicles[1].max_brake_mps2
+                );
                 let final_m = trace.gaps_m(1).last().unwrap().unwrap();
                 assert!((20.0..45.0).contains(&final_m), "{gap_m}: {final_m}");
             }
         }
         for (_, trace) in drive(500.0, [25.0, 0.0], &LeadProfile::ConstantSpeed, 60.0, "") {
             let ego = &trace.vehicles[1];
-            assert!(ego.speed_mps.iter().all(|&speed_mps| speed_mps <= 25.0) && last(&ego.speed_mps) < 0.1);
+            assert!(
+                ego.speed_mps.iter().all(|&speed_mps| speed_mps <= 25.0)
+                    && last(&ego.speed_mps) < 0.1
+            );
         }
     }
 }

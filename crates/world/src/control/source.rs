@@ -27,7 +27,9 @@ pub enum ControllerFailure {
     #[error("it answered with a number that is not finite")]
     NotFinite,
     /// The answer is outside the range that the controller declares.
-    #[error("it answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²")]
+    #[error(
+        "it answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²"
+    )]
     OutOfRange {
         /// The answer, in m/s².
         answer_mps2: f64,
@@ -130,7 +132,11 @@ pub trait BatchController: Send + Sync {
     ///
     /// # Errors
     /// [`ControllerFailure`] if there are no answers; each controller is then queried by itself.
-    fn decide_batch(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure>;
+    fn decide_batch(
+        &self,
+        seen: &[Observation],
+        answers_mps2: &mut [f64],
+    ) -> Result<(), ControllerFailure>;
 }
 
 /// Zero-order hold around an external controller; a non-finite answer is a failure.
@@ -144,14 +150,27 @@ pub(crate) struct ZeroOrderHold {
 
 impl ZeroOrderHold {
     /// Creates a hold with decisions every `interval_s` seconds from the first step on, or at every step.
-    pub(crate) fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
+    pub(crate) fn new(
+        controller: Box<dyn Controller>,
+        interval_s: Option<f64>,
+        step_s: f64,
+    ) -> Self {
         let interval = DecisionTimer::new(interval_s, step_s);
-        Self { controller, batch_source: None, decision_timer: interval, observation: None, command_mps2: 0.0 }
+        Self {
+            controller,
+            batch_source: None,
+            decision_timer: interval,
+            observation: None,
+            command_mps2: 0.0,
+        }
     }
 
     /// Batches queries with others of `source` if it [supports batches](ControllerSource::batch_controller).
     pub(crate) fn with_batching(mut self, source: &Arc<dyn ControllerSource>) -> Self {
-        self.batch_source = source.batch_controller().is_some().then(|| Arc::clone(source));
+        self.batch_source = source
+            .batch_controller()
+            .is_some()
+            .then(|| Arc::clone(source));
         self
     }
 }
@@ -163,7 +182,9 @@ impl BatchQuery for ZeroOrderHold {
     }
 
     fn query(&mut self) -> Result<(), ControllerFailure> {
-        let Some(seen) = self.observation else { return Ok(()) };
+        let Some(seen) = self.observation else {
+            return Ok(());
+        };
         let answer_mps2 = self.controller.decide(&seen)?;
         self.set_command(answer_mps2)
     }
@@ -177,15 +198,25 @@ impl BatchQuery for ZeroOrderHold {
 
     fn query_batch(all: &[&Self]) -> Option<Vec<f64>> {
         let batch = all.first()?.batch_source.as_ref()?.batch_controller()?;
-        let seen = all.iter().map(|one| one.observation).collect::<Option<Vec<_>>>()?;
+        let seen = all
+            .iter()
+            .map(|one| one.observation)
+            .collect::<Option<Vec<_>>>()?;
         let mut query_batch = vec![0.0; seen.len()];
         batch.decide_batch(&seen, &mut query_batch).ok()?;
-        query_batch.iter().all(|answer_mps2| answer_mps2.is_finite()).then_some(query_batch)
+        query_batch
+            .iter()
+            .all(|answer_mps2| answer_mps2.is_finite())
+            .then_some(query_batch)
     }
 
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
         self.command_mps2 = answer_mps2;
-        if answer_mps2.is_finite() { Ok(()) } else { Err(ControllerFailure::NotFinite) }
+        if answer_mps2.is_finite() {
+            Ok(())
+        } else {
+            Err(ControllerFailure::NotFinite)
+        }
     }
 
     fn command_mps2(&self) -> f64 {
@@ -234,9 +265,13 @@ mod tests {
         let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
         let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
-        assert_eq!(answers, [Ok(1.0), Ok(1.0), Ok(1.0), Ok(2.0), Ok(2.0), Ok(2.0), failed]);
+        assert_eq!(
+            answers,
+            [Ok(1.0), Ok(1.0), Ok(1.0), Ok(2.0), Ok(2.0), Ok(2.0), failed]
+        );
         let mut at_every_step = ZeroOrderHold::new(Box::new(CountingController(0.0)), None, 0.01);
-        let answers = [0; 2].map(|_| at_every_step.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
+        let answers =
+            [0; 2].map(|_| at_every_step.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
     }
 
@@ -248,7 +283,9 @@ mod tests {
     impl MinGapController {
         fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
             let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.min_gap_m);
-            let ahead = ahead.ok_or(ControllerFailure::Died { message: "too close".to_owned() })?;
+            let ahead = ahead.ok_or(ControllerFailure::Died {
+                message: "too close".to_owned(),
+            })?;
             Ok(ahead.speed_mps - seen.speed_mps)
         }
     }
@@ -258,12 +295,19 @@ mod tests {
         }
     }
     impl BatchController for MinGapController {
-        fn decide_batch(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+        fn decide_batch(
+            &self,
+            seen: &[Observation],
+            answers_mps2: &mut [f64],
+        ) -> Result<(), ControllerFailure> {
             self.max_batch_size.fetch_max(seen.len(), Ordering::Relaxed);
-            answers_mps2.iter_mut().zip(seen).try_for_each(|(answer_mps2, seen)| {
-                *answer_mps2 = self.answer_mps2(seen)?;
-                Ok(())
-            })
+            answers_mps2
+                .iter_mut()
+                .zip(seen)
+                .try_for_each(|(answer_mps2, seen)| {
+                    *answer_mps2 = self.answer_mps2(seen)?;
+                    Ok(())
+                })
         }
     }
     impl ControllerSource for MinGapController {
@@ -283,19 +327,33 @@ mod tests {
 
     #[test]
     fn runs_that_share_questions_end_as_they_would_alone() {
-        let draws: Vec<_> = (0..60).map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap()).collect();
+        let draws: Vec<_> = (0..60)
+            .map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap())
+            .collect();
         let most_together = Arc::new(AtomicUsize::new(0));
         let sources = [0.0, 12.0].map(|least_gap_m| {
-            Arc::new(MinGapController { min_gap_m: least_gap_m, max_batch_size: most_together.clone() })
+            Arc::new(MinGapController {
+                min_gap_m: least_gap_m,
+                max_batch_size: most_together.clone(),
+            })
         });
         let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
-        let runs: Vec<_> = (0..60).map(|index| Run::new(&draws[index], options(index)).unwrap()).collect();
-        let two_threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
-        let together = two_threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated));
+        let runs: Vec<_> = (0..60)
+            .map(|index| Run::new(&draws[index], options(index)).unwrap())
+            .collect();
+        let two_threads = rayon::ThreadPoolBuilder::new()
+            .num_threads(2)
+            .build()
+            .unwrap();
+        let together = two_threads
+            .install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated));
         for (run, together) in runs.iter().zip(&together) {
             assert_eq!(simulate(run, RecordingLevel::Summary), *together);
         }
-        let failed = together.iter().filter(|simulated| simulated.outcome.failed_controller().is_some()).count();
+        let failed = together
+            .iter()
+            .filter(|simulated| simulated.outcome.failed_controller().is_some())
+            .count();
         assert!((1..=30).contains(&failed), "{failed}");
         assert!(most_together.load(Ordering::Relaxed) >= 5);
     }

@@ -27,7 +27,9 @@ where
     Arc::new(StatelessController(decide))
 }
 
-impl<F: Fn(&Observation) -> f64 + Clone + Send + Sync + 'static> ControllerSource for StatelessController<F> {
+impl<F: Fn(&Observation) -> f64 + Clone + Send + Sync + 'static> ControllerSource
+    for StatelessController<F>
+{
     fn identity(&self) -> Option<String> {
         None
     }

@@ -20,7 +20,9 @@ impl BuiltIn for FullThrottle {
     type Driver = Self;
 
     fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { accel_mps2: ego.max_accel_mps2 }
+        Self {
+            accel_mps2: ego.max_accel_mps2,
+        }
     }
 }
 
@@ -45,12 +47,17 @@ impl BuiltIn for RandomActions {
     type Driver = Self;
 
     fn start(_settings: &NoSettings, ego: &Ego, seed: u64) -> Self {
-        Self { ego: *ego, stream: random::stream(seed, Purpose::RandomActions, ego.vehicle as u64) }
+        Self {
+            ego: *ego,
+            stream: random::stream(seed, Purpose::RandomActions, ego.vehicle as u64),
+        }
     }
 }
 
 impl Controller for RandomActions {
     fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.stream.random_range(-self.ego.max_brake_mps2..=self.ego.max_accel_mps2))
+        Ok(self
+            .stream
+            .random_range(-self.ego.max_brake_mps2..=self.ego.max_accel_mps2))
     }
 }

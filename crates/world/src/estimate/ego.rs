@@ -36,12 +36,19 @@ impl EgoTuning {
         let worst = |tuning: &Tuning, span_mps2: f64| {
             let [distance, rate, _] = tuning.steady_deviations();
             let [distance_s2, rate_s] = tuning.manoeuvre_errors();
-            [0.5 * span_mps2 * distance_s2 + deviations * distance, 0.5 * span_mps2 * rate_s + deviations * rate]
+            [
+                0.5 * span_mps2 * distance_s2 + deviations * distance,
+                0.5 * span_mps2 * rate_s + deviations * rate,
+            ]
         };
         let [_, speed_mps] = worst(&self.position, 0.0);
         let [gap_m, rate_mps] = worst(&self.gap, ahead_mps2);
         let stop_mps = (own_mps2 + ahead_mps2) * self.gap.step_s();
-        [gap_m + stop_mps * self.gap.step_s(), speed_mps + stop_mps, speed_mps + rate_mps + 2.0 * stop_mps]
+        [
+            gap_m + stop_mps * self.gap.step_s(),
+            speed_mps + stop_mps,
+            speed_mps + rate_mps + 2.0 * stop_mps,
+        ]
     }
 
     /// Returns the constants of the filter of the own position.
@@ -91,7 +98,13 @@ impl EgoEstimator {
     /// Creates the sensors and filters of vehicle `vehicle` at the start of the scenario, whose state is `truth`. The
     /// filters are in steady state, as after a drive at constant speed.
     #[must_use]
-    pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
+    pub fn new(
+        seed: u64,
+        vehicle: usize,
+        sensors: &Sensors,
+        tuning: &Arc<EgoTuning>,
+        truth: &TrueState,
+    ) -> Self {
         Self::with_noise_shares(seed, &[], vehicle, sensors, tuning, truth)
     }
 
@@ -105,14 +118,25 @@ impl EgoEstimator {
         truth: &TrueState,
     ) -> Self {
         let own = &truth.observation;
-        let mut first = NoiseStream::from_shares(seed, shares, Purpose::InitialEstimate, vehicle as u64);
-        let position = steady_filter(&mut first, &tuning.position, truth.position_m, own.speed_mps);
-        let sensor = |purpose, noise_m| Sensor::with_noise_shares(seed, shares, purpose, vehicle, noise_m, sensors);
+        let mut first =
+            NoiseStream::from_shares(seed, shares, Purpose::InitialEstimate, vehicle as u64);
+        let position = steady_filter(
+            &mut first,
+            &tuning.position,
+            truth.position_m,
+            own.speed_mps,
+        );
+        let sensor = |purpose, noise_m| {
+            Sensor::with_noise_shares(seed, shares, purpose, vehicle, noise_m, sensors)
+        };
         let mut estimator = Self {
             tuning: Arc::clone(tuning),
             initial_errors: first,
             accelerometer: Accelerometer::new(own.speed_mps),
-            position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
+            position: (
+                sensor(Purpose::PositionSensor, sensors.position_noise_m),
+                position,
+            ),
             ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
             behind: (sensor(Purpose::GapBehindSensor, sensors.gap_noise_m), None),
             faults: GapFaults::new(seed, vehicle, sensors, tuning.position.step_s()),
@@ -129,7 +153,10 @@ impl EgoEstimator {
         match &mut self.faults {
             None => self.start_filters(truth, changed),
             Some(faults) => {
-                let sides = faults.iter_mut().zip(changed).filter(|(_, changed)| *changed);
+                let sides = faults
+                    .iter_mut()
+                    .zip(changed)
+                    .filter(|(_, changed)| *changed);
                 sides.for_each(|(faults, _)| faults.switch_neighbour());
             }
         }
@@ -137,8 +164,15 @@ impl EgoEstimator {
 
     fn start_filters(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
-        let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
-        for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
+        let sides = [
+            (&mut self.ahead, own.ahead, 1.0),
+            (&mut self.behind, own.behind, -1.0),
+        ];
+        for (((_, filter), neighbour, sign), _) in sides
+            .into_iter()
+            .zip(changed)
+            .filter(|(_, changed)| *changed)
+        {
             *filter = neighbour.map(|other| {
                 steady_filter(
                     &mut self.initial_errors,
@@ -153,7 +187,11 @@ impl EgoEstimator {
     /// Measures the true state of this step and returns the estimated observation.
     #[inline]
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
-        if self.faults.is_some() { self.observe_with_faults(truth) } else { self.estimate(truth) }
+        if self.faults.is_some() {
+            self.observe_with_faults(truth)
+        } else {
+            self.estimate(truth)
+        }
     }
 
     /// Replaces the true neighbours by the targets that the faulty sensors report, and estimates their state.
@@ -181,7 +219,13 @@ impl EgoEstimator {
             true_observation.acceleration_mps2,
         );
         let (sensor, filter) = &mut self.position;
-        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&change, 1.0), None);
+        let own = measure(
+            (sensor, filter),
+            &tuning.position,
+            truth.position_m,
+            (&change, 1.0),
+            None,
+        );
         let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
@@ -191,12 +235,26 @@ impl EgoEstimator {
             Some([ahead, behind]) => [Some(ahead), Some(behind)],
             None => [None; 2],
         };
-        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign, faults| {
+        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>),
+                            other: Option<Neighbour>,
+                            sign,
+                            faults| {
             let (filter, other) = filter.as_mut().zip(other)?;
-            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&change, sign), faults))
+            Some(measure(
+                (sensor, filter),
+                &tuning.gap,
+                other.gap_m,
+                (&change, sign),
+                faults,
+            ))
         };
         let ahead = estimate_gap(&mut self.ahead, true_observation.ahead, -1.0, ahead_faults);
-        let behind = estimate_gap(&mut self.behind, true_observation.behind, 1.0, behind_faults);
+        let behind = estimate_gap(
+            &mut self.behind,
+            true_observation.behind,
+            1.0,
+            behind_faults,
+        );
         Observation {
             speed_mps: own.rate_mps.max(0.0),
             acceleration_mps2: own.acceleration_mps2,
@@ -207,7 +265,12 @@ impl EgoEstimator {
 }
 
 /// Creates a filter in steady state with a random initial error.
-fn steady_filter(errors: &mut NoiseStream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
+fn steady_filter(
+    errors: &mut NoiseStream,
+    tuning: &Tuning,
+    distance_m: f64,
+    rate_mps: f64,
+) -> Filter {
     let normals = [0; 3].map(|_| errors.normal());
     Filter::new_steady(tuning, distance_m, rate_mps, normals)
 }

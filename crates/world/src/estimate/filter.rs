@@ -121,13 +121,19 @@ impl Tuning {
 
 /// Solves the discrete Riccati equation for the steady covariance before a measurement. Each iteration of the
 /// structure-preserving doubling algorithm (Chu, Fan, Lin and Wang, Int. J. Control 77(8), 2004) doubles the horizon.
-fn steady_covariance(transition: &Matrix3<f64>, process: &Matrix3<f64>, measurement_variance: f64) -> Matrix3<f64> {
+fn steady_covariance(
+    transition: &Matrix3<f64>,
+    process: &Matrix3<f64>,
+    measurement_variance: f64,
+) -> Matrix3<f64> {
     let mut a = transition.transpose();
     let mut g = Matrix3::zeros();
     g[(0, 0)] = measurement_variance.recip();
     let mut h = *process;
     for _ in 0..DOUBLINGS {
-        let Some(inverse) = (Matrix3::identity() + g * h).try_inverse() else { break };
+        let Some(inverse) = (Matrix3::identity() + g * h).try_inverse() else {
+            break;
+        };
         let (next_a, next_g) = (a * inverse * a, g + a * inverse * g * a.transpose());
         let next_h = h + a.transpose() * h * inverse * a;
         let settled = next_h == h;
@@ -199,13 +205,19 @@ impl Filter {
             rate_mps: rate_mps + error.y,
             acceleration_mps2: error.z,
         };
-        Self { prediction: predicted, covariance: None }
+        Self {
+            prediction: predicted,
+            covariance: None,
+        }
     }
 
     /// Compares a measurement with its prediction.
     #[must_use]
     pub fn innovation(&self, tuning: &Tuning, measured_m: f64) -> Innovation {
-        let covariance = self.covariance.as_ref().unwrap_or(&tuning.steady_covariance);
+        let covariance = self
+            .covariance
+            .as_ref()
+            .unwrap_or(&tuning.steady_covariance);
         Innovation {
             residual_m: measured_m - self.prediction.distance_m,
             variance_m2: covariance[(0, 0)] + tuning.measurement_variance,
@@ -230,7 +242,11 @@ impl Filter {
         sign: f64,
         measured_m: Option<f64>,
     ) -> DistanceEstimate {
-        self.update_prediction(tuning, self.prediction.changed(tuning, change, sign), measured_m)
+        self.update_prediction(
+            tuning,
+            self.prediction.changed(tuning, change, sign),
+            measured_m,
+        )
     }
 
     /// Applies this step's measurement, unless it was lost, and predicts the next step.
@@ -263,7 +279,8 @@ impl Filter {
         }
         let h = tuning.step_s;
         self.prediction = DistanceEstimate {
-            distance_m: estimate.distance_m + h * (estimate.rate_mps + 0.5 * h * estimate.acceleration_mps2),
+            distance_m: estimate.distance_m
+                + h * (estimate.rate_mps + 0.5 * h * estimate.acceleration_mps2),
             rate_mps: estimate.rate_mps + h * estimate.acceleration_mps2,
             acceleration_mps2: estimate.acceleration_mps2,
         };
@@ -273,7 +290,11 @@ impl Filter {
     #[cold]
     fn update_covariance(&mut self, tuning: &Tuning, measured: bool) {
         let covariance = self.covariance.unwrap_or(tuning.steady_covariance);
-        let covariance = if measured { tuning.correct_covariance(&covariance) } else { covariance };
+        let covariance = if measured {
+            tuning.correct_covariance(&covariance)
+        } else {
+            covariance
+        };
         self.covariance = Some(tuning.predict_covariance(&covariance));
     }
 }

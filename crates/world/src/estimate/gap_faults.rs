@@ -39,10 +39,18 @@ enum Target {
 
 impl GapFaults {
     /// Creates the faults of the sensors ahead and behind; `None` without faults. Only the sensor ahead reports ghosts.
-    pub(super) fn new(seed: u64, vehicle: usize, sensors: &Sensors, step_s: f64) -> Option<Box<[Self; 2]>> {
+    pub(super) fn new(
+        seed: u64,
+        vehicle: usize,
+        sensors: &Sensors,
+        step_s: f64,
+    ) -> Option<Box<[Self; 2]>> {
         let faults = &sensors.faults;
         let steps = |time_s: f64| (time_s / step_s).round() as usize;
-        let sides = [(Purpose::GapAheadOutage, faults.ghost), (Purpose::GapBehindOutage, None)];
+        let sides = [
+            (Purpose::GapAheadOutage, faults.ghost),
+            (Purpose::GapBehindOutage, None),
+        ];
         let one = |(purpose, ghost): (Purpose, Option<GhostObject>)| Self {
             step_s,
             bias_m: faults.gap_bias_m,
@@ -60,7 +68,11 @@ impl GapFaults {
                 position_m: 0.0,
                 object: ghost,
             }),
-            outages: Outages::new(random::stream(seed, purpose, vehicle as u64), faults, step_s),
+            outages: Outages::new(
+                random::stream(seed, purpose, vehicle as u64),
+                faults,
+                step_s,
+            ),
         };
         faults.is_any().then(|| Box::new(sides.map(one)))
     }
@@ -73,16 +85,26 @@ impl GapFaults {
 
     /// Replaces the true neighbour by the target that the sensor reports, with its delayed and biased gap. `sign` is 1
     /// ahead and -1 behind. Returns true if the filter must start anew.
-    pub(super) fn sense(&mut self, own: &TrueState, neighbour: &mut Option<Neighbour>, sign: f64) -> bool {
+    pub(super) fn sense(
+        &mut self,
+        own: &TrueState,
+        neighbour: &mut Option<Neighbour>,
+        sign: f64,
+    ) -> bool {
         if let Some(outages) = &mut self.outages {
             outages.advance();
         }
-        let ghost = self.ghost.as_mut().and_then(|ghost| ghost.advance(own.position_m, self.step_s));
+        let ghost = self
+            .ghost
+            .as_mut()
+            .and_then(|ghost| ghost.advance(own.position_m, self.step_s));
         let in_range = neighbour.filter(|other| other.gap_m <= self.range_m);
         let detected = in_range.filter(|_| self.steps_in_range >= self.detection_steps);
         self.steps_in_range = in_range.map_or(0, |_| self.steps_in_range.saturating_add(1));
         let target = match (detected, ghost) {
-            (Some(other), Some(ghost)) if other.gap_m <= ghost.gap_m => Some((other, Target::Vehicle)),
+            (Some(other), Some(ghost)) if other.gap_m <= ghost.gap_m => {
+                Some((other, Target::Vehicle))
+            }
             (_, Some(ghost)) => Some((ghost, Target::Ghost)),
             (Some(other), None) => Some((other, Target::Vehicle)),
             (None, None) => None,
@@ -95,7 +117,9 @@ impl GapFaults {
                 // Assumes constant speeds before.
                 let step_m = sign * (other.speed_mps - own.observation.speed_mps) * self.step_s;
                 let past = (1..=self.latency_steps).rev();
-                self.past_gaps_m = past.map(|steps| other.gap_m - steps as f64 * step_m).collect();
+                self.past_gaps_m = past
+                    .map(|steps| other.gap_m - steps as f64 * step_m)
+                    .collect();
             }
             self.past_gaps_m.push_back(other.gap_m);
             other.gap_m = self.past_gaps_m.pop_front().unwrap_or(other.gap_m) + self.bias_m;
@@ -109,7 +133,11 @@ impl GapFaults {
         let is_lost = self.outages.as_ref().is_some_and(|outages| outages.is_lost);
         let measured_m = measured_m.filter(|_| !is_lost)?;
         let resolution_m = self.resolution_m;
-        Some(if resolution_m > 0.0 { (measured_m / resolution_m).round() * resolution_m } else { measured_m })
+        Some(if resolution_m > 0.0 {
+            (measured_m / resolution_m).round() * resolution_m
+        } else {
+            measured_m
+        })
     }
 }
 
@@ -126,7 +154,9 @@ struct Ghost {
 impl Ghost {
     /// Returns the ghost of this step, unless it is not reported, and moves it by a step.
     fn advance(&mut self, own_position_m: f64, step_s: f64) -> Option<Neighbour> {
-        let GhostObject { gap_m, speed_mps, .. } = self.object;
+        let GhostObject {
+            gap_m, speed_mps, ..
+        } = self.object;
         if self.step == self.steps.start {
             self.position_m = own_position_m + gap_m;
         }
@@ -134,7 +164,11 @@ impl Ghost {
         let is_reported = self.steps.contains(&self.step) && ahead_m > 0.0;
         self.step += 1;
         self.position_m += speed_mps * step_s;
-        is_reported.then_some(Neighbour { gap_m: ahead_m, speed_mps, acceleration_mps2: 0.0 })
+        is_reported.then_some(Neighbour {
+            gap_m: ahead_m,
+            speed_mps,
+            acceleration_mps2: 0.0,
+        })
     }
 }
 
@@ -158,7 +192,11 @@ impl Outages {
         (lost_share > 0.0).then(|| {
             let mixing = -(-(rate_per_s + 1.0 / length_s) * step_s).exp_m1();
             let is_lost = stream.random::<f64>() < lost_share;
-            Self { stream, change: [lost_share * mixing, (1.0 - lost_share) * mixing], is_lost }
+            Self {
+                stream,
+                change: [lost_share * mixing, (1.0 - lost_share) * mixing],
+                is_lost,
+            }
         })
     }
 

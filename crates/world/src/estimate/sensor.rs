@@ -14,7 +14,13 @@ pub struct Sensor {
 impl Sensor {
     /// Creates the sensor of vehicle `vehicle` for `purpose`, with noise of standard deviation `noise_m`.
     #[must_use]
-    pub fn new(seed: u64, purpose: Purpose, vehicle: usize, noise_m: f64, sensors: &Sensors) -> Self {
+    pub fn new(
+        seed: u64,
+        purpose: Purpose,
+        vehicle: usize,
+        noise_m: f64,
+        sensors: &Sensors,
+    ) -> Self {
         Self::with_noise_shares(seed, &[], purpose, vehicle, noise_m, sensors)
     }
 
@@ -29,7 +35,11 @@ impl Sensor {
         sensors: &Sensors,
     ) -> Self {
         let noise = NoiseStream::from_shares(seed, shares, purpose, vehicle as u64);
-        Self { noise, noise_m, dropout: sensors.dropout }
+        Self {
+            noise,
+            noise_m,
+            dropout: sensors.dropout,
+        }
     }
 
     /// Measures a distance; `None` if the measurement was lost.
@@ -38,6 +48,10 @@ impl Sensor {
         // Lost measurements draw noise too, so that a dropout does not shift all later noise.
         let normal = self.noise.normal();
         let lost = self.dropout > 0.0 && self.noise.uniform() < self.dropout;
-        if lost { None } else { Some(distance_m + self.noise_m * normal) }
+        if lost {
+            None
+        } else {
+            Some(distance_m + self.noise_m * normal)
+        }
     }
 }

@@ -1,6 +1,8 @@
 //! The approach of a vehicle to its leader, from which measures of a pair are computed.
 
-use crate::sim::{Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m};
+use crate::sim::{
+    Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m,
+};
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,16 +40,32 @@ impl PairState {
     }
 
     /// Creates the state of a leader and its follower at a sample of a trace.
-    pub(super) fn from_sample(times_s: &[f64], [front, rear]: [&Track; 2], sample: usize) -> Option<Self> {
+    pub(super) fn from_sample(
+        times_s: &[f64],
+        [front, rear]: [&Track; 2],
+        sample: usize,
+    ) -> Option<Self> {
         let motion = [front.motion(sample)?, rear.motion(sample)?];
-        Some(Self::from_motions(*times_s.get(sample)?, motion, front.length_m))
+        Some(Self::from_motions(
+            *times_s.get(sample)?,
+            motion,
+            front.length_m,
+        ))
     }
 
     /// Returns the smallest gap within the next `step_s` seconds, in metres, at constant accelerations.
     fn min_gap_within_m(&self, step_s: f64) -> f64 {
         // Positions relative to the follower.
-        let motion = |position_m, speed_mps, acceleration_mps2| Motion { position_m, speed_mps, acceleration_mps2 };
-        let front = motion(self.gap_m, self.front_speed_mps, self.front_acceleration_mps2);
+        let motion = |position_m, speed_mps, acceleration_mps2| Motion {
+            position_m,
+            speed_mps,
+            acceleration_mps2,
+        };
+        let front = motion(
+            self.gap_m,
+            self.front_speed_mps,
+            self.front_acceleration_mps2,
+        );
         let rear = motion(0.0, self.rear_speed_mps, self.rear_acceleration_mps2);
         closest_gap_m(front, rear, 0.0, step_s).max(0.0)
     }
@@ -80,15 +98,27 @@ impl Approach {
     /// end of the shortest is the end for all.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
-        let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
+        let contact = impacts
+            .iter()
+            .map(|impact| &impact.contact)
+            .find(|contact| contact.rear_vehicle == rear);
         Self::from_pairs(&trace.pairs(rear), contact)
     }
 
     /// Creates the approach to vehicle `front` by its follower; `None` without a follower.
-    pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
-        let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
+    pub(super) fn from_trace_behind(
+        trace: &Trace,
+        impacts: &[Impact],
+        front: usize,
+    ) -> Option<Self> {
+        let contact = impacts
+            .iter()
+            .map(|impact| &impact.contact)
+            .find(|contact| contact.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();
-        let pairs = behind.flat_map(|rear| trace.pairs(rear)).filter(|pair| pair.front_vehicle == front);
+        let pairs = behind
+            .flat_map(|rear| trace.pairs(rear))
+            .filter(|pair| pair.front_vehicle == front);
         let mut pairs: Vec<VehiclePair<'_>> = pairs.collect();
         pairs.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
         Self::from_pairs(&pairs, contact)
@@ -106,7 +136,10 @@ impl Approach {
             };
             for state in pair_states(pair).take_while(|state| state.time_s < until_s) {
                 collided = state.gap_m <= 0.0;
-                leg.states.push(PairState { gap_m: state.gap_m.max(0.0), ..state });
+                leg.states.push(PairState {
+                    gap_m: state.gap_m.max(0.0),
+                    ..state
+                });
                 if collided {
                     break;
                 }
@@ -120,7 +153,10 @@ impl Approach {
             leg.states.push(contact_state(contact, leg.states.last()));
             collided = true;
         }
-        (!legs.is_empty()).then_some(Self { segments: legs, has_contact: collided })
+        (!legs.is_empty()).then_some(Self {
+            segments: legs,
+            has_contact: collided,
+        })
     }
 
     /// Returns the states in order of time; none for an empty trace.
@@ -130,12 +166,16 @@ impl Approach {
 
     /// Returns the states, each with the length of the leader in metres.
     pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&PairState, f64)> {
-        self.segments.iter().flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
+        self.segments
+            .iter()
+            .flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
     }
 
     /// Returns each state with the next one of the same two vehicles.
     pub(super) fn steps(&self) -> impl Iterator<Item = (&PairState, &PairState)> {
-        self.segments.iter().flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
+        self.segments
+            .iter()
+            .flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
     }
 
     /// Returns true if the approach ends in a contact.
@@ -148,7 +188,9 @@ impl Approach {
     #[must_use]
     pub fn min_gap_m(&self) -> Option<f64> {
         let at_samples = self.states().map(|state| state.gap_m);
-        let between = self.steps().map(|(state, next)| state.min_gap_within_m(next.time_s - state.time_s));
+        let between = self
+            .steps()
+            .map(|(state, next)| state.min_gap_within_m(next.time_s - state.time_s));
         at_samples.chain(between).reduce(f64::min)
     }
 
@@ -156,7 +198,10 @@ impl Approach {
     /// moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
-        let leg = self.segments.last().filter(|leg| !leg.interrupted && !self.has_contact)?;
+        let leg = self
+            .segments
+            .last()
+            .filter(|leg| !leg.interrupted && !self.has_contact)?;
         let last = leg.states.last()?;
         (last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0).then_some(last.gap_m)
     }
@@ -164,13 +209,29 @@ impl Approach {
 
 /// Returns the states of a pair at its start, every sample and its end; gaps may be negative.
 fn pair_states<'a>(pair: &VehiclePair<'a>) -> impl Iterator<Item = PairState> + use<'a> {
-    let VehiclePair { time_s, front, rear, span_s, .. } = *pair;
-    let is_sampled = |at_s: f64| time_s.iter().any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S);
+    let VehiclePair {
+        time_s,
+        front,
+        rear,
+        span_s,
+        ..
+    } = *pair;
+    let is_sampled = |at_s: f64| {
+        time_s
+            .iter()
+            .any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S)
+    };
     let [first, last] = span_s.map(|at_s| {
-        let motion = if at_s.is_finite() && !is_sampled(at_s) { pair.motion_at(at_s) } else { None };
+        let motion = if at_s.is_finite() && !is_sampled(at_s) {
+            pair.motion_at(at_s)
+        } else {
+            None
+        };
         motion.map(|motion| PairState::from_motions(at_s, motion, front.length_m))
     });
-    let samples = pair.samples().filter_map(move |sample| PairState::from_sample(time_s, [front, rear], sample));
+    let samples = pair
+        .samples()
+        .filter_map(move |sample| PairState::from_sample(time_s, [front, rear], sample));
     first.into_iter().chain(samples).chain(last)
 }
 
@@ -208,12 +269,28 @@ mod tests {
         // Gap 10 m closes at 4 m/s: contact after 2.5 s, between the samples at 2 and 3 s.
         let trace = pair_trace(10.0, [(10.0, &[(5.0, 0.0)]), (14.0, &[(5.0, 0.0)])], 1.0);
         let approach = Approach::from_trace(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
-        assert_eq!(approach.states().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
-        assert_eq!((approach.has_contact(), approach.min_gap_m()), (true, Some(0.0)));
+        assert_eq!(
+            approach.states().map(|s| s.time_s).collect::<Vec<_>>(),
+            [0.0, 1.0, 2.0, 2.5]
+        );
+        assert_eq!(
+            (approach.has_contact(), approach.min_gap_m()),
+            (true, Some(0.0))
+        );
 
         let told_by_the_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
-        assert_eq!(told_by_the_gap_alone.states().count(), 4, "ends at the first sample without a gap");
-        assert_eq!((told_by_the_gap_alone.has_contact(), told_by_the_gap_alone.min_gap_m()), (true, Some(0.0)));
+        assert_eq!(
+            told_by_the_gap_alone.states().count(),
+            4,
+            "ends at the first sample without a gap"
+        );
+        assert_eq!(
+            (
+                told_by_the_gap_alone.has_contact(),
+                told_by_the_gap_alone.min_gap_m()
+            ),
+            (true, Some(0.0))
+        );
     }
 
     #[test]

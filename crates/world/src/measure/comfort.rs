@@ -16,7 +16,11 @@ pub const JERK_WINDOW_S: f64 = 0.1;
 #[must_use]
 pub fn peak_brake_mps2(acceleration_mps2: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let held = acceleration_mps2.len().checked_sub(1)?;
-    acceleration_mps2.take(held).map(|a| -a).reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0))
+    acceleration_mps2
+        .take(held)
+        .map(|a| -a)
+        .reduce(f64::max)
+        .map(|brake_mps2| brake_mps2.max(0.0))
 }
 
 /// Returns the peak jerk in m/s³: the largest change of acceleration within `window_s` seconds, divided by `window_s`.
@@ -33,7 +37,10 @@ pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f6
     let within_s = window_s * (1.0 - 1e-6);
     let mut lowest = SlidingExtreme::new(|new, old| new <= old);
     let mut highest = SlidingExtreme::new(|new, old| new >= old);
-    let steps = time_s.iter().zip(time_s.iter().skip(1)).zip(&track.acceleration_mps2);
+    let steps = time_s
+        .iter()
+        .zip(time_s.iter().skip(1))
+        .zip(&track.acceleration_mps2);
     let changes_mps2 = steps.map(|((&from_s, &to_s), &acceleration_mps2)| {
         let low = lowest.push(acceleration_mps2, to_s, from_s - within_s);
         let high = highest.push(acceleration_mps2, to_s, from_s - within_s);
@@ -54,19 +61,32 @@ pub(super) struct SlidingExtreme {
 
 impl SlidingExtreme {
     pub(super) fn new(beats: fn(f64, f64) -> bool) -> Self {
-        Self { beats, candidates: VecDeque::new() }
+        Self {
+            beats,
+            candidates: VecDeque::new(),
+        }
     }
 
     /// Adds a value that is held until `until_s`. Returns the extremum of the values held after `since_s`.
     pub(super) fn push(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
-        while self.candidates.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
+        while self
+            .candidates
+            .front()
+            .is_some_and(|&(_, held_until_s)| held_until_s <= since_s)
+        {
             self.candidates.pop_front();
         }
-        while self.candidates.back().is_some_and(|&(old, _)| (self.beats)(value, old)) {
+        while self
+            .candidates
+            .back()
+            .is_some_and(|&(old, _)| (self.beats)(value, old))
+        {
             self.candidates.pop_back();
         }
         self.candidates.push_back((value, until_s));
-        self.candidates.front().map_or(value, |&(extreme, _)| extreme)
+        self.candidates
+            .front()
+            .map_or(value, |&(extreme, _)| extreme)
     }
 }
 
@@ -84,8 +104,15 @@ mod tests {
 
     #[test]
     fn peak_braking_by_hand() {
-        assert_eq!(peak_brake_mps2([1.0, -3.0, -7.5, 2.0].into_iter()), Some(7.5));
-        assert_eq!(peak_brake_mps2([1.0, 2.0, -9.0].into_iter()), Some(0.0), "the last is held for no time");
+        assert_eq!(
+            peak_brake_mps2([1.0, -3.0, -7.5, 2.0].into_iter()),
+            Some(7.5)
+        );
+        assert_eq!(
+            peak_brake_mps2([1.0, 2.0, -9.0].into_iter()),
+            Some(0.0),
+            "the last is held for no time"
+        );
         assert_eq!(peak_brake_mps2([-9.0].into_iter()), None);
         assert_eq!(peak_brake_mps2([].into_iter()), None);
     }

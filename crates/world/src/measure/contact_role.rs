@@ -19,7 +19,10 @@ impl ContactRole {
     #[must_use]
     pub fn new(contact: &Contact, scenario: &Scenario) -> Self {
         let under_test = |index| scenario.is_under_test(index);
-        match (under_test(contact.rear_vehicle), under_test(contact.front_vehicle)) {
+        match (
+            under_test(contact.rear_vehicle),
+            under_test(contact.front_vehicle),
+        ) {
             (true, _) => Self::Hits,
             (false, true) => Self::HitFromBehind,
             (false, false) => Self::Bystander,

@@ -17,7 +17,9 @@ use crate::sim::{Impact, Trace};
 #[must_use]
 pub fn drac_mps2(gap_m: f64, closing_mps: f64) -> Option<f64> {
     let closes = closing_mps > 0.0 && gap_m > 0.0;
-    closes.then(|| 0.5 * closing_mps * closing_mps / gap_m).filter(|drac_mps2| drac_mps2.is_finite())
+    closes
+        .then(|| 0.5 * closing_mps * closing_mps / gap_m)
+        .filter(|drac_mps2| drac_mps2.is_finite())
 }
 
 impl Approach {
@@ -25,7 +27,9 @@ impl Approach {
     /// Near a contact DRAC is unbounded, and its largest sample would depend only on the step.
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
-        let dracs = self.states().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
+        let dracs = self
+            .states()
+            .filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
         dracs.reduce(f64::max).filter(|_| !self.has_contact())
     }
 
@@ -67,9 +71,13 @@ impl InducedBraking {
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let approach = Approach::from_trace_behind(trace, impacts, index)?;
-        let brakes_mps2 = approach.steps().map(|(state, _)| -state.rear_acceleration_mps2);
+        let brakes_mps2 = approach
+            .steps()
+            .map(|(state, _)| -state.rear_acceleration_mps2);
         Some(Self {
-            peak_brake_mps2: brakes_mps2.reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0)),
+            peak_brake_mps2: brakes_mps2
+                .reduce(f64::max)
+                .map(|brake_mps2| brake_mps2.max(0.0)),
             max_drac_mps2: approach.max_drac_mps2(),
             max_required_brake_mps2: approach.max_required_brake_mps2(),
         })
@@ -86,7 +94,14 @@ mod tests {
     #[test]
     fn deceleration_rate_to_avoid_a_crash_by_hand() {
         assert_eq!(drac_mps2(20.0, 10.0), Some(2.5), "10² / (2 * 20)");
-        assert_eq!((drac_mps2(20.0, 0.0), drac_mps2(20.0, -1.0), drac_mps2(0.0, 1.0)), (None, None, None));
+        assert_eq!(
+            (
+                drac_mps2(20.0, 0.0),
+                drac_mps2(20.0, -1.0),
+                drac_mps2(0.0, 1.0)
+            ),
+            (None, None, None)
+        );
     }
 
     #[test]
@@ -97,8 +112,16 @@ mod tests {
         // Equal speeds at rest: both at 20 m/s, gap 10 m, the leader brakes at 5 m/s² and stops after 40 m: 20² / (2 *
         // 50).
         assert_eq!(required_brake_mps2(10.0, 20.0, 5.0, 20.0), Some(4.0));
-        assert_eq!(required_brake_mps2(10.0, 0.0, 0.0, 20.0), Some(20.0), "standing vehicle: 20² / (2 * 10)");
-        assert_eq!(required_brake_mps2(10.0, 20.0, -1.0, 20.0), Some(0.0), "nobody need brake");
+        assert_eq!(
+            required_brake_mps2(10.0, 0.0, 0.0, 20.0),
+            Some(20.0),
+            "standing vehicle: 20² / (2 * 10)"
+        );
+        assert_eq!(
+            required_brake_mps2(10.0, 20.0, -1.0, 20.0),
+            Some(0.0),
+            "nobody need brake"
+        );
         assert_eq!(required_brake_mps2(0.0, 20.0, 1.0, 20.0), None, "no gap");
     }
 
@@ -111,18 +134,34 @@ mod tests {
         // From then on the follower brakes harder than required, and required deceleration falls. A time s later the
         // speeds are 16 - 8 s and 20 - 10 s, the closing speed is 4 - 2 s and the gap 9 - 4 s + s². At s = 1.5 DRAC is
         // 1² / (2 * 5.25); it is largest at s = 0.
-        let mut trace = pair_trace(10.0, [(20.0, &[(3.0, -8.0)]), (20.0, &[(0.5, 0.0), (2.5, -10.0)])], 0.5);
+        let mut trace = pair_trace(
+            10.0,
+            [(20.0, &[(3.0, -8.0)]), (20.0, &[(0.5, 0.0), (2.5, -10.0)])],
+            0.5,
+        );
         let induced = InducedBraking::from_trace(&trace, &[], 0).unwrap();
         assert_eq!(induced.peak_brake_mps2, Some(10.0));
         assert!((induced.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
         assert!((induced.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
-        assert_eq!(InducedBraking::from_trace(&trace, &[], 1), None, "nobody behind the last");
+        assert_eq!(
+            InducedBraking::from_trace(&trace, &[], 1),
+            None,
+            "nobody behind the last"
+        );
 
         // After a collision at 0.4 s, later braking does not count, and no deceleration would have sufficed.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
-        let collided = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
-        let InducedBraking { peak_brake_mps2, max_drac_mps2, max_required_brake_mps2 } = collided;
-        assert_eq!((peak_brake_mps2, max_drac_mps2, max_required_brake_mps2), (Some(1.0), None, None));
+        let collided =
+            InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
+        let InducedBraking {
+            peak_brake_mps2,
+            max_drac_mps2,
+            max_required_brake_mps2,
+        } = collided;
+        assert_eq!(
+            (peak_brake_mps2, max_drac_mps2, max_required_brake_mps2),
+            (Some(1.0), None, None)
+        );
     }
 
     proptest! {

@@ -35,16 +35,25 @@ const UNITS: [&str; 3] = ["m/s2", "m/s²", "m/s^2"];
 
 impl DrivingRule {
     /// Examples of all rules, for readers.
-    pub const EXAMPLES: [&str; 3] = [NO_UNNECESSARY_BRAKING, "imposed braking at most 4 m/s2", NO_AMPLIFICATION];
+    pub const EXAMPLES: [&str; 3] = [
+        NO_UNNECESSARY_BRAKING,
+        "imposed braking at most 4 m/s2",
+        NO_AMPLIFICATION,
+    ];
 
     /// Returns the smallest robustness of the vehicles under test; negative if one violates the rule. `None` without a
     /// trace.
     pub(super) fn robustness(&self, scenario: &Scenario, result: &SimulationResult) -> Option<f64> {
         let trace = result.trace.as_ref()?;
-        let under_test = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index));
+        let under_test =
+            (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index));
         let of_each = |index: usize| match self {
-            Self::NoUnnecessaryBraking => UnnecessaryBraking::margin_mps2(trace, &result.impacts, index),
-            Self::InducedBraking { max_mps2: at_most_mps2 } => {
+            Self::NoUnnecessaryBraking => {
+                UnnecessaryBraking::margin_mps2(trace, &result.impacts, index)
+            }
+            Self::InducedBraking {
+                max_mps2: at_most_mps2,
+            } => {
                 let induced = InducedBraking::from_trace(trace, &result.impacts, index)
                     .and_then(|induced| induced.peak_brake_mps2);
                 induced.map(|peak_mps2| at_most_mps2 - peak_mps2)
@@ -52,10 +61,17 @@ impl DrivingRule {
             Self::NoAmplification => {
                 let start_s = trace.time_s.first()?;
                 let all = SpeedAmplification::from_trace(trace, *start_s)?;
-                index.checked_sub(1).and_then(|pair| all.of_each.get(pair).copied().flatten()).map(|ratio| 1.0 - ratio)
+                index
+                    .checked_sub(1)
+                    .and_then(|pair| all.of_each.get(pair).copied().flatten())
+                    .map(|ratio| 1.0 - ratio)
             }
         };
-        Some(under_test.filter_map(of_each).fold(NOT_APPLICABLE, f64::min))
+        Some(
+            under_test
+                .filter_map(of_each)
+                .fold(NOT_APPLICABLE, f64::min),
+        )
     }
 }
 
@@ -63,7 +79,9 @@ impl fmt::Display for DrivingRule {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoUnnecessaryBraking => out.write_str(NO_UNNECESSARY_BRAKING),
-            Self::InducedBraking { max_mps2: at_most_mps2 } => {
+            Self::InducedBraking {
+                max_mps2: at_most_mps2,
+            } => {
                 write!(out, "{INDUCED_BRAKING} {at_most_mps2} {}", UNITS[0])
             }
             Self::NoAmplification => out.write_str(NO_AMPLIFICATION),
@@ -83,16 +101,23 @@ impl FromStr for DrivingRule {
     type Err = UnknownDrivingRule;
 
     fn from_str(text: &str) -> Result<Self, UnknownDrivingRule> {
-        let unknown = || UnknownDrivingRule { text: text.to_owned() };
+        let unknown = || UnknownDrivingRule {
+            text: text.to_owned(),
+        };
         match text {
             NO_UNNECESSARY_BRAKING => Ok(Self::NoUnnecessaryBraking),
             NO_AMPLIFICATION => Ok(Self::NoAmplification),
             _ => {
                 let rest = text.strip_prefix(INDUCED_BRAKING);
-                let number = rest.and_then(|rest| UNITS.iter().find_map(|unit| rest.strip_suffix(unit)));
+                let number =
+                    rest.and_then(|rest| UNITS.iter().find_map(|unit| rest.strip_suffix(unit)));
                 let limit = number.and_then(|number| number.trim().parse::<f64>().ok());
-                let at_most_mps2 = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or_else(unknown)?;
-                Ok(Self::InducedBraking { max_mps2: at_most_mps2 })
+                let at_most_mps2 = limit
+                    .filter(|limit| limit.is_finite() && *limit > 0.0)
+                    .ok_or_else(unknown)?;
+                Ok(Self::InducedBraking {
+                    max_mps2: at_most_mps2,
+                })
             }
         }
     }
@@ -113,7 +138,11 @@ mod tests {
         }
         for unit in UNITS {
             let text = format!("imposed braking at most 4 {unit}");
-            assert_eq!(text.parse(), Ok(DrivingRule::InducedBraking { max_mps2: 4.0 }), "{text}");
+            assert_eq!(
+                text.parse(),
+                Ok(DrivingRule::InducedBraking { max_mps2: 4.0 }),
+                "{text}"
+            );
         }
         for text in [
             "",

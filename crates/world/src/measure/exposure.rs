@@ -37,11 +37,15 @@ impl Approach {
     /// automated driving", Archives of Computational Methods in Engineering 30, sections 5.2.6 and 5.2.7.
     #[must_use]
     pub fn ttc_exposure(&self, threshold_s: f64) -> TtcExposure {
-        self.steps().fold(TtcExposure::default(), |sum, (from, to)| {
-            let exposed_s = (to.time_s - from.time_s) * exposed_share(from, to, threshold_s);
-            let shortfalls_s = shortfall_s(from, threshold_s) + shortfall_s(to, threshold_s);
-            TtcExposure { tet_s: sum.tet_s + exposed_s, tit_s2: sum.tit_s2 + 0.5 * exposed_s * shortfalls_s }
-        })
+        self.steps()
+            .fold(TtcExposure::default(), |sum, (from, to)| {
+                let exposed_s = (to.time_s - from.time_s) * exposed_share(from, to, threshold_s);
+                let shortfalls_s = shortfall_s(from, threshold_s) + shortfall_s(to, threshold_s);
+                TtcExposure {
+                    tet_s: sum.tet_s + exposed_s,
+                    tit_s2: sum.tit_s2 + 0.5 * exposed_s * shortfalls_s,
+                }
+            })
     }
 }
 
@@ -52,7 +56,11 @@ fn excess_m(state: &PairState, threshold_s: f64) -> f64 {
 
 fn shortfall_s(state: &PairState, threshold_s: f64) -> f64 {
     let excess_m = excess_m(state, threshold_s);
-    if excess_m > 0.0 { excess_m / state.closing_mps() } else { 0.0 }
+    if excess_m > 0.0 {
+        excess_m / state.closing_mps()
+    } else {
+        0.0
+    }
 }
 
 fn exposed_share(from: &PairState, to: &PairState, threshold_s: f64) -> f64 {
@@ -80,9 +88,15 @@ mod tests {
         let pair = pair_trace(20.0, [(10.0, &[(4.9, 0.0)]), (15.0, &[(4.9, 0.0)])], 0.7);
         let approach = Approach::from_trace(&pair, &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(3.0);
-        assert!((tet_s - 3.0).abs() < 1e-12 && (tit_s2 - 4.5).abs() < 1e-12, "{tet_s} {tit_s2}");
+        assert!(
+            (tet_s - 3.0).abs() < 1e-12 && (tit_s2 - 4.5).abs() < 1e-12,
+            "{tet_s} {tit_s2}"
+        );
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(1.0);
-        assert!((tet_s - 1.0).abs() < 1e-12 && (tit_s2 - 0.5).abs() < 1e-12, "{tet_s} {tit_s2}");
+        assert!(
+            (tet_s - 1.0).abs() < 1e-12 && (tit_s2 - 0.5).abs() < 1e-12,
+            "{tet_s} {tit_s2}"
+        );
         assert_eq!(approach.ttc_exposure(0.0), TtcExposure::default());
     }
 
@@ -94,20 +108,38 @@ mod tests {
         let pair = pair_trace(17.0, [(10.0, &[(0.5, 0.0)]), (20.0, &[(0.5, -8.0)])], 0.5);
         let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(2.0);
-        assert!((tet_s - 0.375).abs() < 1e-12 && (tit_s2 - 0.05625).abs() < 1e-12, "{tet_s} {tit_s2}");
+        assert!(
+            (tet_s - 0.375).abs() < 1e-12 && (tit_s2 - 0.05625).abs() < 1e-12,
+            "{tet_s} {tit_s2}"
+        );
     }
 
     #[test]
     fn an_opening_gap_adds_no_exposure() {
         let pair = pair_trace(1.0, [(15.0, &[(5.0, 0.0)]), (15.0, &[(5.0, -1.0)])], 0.5);
         let approach = Approach::from_trace(&pair, &[], 1).unwrap();
-        assert_eq!(approach.ttc_exposure(TTC_THRESHOLD_S), TtcExposure::default());
+        assert_eq!(
+            approach.ttc_exposure(TTC_THRESHOLD_S),
+            TtcExposure::default()
+        );
     }
 
     /// Creates a trace in which both brake in turn: time to collision falls below the threshold and recovers.
     fn near_miss_trace(gap_m: f64, speed_mps: f64, brakes_mps2: [f64; 2], step_s: f64) -> Trace {
-        let front = driven_track(4.0, gap_m + 4.0, speed_mps, &[(1.0, -brakes_mps2[0]), (5.0, 0.0)], step_s);
-        let rear = driven_track(4.0, 0.0, speed_mps, &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)], step_s);
+        let front = driven_track(
+            4.0,
+            gap_m + 4.0,
+            speed_mps,
+            &[(1.0, -brakes_mps2[0]), (5.0, 0.0)],
+            step_s,
+        );
+        let rear = driven_track(
+            4.0,
+            0.0,
+            speed_mps,
+            &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)],
+            step_s,
+        );
         trace(vec![front, rear], step_s)
     }
 

@@ -35,7 +35,11 @@ impl InjuryCurve {
 pub fn injury_probability(impacts: &[Impact], index: usize) -> f64 {
     let involving = impacts.iter().filter(|impact| impact.involves(index));
     let probability = |impact: &Impact| {
-        let curve = if index <= impact.contact.front_vehicle { REAR_END } else { FRONTAL };
+        let curve = if index <= impact.contact.front_vehicle {
+            REAR_END
+        } else {
+            FRONTAL
+        };
         curve.probability(impact.delta_v_mps(index))
     };
     involving.map(probability).fold(0.0, f64::max)
@@ -44,7 +48,9 @@ pub fn injury_probability(impacts: &[Impact], index: usize) -> f64 {
 /// Returns the harm of a run: the expected number of seriously injured drivers among its `vehicles`, front to rear.
 #[must_use]
 pub fn harm(impacts: &[Impact], vehicles: usize) -> f64 {
-    (0..vehicles).map(|index| injury_probability(impacts, index)).sum()
+    (0..vehicles)
+        .map(|index| injury_probability(impacts, index))
+        .sum()
 }
 
 /// Returns the harm of one inelastic impact of two vehicles with these masses, front and rear.
@@ -64,9 +70,16 @@ mod tests {
         // 20 m/s into equal mass: 10 m/s = 22.369 mph each. Logits -6.9774 + 3.6238 and -8.0329 + 4.0108.
         let by_hand = 1.0 / (1.0 + 3.3536_f64.exp()) + 1.0 / (1.0 + 4.0221_f64.exp());
         let impacts = [impact(1.0, 0, 5.0, 25.0)];
-        assert!((harm(&impacts, 3) - by_hand).abs() < 1e-4, "{}", harm(&impacts, 3));
+        assert!(
+            (harm(&impacts, 3) - by_hand).abs() < 1e-4,
+            "{}",
+            harm(&impacts, 3)
+        );
         assert!((harm_of_pair(20.0, [1500.0, 1500.0]) - harm(&impacts, 2)).abs() < 1e-12);
-        assert_eq!((harm(&impacts, 1), injury_probability(&impacts, 2)), (injury_probability(&impacts, 0), 0.0));
+        assert_eq!(
+            (harm(&impacts, 1), injury_probability(&impacts, 2)),
+            (injury_probability(&impacts, 0), 0.0)
+        );
         assert_eq!(harm(&[], 3), 0.0);
     }
 

@@ -39,12 +39,14 @@ pub use gain::{
 pub use harm::{harm, harm_of_pair, injury_probability};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
-pub use specification::{BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError};
+pub use specification::{
+    BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError,
+};
 pub use usefulness::{
     BrakeInstant, CAUSE_LASTS_S, DriveStep, EASY_BRAKE_MPS2, FollowingMeasures, HARD_BRAKE_MPS2,
-    MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS, MIN_MOVING_SPEED_MPS,
-    SETTLED_TOLERANCE_MPS, SpeedAmplification, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, UsefulnessMeasures,
-    justified_brake_mps2,
+    MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS,
+    MIN_MOVING_SPEED_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification, UNNECESSARY_MARGIN_MPS2,
+    UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};
@@ -151,7 +153,9 @@ mod tests {
     use crate::sim::Track;
 
     fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
-        (0..trace.vehicles.len()).filter_map(|index| Measures::from_trace(trace, impacts, index)).collect()
+        (0..trace.vehicles.len())
+            .filter_map(|index| Measures::from_trace(trace, impacts, index))
+            .collect()
     }
 
     #[test]
@@ -164,13 +168,34 @@ mod tests {
             acceleration_mps2: vec![0.0; samples],
             in_lane_s: Track::THROUGHOUT_S,
         };
-        assert_eq!(measure_all(&Trace { time_s: vec![], vehicles: vec![] }, &[]), []);
+        assert_eq!(
+            measure_all(
+                &Trace {
+                    time_s: vec![],
+                    vehicles: vec![]
+                },
+                &[]
+            ),
+            []
+        );
 
-        let empty = Trace { time_s: vec![], vehicles: vec![nothing(0), nothing(0)] };
-        let [leader, follower] = measure_all(&empty, &[])[..] else { panic!("one entry a vehicle") };
+        let empty = Trace {
+            time_s: vec![],
+            vehicles: vec![nothing(0), nothing(0)],
+        };
+        let [leader, follower] = measure_all(&empty, &[])[..] else {
+            panic!("one entry a vehicle")
+        };
         assert_eq!((leader.ahead, follower.induced), (None, None));
         assert_eq!(follower.ahead.unwrap().min_gap_m, None);
-        assert_eq!((follower.peak_brake_mps2, follower.peak_jerk_mps3, follower.max_delta_v_mps), (None, None, None));
+        assert_eq!(
+            (
+                follower.peak_brake_mps2,
+                follower.peak_jerk_mps3,
+                follower.max_delta_v_mps
+            ),
+            (None, None, None)
+        );
         assert_eq!(Measures::from_trace(&empty, &[], 2), None);
         assert_eq!(Measures::from_trace(&empty, &[], usize::MAX), None);
     }
@@ -180,7 +205,11 @@ mod tests {
         let pair = pair_trace(10.0, [(10.0, &[(5.0, -1.0)]), (14.0, &[(5.0, 0.0)])], 1.0);
         for measures in measure_all(&pair, &[impact(1.7, 0, 8.3, 14.0)]) {
             let json = serde_json::to_string(&measures).unwrap();
-            assert_eq!(serde_json::from_str::<Measures>(&json).unwrap(), measures, "{json}");
+            assert_eq!(
+                serde_json::from_str::<Measures>(&json).unwrap(),
+                measures,
+                "{json}"
+            );
         }
     }
 

@@ -34,28 +34,37 @@ pub fn time_headway_s(gap_m: f64, front_length_m: f64, rear_speed_mps: f64) -> O
 /// Adaptive cruise control is set to this value. Source: as for [`time_headway_s`].
 #[must_use]
 pub fn time_gap_s(gap_m: f64, rear_speed_mps: f64) -> Option<f64> {
-    (rear_speed_mps > 0.0).then(|| gap_m.max(0.0) / rear_speed_mps).filter(|gap_s| gap_s.is_finite())
+    (rear_speed_mps > 0.0)
+        .then(|| gap_m.max(0.0) / rear_speed_mps)
+        .filter(|gap_s| gap_s.is_finite())
 }
 
 impl Approach {
     /// Returns the smallest time to collision of all samples, in seconds, 0 at contact; `None` if the gap never closed.
     #[must_use]
     pub fn min_ttc_s(&self) -> Option<f64> {
-        self.states().filter_map(|state| ttc_s(state.gap_m, state.closing_mps())).reduce(f64::min)
+        self.states()
+            .filter_map(|state| ttc_s(state.gap_m, state.closing_mps()))
+            .reduce(f64::min)
     }
 
     /// Returns the smallest time headway of all samples, in seconds; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
-        let headway =
-            |(state, length_m): (&PairState, f64)| time_headway_s(state.gap_m, length_m, state.rear_speed_mps);
-        self.states_with_length_m().filter_map(headway).reduce(f64::min)
+        let headway = |(state, length_m): (&PairState, f64)| {
+            time_headway_s(state.gap_m, length_m, state.rear_speed_mps)
+        };
+        self.states_with_length_m()
+            .filter_map(headway)
+            .reduce(f64::min)
     }
 
     /// Returns the smallest time gap of all samples, in seconds, 0 at contact; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_gap_s(&self) -> Option<f64> {
-        self.states().filter_map(|state| time_gap_s(state.gap_m, state.rear_speed_mps)).reduce(f64::min)
+        self.states()
+            .filter_map(|state| time_gap_s(state.gap_m, state.rear_speed_mps))
+            .reduce(f64::min)
     }
 }
 
@@ -77,7 +86,11 @@ mod tests {
     fn headway_counts_the_vehicle_ahead_and_time_gap_does_not() {
         assert_eq!(time_headway_s(16.0, 4.0, 25.0), Some(0.8), "(16 + 4) / 25");
         assert_eq!(time_gap_s(16.0, 25.0), Some(0.64), "16 / 25");
-        assert_eq!((time_headway_s(16.0, 4.0, 0.0), time_gap_s(16.0, 0.0)), (None, None), "standstill");
+        assert_eq!(
+            (time_headway_s(16.0, 4.0, 0.0), time_gap_s(16.0, 0.0)),
+            (None, None),
+            "standstill"
+        );
     }
 
     #[test]
@@ -86,7 +99,11 @@ mod tests {
         // t = 0: gap 20, closing 10: TTC 2.    t = 1: gap 10, closing 10: TTC 1, time gap 10 / 20.
         // t = 1.5: rear 15, closing 5, gap 10 - 3.75 = 6.25: TTC 1.25, time gap 6.25 / 15 = 5 / 12, headway 8.25 / 15.
         // t = 2: rear 10, gap 5, not closing: time gap 5 / 10, headway 7 / 10.
-        let pair = pair_trace(20.0, [(10.0, &[(2.0, 0.0)]), (20.0, &[(1.0, 0.0), (1.0, -10.0)])], 0.5);
+        let pair = pair_trace(
+            20.0,
+            [(10.0, &[(2.0, 0.0)]), (20.0, &[(1.0, 0.0), (1.0, -10.0)])],
+            0.5,
+        );
         let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(approach.min_ttc_s(), 1.0));

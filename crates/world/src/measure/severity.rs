@@ -10,8 +10,11 @@ pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Imp
 /// Returns the largest impact speed of vehicle `index` with its leader, in m/s; `None` without a contact.
 #[must_use]
 pub fn impact_speed_mps(impacts: &[Impact], index: usize) -> Option<f64> {
-    let hits = impacts.iter().filter(|impact| impact.contact.rear_vehicle == index);
-    hits.map(|impact| impact.contact.impact_speed_mps).reduce(f64::max)
+    let hits = impacts
+        .iter()
+        .filter(|impact| impact.contact.rear_vehicle == index);
+    hits.map(|impact| impact.contact.impact_speed_mps)
+        .reduce(f64::max)
 }
 
 /// Returns the largest change of speed of vehicle `index` in one impact, in m/s; `None` without impacts.
@@ -24,7 +27,9 @@ pub fn impact_speed_mps(impacts: &[Impact], index: usize) -> Option<f64> {
 /// Prevention 26, 609-616.
 #[must_use]
 pub fn max_delta_v_mps(impacts: &[Impact], index: usize) -> Option<f64> {
-    impacts_of(impacts, index).map(|impact| impact.delta_v_mps(index)).reduce(f64::max)
+    impacts_of(impacts, index)
+        .map(|impact| impact.delta_v_mps(index))
+        .reduce(f64::max)
 }
 
 #[cfg(test)]
@@ -38,7 +43,10 @@ mod tests {
     #[test]
     fn a_truck_into_a_car_by_hand() {
         // 15 t at 18 m/s into 1.5 t at 7 m/s: 11 m/s, of which the car takes 15 / 16.5 and the truck 1.5 / 16.5.
-        let impacts = [Impact { common_speed_mps: (15.0 * 18.0 + 1.5 * 7.0) / 16.5, ..impact(1.0, 0, 7.0, 18.0) }];
+        let impacts = [Impact {
+            common_speed_mps: (15.0 * 18.0 + 1.5 * 7.0) / 16.5,
+            ..impact(1.0, 0, 7.0, 18.0)
+        }];
         assert!((max_delta_v_mps(&impacts, 0).unwrap() - 10.0).abs() < 1e-12);
         assert!((max_delta_v_mps(&impacts, 1).unwrap() - 1.0).abs() < 1e-12);
         assert_eq!(max_delta_v_mps(&impacts, 2), None);
@@ -49,17 +57,31 @@ mod tests {
         // Equal masses. Vehicle 2 hits 1: 4 against 10 m/s, both leave at 7. Vehicle 1, with 2 stuck to it, hits 0:
         // 1 against 7 m/s, all leave at (1 + 7 + 7) / 3 = 5.
         let second = Impact {
-            contact: Contact { time_s: 2.0, front_vehicle: 0, rear_vehicle: 1, ..impact(2.0, 0, 1.0, 7.0).contact },
+            contact: Contact {
+                time_s: 2.0,
+                front_vehicle: 0,
+                rear_vehicle: 1,
+                ..impact(2.0, 0, 1.0, 7.0).contact
+            },
             common_speed_mps: 5.0,
             beside: Vec::new(),
             first_involved: 0,
             last_involved: 2,
         };
         let impacts = [impact(1.0, 1, 4.0, 10.0), second];
-        assert_eq!([0, 1, 2, 3].map(|i| impact_speed_mps(&impacts, i)), [None, Some(6.0), Some(6.0), None]);
+        assert_eq!(
+            [0, 1, 2, 3].map(|i| impact_speed_mps(&impacts, i)),
+            [None, Some(6.0), Some(6.0), None]
+        );
         // 0: 5 - 1. 1: max(7 - 4, 7 - 5). 2: max(10 - 7, 7 - 5).
-        assert_eq!([0, 1, 2, 3].map(|i| max_delta_v_mps(&impacts, i)), [Some(4.0), Some(3.0), Some(3.0), None]);
-        assert_eq!([0, 1, 2, 3].map(|i| impacts_of(&impacts, i).count()), [1, 2, 2, 0]);
+        assert_eq!(
+            [0, 1, 2, 3].map(|i| max_delta_v_mps(&impacts, i)),
+            [Some(4.0), Some(3.0), Some(3.0), None]
+        );
+        assert_eq!(
+            [0, 1, 2, 3].map(|i| impacts_of(&impacts, i).count()),
+            [1, 2, 2, 0]
+        );
     }
 
     proptest! {

@@ -4,12 +4,14 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::stl::{
-    Formula, FormulaParseError, FormulaPart, MIN_VIOLATION, MonitorError, SignalsError, motion_signal_names,
-    motion_signals, signal_column,
+    Formula, FormulaParseError, FormulaPart, MIN_VIOLATION, MonitorError, SignalsError,
+    motion_signal_names, motion_signals, signal_column,
 };
 use super::{ContactRole, DrivingRule};
 use crate::scenario::{Scenario, VehicleClass};
-use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
+use crate::sim::{
+    AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
+};
 
 /// A requirement of every run.
 ///
@@ -107,7 +109,11 @@ impl RunVerdict {
     /// Creates the verdict of a run without contact and without failure.
     #[must_use]
     pub fn new(robustness: f64) -> Self {
-        Self { robustness, contact: None, failure: None }
+        Self {
+            robustness,
+            contact: None,
+            failure: None,
+        }
     }
 
     /// Returns true if the specification is violated.
@@ -185,16 +191,29 @@ impl Specification {
     /// refers to times after their end.
     pub fn parse(text: &str, nominal: &Scenario) -> Result<Self, SpecificationError> {
         let specification = text.parse()?;
-        let Self::Formula(formula) = &specification else { return Ok(specification) };
+        let Self::Formula(formula) = &specification else {
+            return Ok(specification);
+        };
         let known = motion_signal_names(nominal.vehicles().len());
-        if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
+        if let Some(name) = formula
+            .signal_names()
+            .into_iter()
+            .find(|name| !known.iter().any(|k| k == name))
+        {
             let column = signal_column(text, name).unwrap_or(1);
-            return Err(SpecificationError::UnknownSignal { column, name: name.to_owned(), known });
+            return Err(SpecificationError::UnknownSignal {
+                column,
+                name: name.to_owned(),
+                known,
+            });
         }
         // A window without an end is clipped to the run. A stated end must lie within the run.
         let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
         if horizon_s.is_finite() && horizon_s > duration_s {
-            return Err(SpecificationError::HorizonTooLong { horizon_s, duration_s });
+            return Err(SpecificationError::HorizonTooLong {
+                horizon_s,
+                duration_s,
+            });
         }
         Ok(specification)
     }
@@ -202,7 +221,11 @@ impl Specification {
     /// Returns a warning if a part of a formula is evaluated only at the first sample.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        if let Self::Formula(formula) = self { formula.warning() } else { None }
+        if let Self::Formula(formula) = self {
+            formula.warning()
+        } else {
+            None
+        }
     }
 
     /// Returns the recording level that [`Self::evaluate`] needs.
@@ -240,26 +263,46 @@ impl Specification {
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
-    pub fn evaluate(&self, run: &Run, result: &SimulationResult) -> Result<RunVerdict, SpecificationError> {
+    pub fn evaluate(
+        &self,
+        run: &Run,
+        result: &SimulationResult,
+    ) -> Result<RunVerdict, SpecificationError> {
         let robustness = match (self, &result.outcome) {
             (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
-            (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(MIN_VIOLATION),
+            (Self::NoContact, Outcome::Collision(contact)) => {
+                -contact.impact_speed_mps.max(MIN_VIOLATION)
+            }
             (Self::NoContact, Outcome::NoCollision) => {
-                let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+                let gaps = result
+                    .vehicles
+                    .iter()
+                    .filter_map(|vehicle| vehicle.min_gap_m);
                 // Rounding must not make a gap of zero a contact.
                 gaps.fold(f64::INFINITY, f64::min).max(0.0)
             }
             (Self::Formula(formula), _) => {
                 let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
-                formula.decided_robustness(&signals, 1)?.first().copied().unwrap_or(f64::NAN)
+                formula
+                    .decided_robustness(&signals, 1)?
+                    .first()
+                    .copied()
+                    .unwrap_or(f64::NAN)
             }
-            (Self::DrivingRule(conduct), _) => {
-                conduct.robustness(run.scenario(), result).ok_or(SpecificationError::NoTrace)?
-            }
+            (Self::DrivingRule(conduct), _) => conduct
+                .robustness(run.scenario(), result)
+                .ok_or(SpecificationError::NoTrace)?,
         };
-        let failed = result.outcome.failed_controller().map(|failed| (failed.time_s, failed.vehicle as u32));
-        Ok(RunVerdict { robustness, contact: first_contact(run, result), failure: failed })
+        let failed = result
+            .outcome
+            .failed_controller()
+            .map(|failed| (failed.time_s, failed.vehicle as u32));
+        Ok(RunVerdict {
+            robustness,
+            contact: first_contact(run, result),
+            failure: failed,
+        })
     }
 
     /// Returns the parts of a formula and their robustness over time, one sample per time step of the run; nothing for
@@ -272,13 +315,21 @@ impl Specification {
         run: &Run,
         result: &SimulationResult,
     ) -> Result<Vec<FormulaPart>, SpecificationError> {
-        let Self::Formula(formula) = self else { return Ok(Vec::new()) };
+        let Self::Formula(formula) = self else {
+            return Ok(Vec::new());
+        };
         let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
         let values = formula.part_count() * trace.time_s.len();
         if values > MAX_PART_VALUES {
             return Err(SpecificationError::TooManyParts { values });
         }
-        Ok(formula.parts_over_time(&motion_signals(trace, run.dt_s(), &formula.signal_names())?)?)
+        Ok(
+            formula.parts_over_time(&motion_signals(
+                trace,
+                run.dt_s(),
+                &formula.signal_names(),
+            )?)?,
+        )
     }
 }
 
@@ -291,11 +342,22 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
         ContactRole::Hits | ContactRole::Bystander => contact.rear_vehicle,
     };
     let hardest_mps2 = match &result.trace {
-        None => result.vehicles.get(ego).map_or(0.0, |vehicle| vehicle.max_brake_mps2),
+        None => result
+            .vehicles
+            .get(ego)
+            .map_or(0.0, |vehicle| vehicle.max_brake_mps2),
         Some(trace) => {
-            let before = trace.time_s.partition_point(|&time_s| time_s < contact.time_s);
-            let held = trace.vehicles.get(ego).map(|track| &track.acceleration_mps2);
-            held.into_iter().flatten().take(before).fold(0.0, |hardest: f64, accel| hardest.max(-accel))
+            let before = trace
+                .time_s
+                .partition_point(|&time_s| time_s < contact.time_s);
+            let held = trace
+                .vehicles
+                .get(ego)
+                .map(|track| &track.acceleration_mps2);
+            held.into_iter()
+                .flatten()
+                .take(before)
+                .fold(0.0, |hardest: f64, accel| hardest.max(-accel))
         }
     };
     Some(FirstContact {
@@ -304,7 +366,10 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
         rear_vehicle: contact.rear_vehicle as u32,
         impact_speed_mps: contact.impact_speed_mps,
         ego_braking: BrakingLevel::new(hardest_mps2, scenario.usable_brake_mps2(ego)),
-        rear_class: scenario.vehicles().get(contact.rear_vehicle).map_or(VehicleClass::Light, |v| v.class),
+        rear_class: scenario
+            .vehicles()
+            .get(contact.rear_vehicle)
+            .map_or(VehicleClass::Light, |v| v.class),
     })
 }
 
@@ -319,10 +384,12 @@ impl FromStr for Specification {
         if let Ok(conduct) = text.parse() {
             return Ok(Self::DrivingRule(conduct));
         }
-        text.parse().map(Self::Formula).map_err(|formula| match text.contains(['<', '>']) {
-            true => SpecificationError::Parse(formula),
-            false => SpecificationError::UnknownRule { formula },
-        })
+        text.parse()
+            .map(Self::Formula)
+            .map_err(|formula| match text.contains(['<', '>']) {
+                true => SpecificationError::Parse(formula),
+                false => SpecificationError::UnknownRule { formula },
+            })
     }
 }
 

@@ -17,18 +17,32 @@ pub(super) fn driven_track(
             let moving_s = if a < 0.0 { step_s.min(v / -a) } else { step_s };
             acceleration_mps2.push(if moving_s > 0.0 { a } else { 0.0 });
             x += v * moving_s + 0.5 * a * moving_s * moving_s;
-            v = if moving_s < step_s { 0.0 } else { v + a * step_s };
+            v = if moving_s < step_s {
+                0.0
+            } else {
+                v + a * step_s
+            };
             position_m.push(x);
             speed_mps.push(v);
         }
     }
     acceleration_mps2.push(acceleration_mps2.last().copied().unwrap_or(0.0));
-    Track { length_m, mass_kg: 1500.0, position_m, speed_mps, acceleration_mps2, in_lane_s: Track::THROUGHOUT_S }
+    Track {
+        length_m,
+        mass_kg: 1500.0,
+        position_m,
+        speed_mps,
+        acceleration_mps2,
+        in_lane_s: Track::THROUGHOUT_S,
+    }
 }
 
 pub(super) fn trace(vehicles: Vec<Track>, step_s: f64) -> Trace {
     let samples = vehicles.first().map_or(0, |track| track.position_m.len());
-    Trace { time_s: (0..samples).map(|k| k as f64 * step_s).collect(), vehicles }
+    Trace {
+        time_s: (0..samples).map(|k| k as f64 * step_s).collect(),
+        vehicles,
+    }
 }
 
 /// Creates a trace of a vehicle 2 m long and its follower, each with an initial speed and pieces as in
@@ -36,11 +50,19 @@ pub(super) fn trace(vehicles: Vec<Track>, step_s: f64) -> Trace {
 pub(super) fn pair_trace(gap_m: f64, vehicles: [(f64, &[(f64, f64)]); 2], step_s: f64) -> Trace {
     let [(front_mps, front), (rear_mps, rear)] = vehicles;
     let front = driven_track(2.0, gap_m + 2.0, front_mps, front, step_s);
-    trace(vec![front, driven_track(2.0, 0.0, rear_mps, rear, step_s)], step_s)
+    trace(
+        vec![front, driven_track(2.0, 0.0, rear_mps, rear, step_s)],
+        step_s,
+    )
 }
 
 /// Creates an impact of vehicle `front` with its follower; both have equal mass.
-pub(super) fn impact(time_s: f64, front: usize, front_speed_mps: f64, rear_speed_mps: f64) -> Impact {
+pub(super) fn impact(
+    time_s: f64,
+    front: usize,
+    front_speed_mps: f64,
+    rear_speed_mps: f64,
+) -> Impact {
     let contact = Contact {
         time_s,
         front_vehicle: front,

@@ -34,21 +34,35 @@ struct ByteReader<'a>(&'a [u8]);
 impl<'a> ByteReader<'a> {
     fn from_offset(bytes: &'a [u8], place: u64) -> Result<Self, NetworkError> {
         let place = usize::try_from(place).unwrap_or(usize::MAX);
-        bytes.get(place..).map(Self).ok_or_else(|| damaged("it points beyond its end"))
+        bytes
+            .get(place..)
+            .map(Self)
+            .ok_or_else(|| damaged("it points beyond its end"))
     }
 
     fn take(&mut self, count: usize) -> Result<&'a [u8], NetworkError> {
-        let (taken, rest) = self.0.split_at_checked(count).ok_or_else(|| damaged("it is cut off"))?;
+        let (taken, rest) = self
+            .0
+            .split_at_checked(count)
+            .ok_or_else(|| damaged("it is cut off"))?;
         self.0 = rest;
         Ok(taken)
     }
 
     fn read_uint(&mut self, bytes: usize) -> Result<u64, NetworkError> {
-        Ok(self.take(bytes)?.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)))
+        Ok(self
+            .take(bytes)?
+            .iter()
+            .rev()
+            .fold(0, |number, &byte| number << 8 | u64::from(byte)))
     }
 
     fn expect_signature(&mut self, wanted: &[u8; 4]) -> Result<(), NetworkError> {
-        if self.take(4)? == wanted { Ok(()) } else { Err(damaged("one of its parts is not at the stated position")) }
+        if self.take(4)? == wanted {
+            Ok(())
+        } else {
+            Err(damaged("one of its parts is not at the stated position"))
+        }
     }
 }
 
@@ -56,11 +70,17 @@ impl<'a> Archive<'a> {
     pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
         // The end record is searched from the end: a comment of at most 65 535 bytes may follow it.
         let earliest = bytes.len().saturating_sub(22 + 0xffff);
-        let end = (earliest..bytes.len().saturating_sub(21)).rev().find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
+        let end = (earliest..bytes.len().saturating_sub(21))
+            .rev()
+            .find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
         let end = end.ok_or_else(|| damaged("it has no end record: the file may be cut off"))?;
         let mut record = ByteReader(&bytes[end..]);
         record.take(10)?;
-        let (mut count, _size, mut start) = (record.read_uint(2)?, record.read_uint(4)?, record.read_uint(4)?);
+        let (mut count, _size, mut start) = (
+            record.read_uint(2)?,
+            record.read_uint(4)?,
+            record.read_uint(4)?,
+        );
         // The zip64 end record, whose locator is right before the end record.
         if let Some(pointer) = end.checked_sub(20)
             && bytes[pointer..].starts_with(b"PK\x06\x07")
@@ -69,23 +89,34 @@ impl<'a> Archive<'a> {
             let mut record = ByteReader::from_offset(bytes, locator.read_uint(8)?)?;
             record.expect_signature(b"PK\x06\x06")?;
             record.take(28)?;
-            (count, _, start) = (record.read_uint(8)?, record.read_uint(8)?, record.read_uint(8)?);
+            (count, _, start) = (
+                record.read_uint(8)?,
+                record.read_uint(8)?,
+                record.read_uint(8)?,
+            );
         }
         let mut directory = ByteReader::from_offset(bytes, start)?;
         let count = usize::try_from(count).unwrap_or(usize::MAX);
         if count > MAX_MEMBERS {
             return Err(damaged(format!("it has more than {MAX_MEMBERS} members")));
         }
-        let members = (0..count).map(|_| ArchiveMember::read(&mut directory)).collect::<Result<_, _>>()?;
+        let members = (0..count)
+            .map(|_| ArchiveMember::read(&mut directory))
+            .collect::<Result<_, _>>()?;
         Ok(Self { bytes, members })
     }
 
     pub(super) fn has_member_with_suffix(&self, ending: &str) -> bool {
-        self.members.iter().any(|member| member.name.ends_with(ending))
+        self.members
+            .iter()
+            .any(|member| member.name.ends_with(ending))
     }
 
     pub(super) fn only_member_with_suffix(&self, ending: &str) -> Result<&str, NetworkError> {
-        let mut found = self.members.iter().filter(|member| member.name.ends_with(ending));
+        let mut found = self
+            .members
+            .iter()
+            .filter(|member| member.name.ends_with(ending));
         match (found.next(), found.next()) {
             (Some(one), None) => Ok(&one.name),
             (None, _) => Err(damaged(format!("it has no member `{ending}`"))),
@@ -95,13 +126,16 @@ impl<'a> Archive<'a> {
 
     pub(super) fn member(&self, name: &str) -> Result<&'a [u8], NetworkError> {
         let mut found = self.members.iter().filter(|member| member.name == name);
-        let member = found.next().ok_or_else(|| damaged(format!("it has no member `{name}`")))?;
+        let member = found
+            .next()
+            .ok_or_else(|| damaged(format!("it has no member `{name}`")))?;
         if found.next().is_some() {
             return Err(damaged(format!("it has several members `{name}`")));
         }
         if member.method != 0 || member.is_encrypted {
-            let problem =
-                format!("member `{name}` is compressed or encrypted; save the model again, or zip it with `zip -0`");
+            let problem = format!(
+                "member `{name}` is compressed or encrypted; save the model again, or zip it with `zip -0`"
+            );
             return Err(NetworkError::Unsupported(problem));
         }
         let mut header = ByteReader::from_offset(self.bytes, member.header)?;
@@ -111,7 +145,9 @@ impl<'a> Archive<'a> {
         header.take((lengths[0] + lengths[1]) as usize)?;
         let contents = header.take(usize::try_from(member.size).unwrap_or(usize::MAX))?;
         if !member.is_checked.get() && crc32(contents) != member.crc {
-            return Err(damaged(format!("member `{name}` does not match its checksum")));
+            return Err(damaged(format!(
+                "member `{name}` does not match its checksum"
+            )));
         }
         member.is_checked.set(true);
         Ok(contents)
@@ -126,8 +162,12 @@ impl ArchiveMember {
         directory.take(4)?;
         let crc = directory.read_uint(4)? as u32;
         let (stored, mut size) = (directory.read_uint(4)?, directory.read_uint(4)?);
-        let lengths =
-            [directory.read_uint(2)?, directory.read_uint(2)?, directory.read_uint(2)?].map(|length| length as usize);
+        let lengths = [
+            directory.read_uint(2)?,
+            directory.read_uint(2)?,
+            directory.read_uint(2)?,
+        ]
+        .map(|length| length as usize);
         directory.take(8)?;
         let mut header = directory.read_uint(4)?;
         let name = String::from_utf8_lossy(directory.take(lengths[0])?).into_owned();
@@ -150,7 +190,15 @@ impl ArchiveMember {
                 }
             }
         }
-        Ok(Self { name, method, is_encrypted: flags & 1 != 0, crc, size, header, is_checked: Cell::new(false) })
+        Ok(Self {
+            name,
+            method,
+            is_encrypted: flags & 1 != 0,
+            crc,
+            size,
+            header,
+            is_checked: Cell::new(false),
+        })
     }
 }
 
@@ -161,7 +209,11 @@ fn crc32(bytes: &[u8]) -> u32 {
         while index < 256 {
             let (mut value, mut bit) = (index as u32, 0);
             while bit < 8 {
-                value = if value & 1 == 1 { value >> 1 ^ 0xedb8_8320 } else { value >> 1 };
+                value = if value & 1 == 1 {
+                    value >> 1 ^ 0xedb8_8320
+                } else {
+                    value >> 1
+                };
                 bit += 1;
             }
             table[index] = value;
@@ -169,7 +221,9 @@ fn crc32(bytes: &[u8]) -> u32 {
         }
         table
     };
-    !bytes.iter().fold(!0, |crc, &byte| crc >> 8 ^ TABLE[usize::from((crc as u8) ^ byte)])
+    !bytes.iter().fold(!0, |crc, &byte| {
+        crc >> 8 ^ TABLE[usize::from((crc as u8) ^ byte)]
+    })
 }
 
 #[cfg(test)]

@@ -64,7 +64,9 @@ pub enum NetworkError {
         problem: String,
     },
     /// The network can overflow.
-    #[error("step {step} can overflow for inputs within their limits: its parameters are too large")]
+    #[error(
+        "step {step} can overflow for inputs within their limits: its parameters are too large"
+    )]
     Overflow {
         /// Index of the step, from 0.
         step: usize,
@@ -73,11 +75,17 @@ pub enum NetworkError {
 
 /// Makes text of a file safe for a message: one line, without control characters, at most 200 characters.
 pub(super) fn sanitized(said: &str) -> String {
-    said.chars().take(200).flat_map(char::escape_debug).collect()
+    said.chars()
+        .take(200)
+        .flat_map(char::escape_debug)
+        .collect()
 }
 
 impl NetworkError {
     pub(super) fn damaged(form: &'static str, problem: impl Into<String>) -> Self {
-        Self::Damaged { format: form, problem: problem.into() }
+        Self::Damaged {
+            format: form,
+            problem: problem.into(),
+        }
     }
 }

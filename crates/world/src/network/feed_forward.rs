@@ -57,7 +57,10 @@ impl FeedForward {
         let mut widths = vec![inputs];
         let (mut width, mut parameters) = (inputs, 0_usize);
         for (index, step) in steps.iter().enumerate() {
-            width = check_step(step, width).map_err(|problem| NetworkError::Step { step: index, problem })?;
+            width = check_step(step, width).map_err(|problem| NetworkError::Step {
+                step: index,
+                problem,
+            })?;
             widths.push(width);
             if let NetworkStep::Linear(linear) = step {
                 parameters = parameters.saturating_add(linear.weights.len() + linear.biases.len());
@@ -67,7 +70,11 @@ impl FeedForward {
             return Err(NetworkError::TooManyParameters);
         }
         let acting = pack_steps(&steps, &widths);
-        Ok(Self { widths, steps, packed: acting })
+        Ok(Self {
+            widths,
+            steps,
+            packed: acting,
+        })
     }
 
     /// Returns the number of inputs.
@@ -92,8 +99,14 @@ impl FeedForward {
     #[must_use]
     pub fn shape(&self) -> String {
         let products = self.steps.iter().zip(&self.widths[1..]);
-        let layers = products.filter(|(step, _)| matches!(step, NetworkStep::Linear(_))).map(|(_, width)| *width);
-        std::iter::once(self.inputs()).chain(layers).map(|width| width.to_string()).collect::<Vec<_>>().join("-")
+        let layers = products
+            .filter(|(step, _)| matches!(step, NetworkStep::Linear(_)))
+            .map(|(_, width)| *width);
+        std::iter::once(self.inputs())
+            .chain(layers)
+            .map(|width| width.to_string())
+            .collect::<Vec<_>>()
+            .join("-")
     }
 
     /// Returns the answers to `batch` rows of inputs; the bits of a row do not depend on other rows.
@@ -105,13 +118,19 @@ impl FeedForward {
     /// Returns the bounds of each answer by the functions after the last layer: -1 and 1 after tanh, or infinite.
     #[must_use]
     pub fn answer_bounds(&self) -> Vec<[f64; 2]> {
-        let after_last =
-            self.steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_))).map_or(0, |last| last + 1);
+        let after_last = self
+            .steps
+            .iter()
+            .rposition(|step| matches!(step, NetworkStep::Linear(_)))
+            .map_or(0, |last| last + 1);
         let bounds_of = |index| {
-            self.steps.iter().skip(after_last).fold([f64::NEG_INFINITY, f64::INFINITY], |bounds, step| match step {
-                NetworkStep::Elementwise(each) => each.range(index, bounds),
-                NetworkStep::Linear(_) => bounds,
-            })
+            self.steps.iter().skip(after_last).fold(
+                [f64::NEG_INFINITY, f64::INFINITY],
+                |bounds, step| match step {
+                    NetworkStep::Elementwise(each) => each.range(index, bounds),
+                    NetworkStep::Linear(_) => bounds,
+                },
+            )
         };
         (0..self.outputs()).map(bounds_of).collect()
     }
@@ -132,11 +151,17 @@ impl FeedForward {
         for (step, of) in self.steps.iter().enumerate() {
             let next = match of {
                 NetworkStep::Linear(linear) => linear.ranges(&ranges, highest),
-                NetworkStep::Elementwise(each) => {
-                    Some(ranges.iter().enumerate().map(|(index, range)| each.range(index, *range)).collect())
-                }
+                NetworkStep::Elementwise(each) => Some(
+                    ranges
+                        .iter()
+                        .enumerate()
+                        .map(|(index, range)| each.range(index, *range))
+                        .collect(),
+                ),
             };
-            ranges = next.filter(|next| next.iter().all(fits)).ok_or(NetworkError::Overflow { step })?;
+            ranges = next
+                .filter(|next| next.iter().all(fits))
+                .ok_or(NetworkError::Overflow { step })?;
         }
         Ok(ranges)
     }
@@ -147,7 +172,10 @@ impl Linear {
     fn ranges(&self, inputs: &[[f64; 2]], highest: f64) -> Option<Vec<[f64; 2]>> {
         let start = |bias: &f32| [f64::from(*bias), f64::from(*bias), f64::from(bias.abs())];
         let mut sums: Vec<[f64; 3]> = self.biases.iter().map(start).collect();
-        for (input, row) in inputs.iter().zip(self.weights.chunks_exact(self.biases.len().max(1))) {
+        for (input, row) in inputs
+            .iter()
+            .zip(self.weights.chunks_exact(self.biases.len().max(1)))
+        {
             for ([low, high, size], weight) in sums.iter_mut().zip(row) {
                 let ends = input.map(|end| end * f64::from(*weight));
                 *low += ends[0].min(ends[1]);
@@ -155,7 +183,9 @@ impl Linear {
                 *size += ends[0].abs().max(ends[1].abs());
             }
         }
-        sums.into_iter().map(|[low, high, size]| (size <= highest).then_some([low, high])).collect()
+        sums.into_iter()
+            .map(|[low, high, size]| (size <= highest).then_some([low, high]))
+            .collect()
     }
 }
 
@@ -163,16 +193,25 @@ impl Linear {
 fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
     let finite = |numbers: &[f32]| {
         let all = numbers.iter().all(|number| number.is_finite());
-        if all { Ok(()) } else { Err("holds a number that is not finite".to_owned()) }
+        if all {
+            Ok(())
+        } else {
+            Err("holds a number that is not finite".to_owned())
+        }
     };
     match step {
         NetworkStep::Linear(Linear { weights, biases }) => {
             let outputs = biases.len();
             if !(1..=MAX_LAYER_WIDTH).contains(&outputs) {
-                return Err(format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {outputs}"));
+                return Err(format!(
+                    "a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {outputs}"
+                ));
             }
             if outputs.checked_mul(width) != Some(weights.len()) {
-                return Err(format!("{} weights cannot take {width} numbers to {outputs}", weights.len()));
+                return Err(format!(
+                    "{} weights cannot take {width} numbers to {outputs}",
+                    weights.len()
+                ));
             }
             finite(weights)?;
             finite(biases)?;
@@ -191,11 +230,14 @@ fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
                     }
                 }
                 Elementwise::Clip { low, high }
-                    if low.len() != high.len() || !low.iter().zip(high).all(|(low, high)| low <= high) =>
+                    if low.len() != high.len()
+                        || !low.iter().zip(high).all(|(low, high)| low <= high) =>
                 {
                     return Err("a lower limit above the upper one".to_owned());
                 }
-                Elementwise::LeakyRelu { slope: number } | Elementwise::Elu { alpha: number } => finite(&[*number])?,
+                Elementwise::LeakyRelu { slope: number } | Elementwise::Elu { alpha: number } => {
+                    finite(&[*number])?
+                }
                 _ => {}
             }
         }
@@ -205,14 +247,17 @@ fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
 
 /// Packs the steps, with a ReLU after a product merged into it.
 fn pack_steps(steps: &[NetworkStep], widths: &[usize]) -> PackedNetwork {
-    let last = steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_)));
+    let last = steps
+        .iter()
+        .rposition(|step| matches!(step, NetworkStep::Linear(_)));
     let mut acting = PackedNetwork::default();
     let mut is_done = false;
     for (index, (step, &width)) in steps.iter().zip(widths).enumerate() {
         match step {
             NetworkStep::Linear(Linear { weights, biases }) => {
                 let is_last = last == Some(index);
-                is_done = steps.get(index + 1) == Some(&NetworkStep::Elementwise(Elementwise::Relu))
+                is_done = steps.get(index + 1)
+                    == Some(&NetworkStep::Elementwise(Elementwise::Relu))
                     && !(is_last && biases.len() == 1);
                 acting.push_product(weights, biases, width, is_last, is_done);
             }

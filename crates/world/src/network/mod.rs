@@ -67,9 +67,16 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`] for a file that cannot be read, is damaged, or contains no supported network.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
-        let in_file = |reason| NetworkError::InFile { path: path.to_owned(), reason: Box::new(reason) };
-        let format = NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
-        let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
+        let in_file = |reason| NetworkError::InFile {
+            path: path.to_owned(),
+            reason: Box::new(reason),
+        };
+        let format =
+            NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
+        let unreadable = |source| NetworkError::Read {
+            path: path.to_owned(),
+            source,
+        };
         let mut bytes = Vec::new();
         regular_file::open(path)
             .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
@@ -162,7 +169,8 @@ impl NetworkFormat {
 /// True if a regular file begins as a zip archive.
 fn has_zip_signature(path: &Path) -> bool {
     let mut first = [0; 4];
-    let is_read = regular_file::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok());
+    let is_read =
+        regular_file::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok());
     is_read && first == *b"PK\x03\x04"
 }
 

@@ -48,9 +48,16 @@ pub(super) struct Pickle<'a> {
 impl<'a> Pickle<'a> {
     /// Reads a pickle of protocol 2 to 5.
     pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
-        let mut machine = Machine { rest: bytes, length: bytes.len(), ..Machine::default() };
+        let mut machine = Machine {
+            rest: bytes,
+            length: bytes.len(),
+            ..Machine::default()
+        };
         let top = machine.run()?;
-        Ok(Self { values: machine.values, top })
+        Ok(Self {
+            values: machine.values,
+            top,
+        })
     }
 
     pub(super) fn get(&self, id: ValueId) -> &Object<'a> {
@@ -58,15 +65,27 @@ impl<'a> Pickle<'a> {
     }
 
     pub(super) fn text(&self, id: ValueId) -> Option<&'a str> {
-        if let Object::Text(text) = self.get(id) { Some(text) } else { None }
+        if let Object::Text(text) = self.get(id) {
+            Some(text)
+        } else {
+            None
+        }
     }
 
     pub(super) fn integer(&self, id: ValueId) -> Option<i64> {
-        if let Object::Integer(integer) = self.get(id) { Some(*integer) } else { None }
+        if let Object::Integer(integer) = self.get(id) {
+            Some(*integer)
+        } else {
+            None
+        }
     }
 
     pub(super) fn boolean(&self, id: ValueId) -> Option<bool> {
-        if let Object::Bool(truth) = self.get(id) { Some(*truth) } else { None }
+        if let Object::Bool(truth) = self.get(id) {
+            Some(*truth)
+        } else {
+            None
+        }
     }
 
     pub(super) fn number(&self, id: ValueId) -> Option<f64> {
@@ -78,29 +97,49 @@ impl<'a> Pickle<'a> {
     }
 
     pub(super) fn tuple(&self, id: ValueId) -> Option<&[ValueId]> {
-        if let Object::Tuple(members) = self.get(id) { Some(members) } else { None }
+        if let Object::Tuple(members) = self.get(id) {
+            Some(members)
+        } else {
+            None
+        }
     }
 
     pub(super) fn global(&self, id: ValueId) -> Option<(&'a str, &'a str)> {
-        if let Object::Global(module, name) = self.get(id) { Some((module, name)) } else { None }
+        if let Object::Global(module, name) = self.get(id) {
+            Some((module, name))
+        } else {
+            None
+        }
     }
 
     pub(super) fn call(&self, id: ValueId) -> Option<&Call> {
-        if let Object::Call(call) = self.get(id) { Some(call) } else { None }
+        if let Object::Call(call) = self.get(id) {
+            Some(call)
+        } else {
+            None
+        }
     }
 
     /// Returns the entries of a dictionary, ordered or not.
     pub(super) fn entries(&self, id: ValueId) -> Option<&[(ValueId, ValueId)]> {
         match self.get(id) {
             Object::Dict(entries) => Some(entries),
-            Object::Call(call) if self.global(call.callee) == Some(("collections", "OrderedDict")) => Some(&call.items),
+            Object::Call(call)
+                if self.global(call.callee) == Some(("collections", "OrderedDict")) =>
+            {
+                Some(&call.items)
+            }
             _ => None,
         }
     }
 
     /// Returns the last entry of a dictionary under a key.
     pub(super) fn entry(&self, id: ValueId, key: &str) -> Option<ValueId> {
-        self.entries(id)?.iter().rev().find(|(name, _)| self.text(*name) == Some(key)).map(|(_, value)| *value)
+        self.entries(id)?
+            .iter()
+            .rev()
+            .find(|(name, _)| self.text(*name) == Some(key))
+            .map(|(_, value)| *value)
     }
 }
 
@@ -127,9 +166,13 @@ impl<'a> Machine<'a> {
                 return self.pop();
             }
             self.step(operation).map_err(|error| match error {
-                NetworkError::Damaged { format: form, problem } => {
-                    NetworkError::Damaged { format: form, problem: format!("{problem} (at byte {at})") }
-                }
+                NetworkError::Damaged {
+                    format: form,
+                    problem,
+                } => NetworkError::Damaged {
+                    format: form,
+                    problem: format!("{problem} (at byte {at})"),
+                },
                 other => other,
             })?;
         }
@@ -171,11 +214,19 @@ impl<'a> Machine<'a> {
             b')' => self.push(Object::Tuple(Vec::new())),
             b't' | b'l' => {
                 let members = self.pop_to_mark()?;
-                self.push(if operation == b't' { Object::Tuple(members) } else { Object::List(members) })
+                self.push(if operation == b't' {
+                    Object::Tuple(members)
+                } else {
+                    Object::List(members)
+                })
             }
             0x85..=0x87 => {
                 let count = usize::from(operation - 0x84);
-                let from = self.stack.len().checked_sub(count).ok_or_else(|| damaged("an empty stack"))?;
+                let from = self
+                    .stack
+                    .len()
+                    .checked_sub(count)
+                    .ok_or_else(|| damaged("an empty stack"))?;
                 let members = self.stack.split_off(from);
                 self.push(Object::Tuple(members))
             }
@@ -196,7 +247,12 @@ impl<'a> Machine<'a> {
             // Records the call instead of executing it.
             b'R' | 0x81 => {
                 let (arguments, of) = (self.pop()?, self.pop()?);
-                self.push(Object::Call(Call { callee: of, arguments, state: None, items: Vec::new() }))
+                self.push(Object::Call(Call {
+                    callee: of,
+                    arguments,
+                    state: None,
+                    items: Vec::new(),
+                }))
             }
             b'b' => {
                 let state = self.pop()?;
@@ -216,7 +272,11 @@ impl<'a> Machine<'a> {
                 self.set_items(&members)
             }
             b'a' | b'e' => {
-                let members = if operation == b'a' { vec![self.pop()?] } else { self.pop_to_mark()? };
+                let members = if operation == b'a' {
+                    vec![self.pop()?]
+                } else {
+                    self.pop_to_mark()?
+                };
                 self.append(&members)
             }
             b'q' | b'r' => {
@@ -232,32 +292,46 @@ impl<'a> Machine<'a> {
                 let description = self.pop()?;
                 self.push(Object::PersistentId(description))
             }
-            other => Err(damaged(format!("the operation {other:#04x}, which is not supported"))),
+            other => Err(damaged(format!(
+                "the operation {other:#04x}, which is not supported"
+            ))),
         }
     }
 
     fn take_array<const N: usize>(&mut self) -> Result<[u8; N], NetworkError> {
-        let (bytes, rest) = self.rest.split_first_chunk().ok_or_else(|| damaged("it is cut off"))?;
+        let (bytes, rest) = self
+            .rest
+            .split_first_chunk()
+            .ok_or_else(|| damaged("it is cut off"))?;
         self.rest = rest;
         Ok(*bytes)
     }
 
     fn take_uint(&mut self, bytes: usize) -> Result<u64, NetworkError> {
-        let (number, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
+        let (number, rest) = self
+            .rest
+            .split_at_checked(bytes)
+            .ok_or_else(|| damaged("it is cut off"))?;
         self.rest = rest;
-        Ok(number.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)))
+        Ok(number
+            .iter()
+            .rev()
+            .fold(0, |number, &byte| number << 8 | u64::from(byte)))
     }
 
     fn take_length_prefixed(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
         let count = usize::try_from(self.take_uint(bytes)?).unwrap_or(usize::MAX);
-        let (taken, rest) = self.rest.split_at_checked(count).ok_or_else(|| damaged("a part longer than the whole"))?;
+        let (taken, rest) = self
+            .rest
+            .split_at_checked(count)
+            .ok_or_else(|| damaged("a part longer than the whole"))?;
         self.rest = rest;
         Ok(taken)
     }
 
     fn text(&mut self, bytes: usize) -> Result<(), NetworkError> {
-        let text =
-            std::str::from_utf8(self.take_length_prefixed(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
+        let text = std::str::from_utf8(self.take_length_prefixed(bytes)?)
+            .map_err(|_| damaged("text that is not UTF-8"))?;
         self.push(Object::Text(text))
     }
 
@@ -269,7 +343,11 @@ impl<'a> Machine<'a> {
     /// Pushes an integer of up to eight bytes; a longer one becomes bytes, since no reader uses it.
     fn long(&mut self) -> Result<(), NetworkError> {
         let bytes = self.take_length_prefixed(1)?;
-        let mut eight = if bytes.last().is_some_and(|byte| byte & 0x80 != 0) { [0xff; 8] } else { [0; 8] };
+        let mut eight = if bytes.last().is_some_and(|byte| byte & 0x80 != 0) {
+            [0xff; 8]
+        } else {
+            [0; 8]
+        };
         let value = match eight.get_mut(..bytes.len()) {
             Some(low) => {
                 low.copy_from_slice(bytes);
@@ -281,8 +359,13 @@ impl<'a> Machine<'a> {
     }
 
     fn take_line(&mut self) -> Result<&'a str, NetworkError> {
-        let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or_else(|| damaged("a line without end"))?;
-        let line = std::str::from_utf8(&self.rest[..end]).map_err(|_| damaged("a name that is not UTF-8"))?;
+        let end = self
+            .rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or_else(|| damaged("a line without end"))?;
+        let line = std::str::from_utf8(&self.rest[..end])
+            .map_err(|_| damaged("a name that is not UTF-8"))?;
         self.rest = &self.rest[end + 1..];
         Ok(line)
     }
@@ -301,11 +384,18 @@ impl<'a> Machine<'a> {
     }
 
     fn top(&self) -> Result<ValueId, NetworkError> {
-        self.stack.last().copied().ok_or_else(|| damaged("an empty stack"))
+        self.stack
+            .last()
+            .copied()
+            .ok_or_else(|| damaged("an empty stack"))
     }
 
     fn pop_to_mark(&mut self) -> Result<Vec<ValueId>, NetworkError> {
-        let mark = self.marks.pop().filter(|&mark| mark <= self.stack.len()).ok_or_else(|| damaged("a lost mark"))?;
+        let mark = self
+            .marks
+            .pop()
+            .filter(|&mark| mark <= self.stack.len())
+            .ok_or_else(|| damaged("a lost mark"))?;
         Ok(self.stack.split_off(mark))
     }
 
@@ -342,7 +432,10 @@ impl<'a> Machine<'a> {
     }
 
     fn get_memo(&mut self, place: usize) -> Result<(), NetworkError> {
-        let value = *self.memo.get(&place).ok_or_else(|| damaged("a value that was not remembered"))?;
+        let value = *self
+            .memo
+            .get(&place)
+            .ok_or_else(|| damaged("a value that was not remembered"))?;
         // The stack grows without new values.
         if self.stack.len() >= MAX_VALUES {
             return Err(damaged(format!("more than {MAX_VALUES} values")));

@@ -30,10 +30,13 @@ impl<'a> WireValue<'a> {
     }
 
     pub(super) fn text(self) -> Result<String, NetworkError> {
-        let text = std::str::from_utf8(self.bytes()?).map_err(|_| damaged("text that is not UTF-8"))?;
+        let text =
+            std::str::from_utf8(self.bytes()?).map_err(|_| damaged("text that is not UTF-8"))?;
         // Messages contain names, so control characters are rejected.
         if text.len() > MAX_NAME_BYTES || text.chars().any(char::is_control) {
-            return Err(damaged(&format!("a name of more than {MAX_NAME_BYTES} bytes or with control characters")));
+            return Err(damaged(&format!(
+                "a name of more than {MAX_NAME_BYTES} bytes or with control characters"
+            )));
         }
         Ok(text.to_owned())
     }
@@ -52,7 +55,9 @@ impl<'a> WireValue<'a> {
     pub(super) fn float(self) -> Result<f32, NetworkError> {
         match self {
             Self::Fixed32(bits) => Ok(f32::from_bits(bits)),
-            _ => Err(damaged("something else where a number of single precision is wanted")),
+            _ => Err(damaged(
+                "something else where a number of single precision is wanted",
+            )),
         }
     }
 
@@ -68,7 +73,13 @@ impl<'a> WireValue<'a> {
             one => into.push(one.integer()?),
         }
         let fits = into.len() <= MAX_INTEGERS;
-        if fits { Ok(()) } else { Err(damaged(&format!("more than {MAX_INTEGERS} whole numbers in one field"))) }
+        if fits {
+            Ok(())
+        } else {
+            Err(damaged(&format!(
+                "more than {MAX_INTEGERS} whole numbers in one field"
+            )))
+        }
     }
 
     /// Appends single-precision numbers of a repeated field, packed or not.
@@ -87,7 +98,9 @@ impl<'a> WireValue<'a> {
                 into.push(f64::from_bits(bits) as f32);
                 Ok(())
             }
-            _ => Err(damaged("something else where a number of double precision is wanted")),
+            _ => Err(damaged(
+                "something else where a number of double precision is wanted",
+            )),
         }
     }
 }
@@ -99,7 +112,11 @@ fn unpack<const N: usize>(
 ) -> Result<(), NetworkError> {
     let (values, rest) = packed.as_chunks();
     into.extend(values.iter().map(|&bytes| number(bytes)));
-    if rest.is_empty() { Ok(()) } else { Err(damaged("packed numbers that end within one")) }
+    if rest.is_empty() {
+        Ok(())
+    } else {
+        Err(damaged("packed numbers that end within one"))
+    }
 }
 
 pub(super) struct Message<'a>(pub(super) &'a [u8]);
@@ -115,13 +132,19 @@ impl<'a> Message<'a> {
             1 => WireValue::Fixed64(u64::from_le_bytes(self.take()?)),
             2 => {
                 let length = usize::try_from(self.varint()?).unwrap_or(usize::MAX);
-                let (value, rest) =
-                    self.0.split_at_checked(length).ok_or_else(|| damaged("a field longer than what it is in"))?;
+                let (value, rest) = self
+                    .0
+                    .split_at_checked(length)
+                    .ok_or_else(|| damaged("a field longer than what it is in"))?;
                 self.0 = rest;
                 WireValue::Bytes(value)
             }
             5 => WireValue::Fixed32(u32::from_le_bytes(self.take()?)),
-            other => return Err(damaged(&format!("a field of kind {other}, which there is not"))),
+            other => {
+                return Err(damaged(&format!(
+                    "a field of kind {other}, which there is not"
+                )));
+            }
         };
         match key >> 3 {
             0 => Err(damaged("a field without a number")),
@@ -130,7 +153,10 @@ impl<'a> Message<'a> {
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N], NetworkError> {
-        let (bytes, rest) = self.0.split_first_chunk().ok_or_else(|| damaged("a number that is cut off"))?;
+        let (bytes, rest) = self
+            .0
+            .split_first_chunk()
+            .ok_or_else(|| damaged("a number that is cut off"))?;
         self.0 = rest;
         Ok(*bytes)
     }

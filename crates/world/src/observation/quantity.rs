@@ -78,7 +78,9 @@ impl ObservedQuantity {
     /// Returns the quantity of a name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|quantity| quantity.name() == name)
+        Self::ALL
+            .into_iter()
+            .find(|quantity| quantity.name() == name)
     }
 
     /// Returns the usual range in car following.
@@ -88,9 +90,10 @@ impl ObservedQuantity {
             Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
             Q::GapAheadM | Q::GapBehindM => [10.0, 50.0],
             Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => [-3.0, 3.0],
-            Q::AccelerationMps2 | Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 | Q::LastAnswerMps2 => {
-                [-3.0, 2.0]
-            }
+            Q::AccelerationMps2
+            | Q::AccelerationAheadMps2
+            | Q::AccelerationBehindMps2
+            | Q::LastAnswerMps2 => [-3.0, 2.0],
             Q::TimeGapAheadS | Q::TimeGapBehindS => [0.8, 2.5],
             Q::TimeToCollisionAheadS | Q::TimeToCollisionBehindS => [1.0, MAX_TTC_S],
             Q::IsAhead | Q::IsBehind => [0.0, 1.0],
@@ -125,17 +128,29 @@ impl ObservedQuantity {
     /// True if the quantity belongs to a neighbour, which may be absent.
     pub(crate) fn is_of_neighbour(self) -> bool {
         use ObservedQuantity as Q;
-        !matches!(self, Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind)
+        !matches!(
+            self,
+            Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind
+        )
     }
 
     #[inline]
-    pub(crate) fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
+    pub(crate) fn value(
+        self,
+        seen: &Observation,
+        last_answer_mps2: f64,
+        absent: Option<f64>,
+    ) -> f64 {
         use ObservedQuantity as Q;
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }
         }
         fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
-            if closing_mps > 0.0 { (gap_m / closing_mps).min(MAX_TTC_S) } else { MAX_TTC_S }
+            if closing_mps > 0.0 {
+                (gap_m / closing_mps).min(MAX_TTC_S)
+            } else {
+                MAX_TTC_S
+            }
         }
         let own_mps = seen.speed_mps;
         let neighbour = match self {
@@ -160,7 +175,11 @@ impl ObservedQuantity {
         let there = match (neighbour, absent) {
             (Some(there), _) => there,
             (None, Some(absent)) => return absent,
-            (None, None) => Neighbour { gap_m: EMPTY_GAP_M, speed_mps: own_mps, acceleration_mps2: 0.0 },
+            (None, None) => Neighbour {
+                gap_m: EMPTY_GAP_M,
+                speed_mps: own_mps,
+                acceleration_mps2: 0.0,
+            },
         };
         match self {
             Q::SpeedAheadMps | Q::SpeedBehindMps => there.speed_mps,

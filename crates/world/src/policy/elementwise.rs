@@ -41,7 +41,9 @@ impl Elementwise {
     /// Returns the number of operands; `None` without operands.
     pub(crate) fn width(&self) -> Option<usize> {
         match self {
-            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
+            Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => {
+                Some(operands.len())
+            }
             Self::Clip { low, .. } => Some(low.len()),
             _ => None,
         }
@@ -60,8 +62,15 @@ impl Elementwise {
                 }
             }
             Self::Relu => map_values(values, |x| if x > 0.0 { x } else { 0.0 }),
-            Self::LeakyRelu { slope } => map_values(values, |x| if x < 0.0 { slope * x } else { x }),
-            Self::Elu { alpha } => map_values(values, |x| if x < 0.0 { alpha * libm::expm1f(x) } else { x }),
+            Self::LeakyRelu { slope } => {
+                map_values(values, |x| if x < 0.0 { slope * x } else { x })
+            }
+            Self::Elu { alpha } => {
+                map_values(
+                    values,
+                    |x| if x < 0.0 { alpha * libm::expm1f(x) } else { x },
+                )
+            }
             Self::Tanh => map_values(values, libm::tanhf),
             Self::Sigmoid => map_values(values, |x| 1.0 / (1.0 + libm::expf(-x))),
         }
@@ -76,7 +85,11 @@ impl Elementwise {
             let [a, b] = [low, high].map(|x| if x < 0.0 { f(x) } else { x });
             let [a, b] = sorted(a, b);
             // A negative factor has its extremum at 0.
-            if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
+            if low < 0.0 && high > 0.0 {
+                [a.min(0.0), b.max(0.0)]
+            } else {
+                [a, b]
+            }
         };
         match self {
             Self::Add(operands) => both(&|x| x + of(operands)),
@@ -107,6 +120,8 @@ fn map_values(values: &mut [f32], change: impl Fn(f32) -> f32) {
 #[inline]
 fn map_rows(values: &mut [f32], operands: &[f32], change: impl Fn(f32, f32) -> f32) {
     for row in values.chunks_exact_mut(operands.len().max(1)) {
-        row.iter_mut().zip(operands).for_each(|(value, &operand)| *value = change(*value, operand));
+        row.iter_mut()
+            .zip(operands)
+            .for_each(|(value, &operand)| *value = change(*value, operand));
     }
 }

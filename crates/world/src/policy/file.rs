@@ -74,11 +74,18 @@ impl Policy {
     /// # Errors
     /// [`PolicyError`] for a missing or damaged file, tensors that do not fit the header, or a possible overflow.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
-        let failed = |source| PolicyError::Read { path: path.to_owned(), source };
+        let failed = |source| PolicyError::Read {
+            path: path.to_owned(),
+            source,
+        };
         let mut bytes = Vec::new();
-        regular_file::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
-        Self::from_bytes(&bytes)
-            .map_err(|reason| PolicyError::InFile { path: path.to_owned(), reason: Box::new(reason) })
+        regular_file::open(path)
+            .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
+            .map_err(failed)?;
+        Self::from_bytes(&bytes).map_err(|reason| PolicyError::InFile {
+            path: path.to_owned(),
+            reason: Box::new(reason),
+        })
     }
 
     /// Reads the bytes of a policy file.
@@ -90,38 +97,65 @@ impl Policy {
             return Err(PolicyError::TooLarge);
         }
         let (_, container) = SafeTensors::read_metadata(bytes)?;
-        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
-        let text = text.ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
+        let text = container
+            .metadata()
+            .as_ref()
+            .and_then(|metadata| metadata.get(METADATA_KEY));
+        let text = text
+            .ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
         let raw = serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
         let version = raw.get("version").and_then(serde_json::Value::as_u64);
         if let Some(version) = version.filter(|&version| version != u64::from(POLICY_VERSION)) {
-            let problem = format!("version {version} is not supported: this release reads {POLICY_VERSION}");
+            let problem =
+                format!("version {version} is not supported: this release reads {POLICY_VERSION}");
             return Err(PolicyError::Header(problem));
         }
         if raw.pointer("/action/departs_from").is_some() {
             let problem = "action.departs_from: residual policies were removed in crumple 0.3.0";
             return Err(PolicyError::Header(problem.to_owned()));
         }
-        let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
+        let header: PolicyHeader =
+            serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
         check_header(&header)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let sizes = layer_sizes(&header);
         // Checked before any allocation: a small file cannot claim a large network.
-        let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
+        let described: usize = sizes
+            .windows(2)
+            .map(|pair| pair.iter().product::<usize>() + pair[1])
+            .sum();
         if described.saturating_mul(4) > bytes.len() {
-            let problem = format!("describes a network of {described} parameters, more than the file holds");
+            let problem =
+                format!("describes a network of {described} parameters, more than the file holds");
             return Err(PolicyError::Header(problem));
         }
         let mut network = Network::zeros(&sizes);
         let layers = network.layers();
-        if let Some(name) = tensors.names().into_iter().find(|name| !tensor_names(layers.len()).any(|n| n == **name)) {
-            return Err(tensor_error(name, "is not part of the network the header describes".to_owned()));
+        if let Some(name) = tensors
+            .names()
+            .into_iter()
+            .find(|name| !tensor_names(layers.len()).any(|n| n == **name))
+        {
+            return Err(tensor_error(
+                name,
+                "is not part of the network the header describes".to_owned(),
+            ));
         }
         for (index, layer) in layers.enumerate() {
             let (weights, biases) = (layer.weights(), layer.biases());
             let parameters = network.parameters_mut();
-            read_tensor(&tensors, &weight_name(index), &[layer.inputs, layer.outputs], &mut parameters[weights])?;
-            read_tensor(&tensors, &bias_name(index), &[layer.outputs], &mut parameters[biases])?;
+            read_tensor(
+                &tensors,
+                &weight_name(index),
+                &[layer.inputs, layer.outputs],
+                &mut parameters[weights],
+            )?;
+            read_tensor(
+                &tensors,
+                &bias_name(index),
+                &[layer.outputs],
+                &mut parameters[biases],
+            )?;
         }
         Self::from_checked_parts(header, network)
     }
@@ -131,21 +165,34 @@ impl Policy {
     /// # Errors
     /// None in practice; [`PolicyError::Header`] and [`PolicyError::Container`] forward errors of the writers.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
-        let text = serde_json::to_string(&self.header).map_err(|e| PolicyError::Header(e.to_string()))?;
+        let text =
+            serde_json::to_string(&self.header).map_err(|e| PolicyError::Header(e.to_string()))?;
         let mut data = Vec::new();
         for (index, layer) in self.network.layers().enumerate() {
             let bytes = |range| -> Vec<u8> {
                 let values: &[f32] = &self.network.parameters()[range];
-                values.iter().flat_map(|value| value.to_le_bytes()).collect()
+                values
+                    .iter()
+                    .flat_map(|value| value.to_le_bytes())
+                    .collect()
             };
-            data.push((weight_name(index), vec![layer.inputs, layer.outputs], bytes(layer.weights())));
+            data.push((
+                weight_name(index),
+                vec![layer.inputs, layer.outputs],
+                bytes(layer.weights()),
+            ));
             data.push((bias_name(index), vec![layer.outputs], bytes(layer.biases())));
         }
         let views = data
             .iter()
-            .map(|(name, shape, bytes)| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .map(|(name, shape, bytes)| {
+                Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+            })
             .collect::<Result<Vec<_>, SafeTensorError>>()?;
-        Ok(safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into()))?)
+        Ok(safetensors::serialize(
+            views,
+            Some([(METADATA_KEY.to_owned(), text)].into()),
+        )?)
     }
 }
 
@@ -162,11 +209,19 @@ fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
 }
 
 pub(super) fn layer_sizes(header: &PolicyHeader) -> Vec<usize> {
-    [&[header.observation.width() * header.observation.history], header.hidden.as_slice(), &[1]].concat()
+    [
+        &[header.observation.width() * header.observation.history],
+        header.hidden.as_slice(),
+        &[1],
+    ]
+    .concat()
 }
 
 fn tensor_error(tensor: &str, problem: String) -> PolicyError {
-    PolicyError::Tensor { tensor: tensor.to_owned(), problem }
+    PolicyError::Tensor {
+        tensor: tensor.to_owned(),
+        problem,
+    }
 }
 
 fn read_tensor(
@@ -175,12 +230,20 @@ fn read_tensor(
     shape: &[usize],
     parameters: &mut [f32],
 ) -> Result<(), PolicyError> {
-    let Ok(view) = tensors.tensor(name) else { return Err(tensor_error(name, "is missing".to_owned())) };
+    let Ok(view) = tensors.tensor(name) else {
+        return Err(tensor_error(name, "is missing".to_owned()));
+    };
     if view.dtype() != Dtype::F32 {
-        return Err(tensor_error(name, format!("must be F32, found {:?}", view.dtype())));
+        return Err(tensor_error(
+            name,
+            format!("must be F32, found {:?}", view.dtype()),
+        ));
     }
     if view.shape() != shape {
-        return Err(tensor_error(name, format!("must have shape {shape:?}, found {:?}", view.shape())));
+        return Err(tensor_error(
+            name,
+            format!("must have shape {shape:?}, found {:?}", view.shape()),
+        ));
     }
     let (values, _) = view.data().as_chunks::<4>();
     for (parameter, &bytes) in parameters.iter_mut().zip(values) {
@@ -189,38 +252,79 @@ fn read_tensor(
     if parameters.iter().all(|value| value.is_finite()) {
         Ok(())
     } else {
-        Err(tensor_error(name, "holds a number that is not finite".to_owned()))
+        Err(tensor_error(
+            name,
+            "holds a number that is not finite".to_owned(),
+        ))
     }
 }
 
 pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
-    let wrong = |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
+    let wrong =
+        |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
     if header.version != POLICY_VERSION {
-        return wrong("version", format!("{} is not supported: this release reads {POLICY_VERSION}", header.version));
+        return wrong(
+            "version",
+            format!(
+                "{} is not supported: this release reads {POLICY_VERSION}",
+                header.version
+            ),
+        );
     }
     if header.hidden.len() > MAX_LAYERS {
-        return wrong("hidden", format!("at most {MAX_LAYERS} layers are allowed, found {}", header.hidden.len()));
+        return wrong(
+            "hidden",
+            format!(
+                "at most {MAX_LAYERS} layers are allowed, found {}",
+                header.hidden.len()
+            ),
+        );
     }
-    if let Some(width) = header.hidden.iter().find(|width| !(1..=MAX_LAYER_WIDTH).contains(*width)) {
-        return wrong("hidden", format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {width}"));
+    if let Some(width) = header
+        .hidden
+        .iter()
+        .find(|width| !(1..=MAX_LAYER_WIDTH).contains(*width))
+    {
+        return wrong(
+            "hidden",
+            format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {width}"),
+        );
     }
     let observation = &header.observation;
     let extra = &observation.extra;
     if extra.len() > MAX_EXTRA_INPUTS {
-        return wrong("observation.extra", format!("at most {MAX_EXTRA_INPUTS} are allowed, found {}", extra.len()));
+        return wrong(
+            "observation.extra",
+            format!(
+                "at most {MAX_EXTRA_INPUTS} are allowed, found {}",
+                extra.len()
+            ),
+        );
     }
-    if !observation.offset.iter().chain(extra.iter().map(|input| &input.offset)).all(|offset| offset.is_finite()) {
+    if !observation
+        .offset
+        .iter()
+        .chain(extra.iter().map(|input| &input.offset))
+        .all(|offset| offset.is_finite())
+    {
         return wrong("observation", "every offset must be finite".to_owned());
     }
-    let mut scales = observation.scale.iter().chain(extra.iter().map(|input| &input.scale));
+    let mut scales = observation
+        .scale
+        .iter()
+        .chain(extra.iter().map(|input| &input.scale));
     if !scales.all(|scale| scale.is_finite() && *scale > 0.0) {
         return wrong("observation", "every scale must be positive".to_owned());
     }
-    for (field, decisions) in
-        [("observation.history", observation.history), ("observation.history_every", observation.history_every)]
-    {
+    for (field, decisions) in [
+        ("observation.history", observation.history),
+        ("observation.history_every", observation.history_every),
+    ] {
         if !(1..=MAX_HISTORY).contains(&decisions) {
-            return wrong(field, format!("must be 1 to {MAX_HISTORY} decisions, found {decisions}"));
+            return wrong(
+                field,
+                format!("must be 1 to {MAX_HISTORY} decisions, found {decisions}"),
+            );
         }
     }
     for (field, value) in [
@@ -233,11 +337,17 @@ pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
         }
     }
     let action = &header.action;
-    if action.low_mps2.is_nan() || action.high_mps2.is_nan() || action.low_mps2 >= action.high_mps2 {
+    if action.low_mps2.is_nan() || action.high_mps2.is_nan() || action.low_mps2 >= action.high_mps2
+    {
         return wrong("action", "low_mps2 must be below high_mps2".to_owned());
     }
-    if !(action.low_mps2 - action.high_mps2).is_finite() || !(action.low_mps2 + action.high_mps2).is_finite() {
-        return wrong("action", "the bounds must be finite, and so their sum and difference".to_owned());
+    if !(action.low_mps2 - action.high_mps2).is_finite()
+        || !(action.low_mps2 + action.high_mps2).is_finite()
+    {
+        return wrong(
+            "action",
+            "the bounds must be finite, and so their sum and difference".to_owned(),
+        );
     }
     Ok(())
 }

@@ -13,7 +13,12 @@ pub struct FrameStack {
 impl FrameStack {
     /// Appends the inputs of a decision. Returns those of the history of `scaling`, oldest first. The inputs of the
     /// first decision stand for all earlier ones. `last_answer_mps2` is the controller's last answer.
-    pub fn push(&mut self, scaling: &ObservationScaling, seen: &Observation, last_answer_mps2: f64) -> &[f32] {
+    pub fn push(
+        &mut self,
+        scaling: &ObservationScaling,
+        seen: &Observation,
+        last_answer_mps2: f64,
+    ) -> &[f32] {
         let (width, every) = (scaling.width(), scaling.history_every);
         let Self { frames, row } = self;
         let is_first = frames.is_empty();
@@ -25,7 +30,9 @@ impl FrameStack {
         let before = frames.len() - width;
         scaling.write_state(seen, last_answer_mps2, &mut frames[before..]);
         if is_first {
-            (0..before).step_by(width).for_each(|place| frames.copy_within(before.., place));
+            (0..before)
+                .step_by(width)
+                .for_each(|place| frames.copy_within(before.., place));
         }
         if every == 1 {
             return frames;
@@ -44,27 +51,55 @@ mod tests {
 
     /// Returns the last answer of each remembered decision after each of 20 decisions, whose answers are 1, 2, ...
     fn remembered(history: usize, history_every: usize) -> Vec<Vec<f32>> {
-        let extra = vec![ExtraInput { quantity: ObservedQuantity::LastAnswerMps2, offset: 0.0, scale: 1.0 }];
-        let scaling = ObservationScaling { history, history_every, limit: 100.0, extra, ..Default::default() };
-        let seen = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
+        let extra = vec![ExtraInput {
+            quantity: ObservedQuantity::LastAnswerMps2,
+            offset: 0.0,
+            scale: 1.0,
+        }];
+        let scaling = ObservationScaling {
+            history,
+            history_every,
+            limit: 100.0,
+            extra,
+            ..Default::default()
+        };
+        let seen = Observation {
+            speed_mps: 20.0,
+            acceleration_mps2: 0.0,
+            ahead: None,
+            behind: None,
+        };
         let mut past = FrameStack::default();
         let decisions = (1..=20_u8).map(|answer| {
             let row = past.push(&scaling, &seen, f64::from(answer));
             assert_eq!(row.len(), history * scaling.width());
-            row.chunks_exact(scaling.width()).map(|frame| frame[STATE_LEN]).collect()
+            row.chunks_exact(scaling.width())
+                .map(|frame| frame[STATE_LEN])
+                .collect()
         });
         decisions.collect()
     }
 
     #[test]
     fn the_oldest_is_forgotten_and_before_the_first_all_was_as_it_was_then() {
-        assert_eq!(remembered(3, 1)[..4], [[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]);
+        assert_eq!(
+            remembered(3, 1)[..4],
+            [
+                [1.0, 1.0, 1.0],
+                [1.0, 1.0, 2.0],
+                [1.0, 2.0, 3.0],
+                [2.0, 3.0, 4.0]
+            ]
+        );
     }
 
     #[test]
     fn every_third_decision_up_to_the_present_one() {
         for (decision, row) in (1..=20_u8).zip(remembered(3, 3)) {
-            assert_eq!(row, [6, 3, 0].map(|ago| f32::from(decision.saturating_sub(ago).max(1))));
+            assert_eq!(
+                row,
+                [6, 3, 0].map(|ago| f32::from(decision.saturating_sub(ago).max(1)))
+            );
         }
     }
 }

@@ -108,7 +108,11 @@ impl ObservationScaling {
     /// limit. `last_answer_mps2` is the controller's last answer.
     #[inline]
     pub fn write_state(&self, seen: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
-        let empty = Neighbour { gap_m: self.empty_gap_m, speed_mps: seen.speed_mps, acceleration_mps2: 0.0 };
+        let empty = Neighbour {
+            gap_m: self.empty_gap_m,
+            speed_mps: seen.speed_mps,
+            acceleration_mps2: 0.0,
+        };
         let (ahead, behind) = (seen.ahead.unwrap_or(empty), seen.behind.unwrap_or(empty));
         let numbers = [
             ahead.gap_m,
@@ -122,7 +126,11 @@ impl ObservationScaling {
         ];
         let scaled = |number: f64, offset: f64, scale: f64| {
             let scaled = (number - offset) / scale;
-            if scaled.is_nan() { 0.0 } else { scaled.clamp(-self.limit, self.limit) as f32 }
+            if scaled.is_nan() {
+                0.0
+            } else {
+                scaled.clamp(-self.limit, self.limit) as f32
+            }
         };
         let paper = numbers.into_iter().zip(self.offset).zip(self.scale);
         let (first, rest) = state.split_at_mut(STATE_LEN.min(state.len()));
@@ -130,7 +138,11 @@ impl ObservationScaling {
             *input = scaled(number, offset, scale);
         }
         for (input, extra) in rest.iter_mut().zip(&self.extra) {
-            *input = scaled(extra.quantity.value(seen, last_answer_mps2, None), extra.offset, extra.scale);
+            *input = scaled(
+                extra.quantity.value(seen, last_answer_mps2, None),
+                extra.offset,
+                extra.scale,
+            );
         }
     }
 }
@@ -147,7 +159,10 @@ pub struct ActionBounds {
 
 impl Default for ActionBounds {
     fn default() -> Self {
-        Self { low_mps2: -7.5, high_mps2: 3.0 }
+        Self {
+            low_mps2: -7.5,
+            high_mps2: 3.0,
+        }
     }
 }
 
@@ -155,7 +170,8 @@ impl ActionBounds {
     /// Returns the action, between -1 and 1, that stands for an acceleration.
     #[must_use]
     pub fn action(&self, acceleration_mps2: f64) -> f32 {
-        let action = (2.0 * acceleration_mps2 - self.low_mps2 - self.high_mps2) / (self.high_mps2 - self.low_mps2);
+        let action = (2.0 * acceleration_mps2 - self.low_mps2 - self.high_mps2)
+            / (self.high_mps2 - self.low_mps2);
         action.clamp(-1.0, 1.0) as f32
     }
 

@@ -31,8 +31,12 @@ impl HeldAction {
     /// Returns the acceleration of the next step, in m/s²: linear in the action.
     #[inline]
     pub fn acceleration_mps2(&mut self, bounds: &ActionBounds) -> f64 {
-        let ActionBounds { low_mps2, high_mps2 } = bounds;
-        self.last_answer_mps2 = 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
+        let ActionBounds {
+            low_mps2,
+            high_mps2,
+        } = bounds;
+        self.last_answer_mps2 =
+            0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
         self.last_answer_mps2
     }
 }

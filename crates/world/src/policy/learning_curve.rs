@@ -37,16 +37,34 @@ impl LearningCurve {
     /// Computes the curve from the evaluation rewards of each training, by episode.
     #[must_use]
     pub fn from_evaluations(preset: &str, curves: &[BTreeMap<u64, f64>]) -> Self {
-        let episodes: BTreeSet<u64> = curves.iter().flat_map(|curve| curve.keys().copied()).collect();
+        let episodes: BTreeSet<u64> = curves
+            .iter()
+            .flat_map(|curve| curve.keys().copied())
+            .collect();
         let point = |episode| {
-            let rewards: Vec<f64> = curves.iter().filter_map(|curve| reward_at(curve, episode)).collect();
+            let rewards: Vec<f64> = curves
+                .iter()
+                .filter_map(|curve| reward_at(curve, episode))
+                .collect();
             let n = rewards.len() as f64;
             let mean_reward = rewards.iter().sum::<f64>() / n;
-            let variance = rewards.iter().map(|reward| (reward - mean_reward).powi(2)).sum::<f64>() / n;
+            let variance = rewards
+                .iter()
+                .map(|reward| (reward - mean_reward).powi(2))
+                .sum::<f64>()
+                / n;
             let tenth = |reward: f64| (10.0 * reward).round() / 10.0;
-            CurvePoint { episode, mean_reward: tenth(mean_reward), deviation: tenth(variance.sqrt()) }
+            CurvePoint {
+                episode,
+                mean_reward: tenth(mean_reward),
+                deviation: tenth(variance.sqrt()),
+            }
         };
-        Self { preset: preset.to_owned(), seeds: curves.len(), points: episodes.into_iter().map(point).collect() }
+        Self {
+            preset: preset.to_owned(),
+            seeds: curves.len(),
+            points: episodes.into_iter().map(point).collect(),
+        }
     }
 }
 
@@ -56,7 +74,10 @@ fn reward_at(curve: &BTreeMap<u64, f64>, episode: u64) -> Option<f64> {
     if episode > end {
         curve.values().copied().reduce(f64::max)
     } else {
-        curve.range(..=episode).next_back().map(|(_, &reward)| reward)
+        curve
+            .range(..=episode)
+            .next_back()
+            .map(|(_, &reward)| reward)
     }
 }
 
@@ -68,6 +89,15 @@ mod tests {
     fn curves_hold_their_last_value_and_then_their_best() {
         let curve = BTreeMap::from([(5, 22_500.0), (10, 100.0)]);
         let at = [4, 5, 9, 10, 11].map(|episode| reward_at(&curve, episode));
-        assert_eq!(at, [None, Some(22_500.0), Some(22_500.0), Some(100.0), Some(22_500.0)]);
+        assert_eq!(
+            at,
+            [
+                None,
+                Some(22_500.0),
+                Some(22_500.0),
+                Some(100.0),
+                Some(22_500.0)
+            ]
+        );
     }
 }

@@ -17,7 +17,9 @@ use std::sync::{Arc, LazyLock};
 pub use elementwise::Elementwise;
 pub use file::{MAX_EXTRA_INPUTS, MAX_HISTORY, PolicyError};
 pub use frame_stack::FrameStack;
-pub use header::{ActionBounds, ExtraInput, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
+pub use header::{
+    ActionBounds, ExtraInput, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN,
+};
 pub use held_action::HeldAction;
 pub use learning_curve::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 pub(crate) use network::PackedNetwork;
@@ -32,21 +34,32 @@ use crate::observation::Observation;
 /// File of the committed reference policy; `corpora/policy/README.md` describes its training.
 static REFERENCE_BYTES: &[u8] = include_bytes!("reference.safetensors");
 
-#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
-static REFERENCE: LazyLock<Arc<Policy>> =
-    LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
+#[expect(
+    clippy::expect_used,
+    reason = "the file is part of the program, and a test reads it"
+)]
+static REFERENCE: LazyLock<Arc<Policy>> = LazyLock::new(|| {
+    Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole"))
+});
 
 /// File of the committed policy that `crumple retrain` made.
 static RETRAINED_BYTES: &[u8] = include_bytes!("retrained.safetensors");
 
-#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
-static RETRAINED: LazyLock<Arc<Policy>> =
-    LazyLock::new(|| Arc::new(Policy::from_bytes(RETRAINED_BYTES).expect("the retrained policy is whole")));
+#[expect(
+    clippy::expect_used,
+    reason = "the file is part of the program, and a test reads it"
+)]
+static RETRAINED: LazyLock<Arc<Policy>> = LazyLock::new(|| {
+    Arc::new(Policy::from_bytes(RETRAINED_BYTES).expect("the retrained policy is whole"))
+});
 
 /// File of the committed policy `road`, which `crumple train --preset road --seed 1` makes.
 static ROAD_BYTES: &[u8] = include_bytes!("road.safetensors");
 
-#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+#[expect(
+    clippy::expect_used,
+    reason = "the file is part of the program, and a test reads it"
+)]
 static ROAD: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(ROAD_BYTES).expect("the policy is whole")));
 
@@ -70,13 +83,18 @@ impl Policy {
         file::check_header(&header)?;
         let sizes = file::layer_sizes(&header);
         if network.sizes() != sizes {
-            let problem = format!("describes layers of {sizes:?}, the network has {:?}", network.sizes());
+            let problem = format!(
+                "describes layers of {sizes:?}, the network has {:?}",
+                network.sizes()
+            );
             return Err(PolicyError::Header(problem));
         }
         if network.parameters().iter().all(|value| value.is_finite()) {
             Self::from_checked_parts(header, network)
         } else {
-            Err(PolicyError::Header("the network holds a number that is not finite".to_owned()))
+            Err(PolicyError::Header(
+                "the network holds a number that is not finite".to_owned(),
+            ))
         }
     }
 
@@ -84,7 +102,12 @@ impl Policy {
         if let Some(layer) = network.overflowing_layer(header.observation.limit) {
             return Err(PolicyError::Overflow { layer });
         }
-        let mut policy = Self { header, packed: PackedNetwork::new(&network), network, digest: String::new() };
+        let mut policy = Self {
+            header,
+            packed: PackedNetwork::new(&network),
+            network,
+            digest: String::new(),
+        };
         policy.digest = crumple_core::digest::sha256(policy.to_bytes()?);
         Ok(policy)
     }
@@ -139,7 +162,12 @@ impl Policy {
 
     /// Returns the inputs of the network at a decision: [`ObservationScaling::width`] numbers per decision of the
     /// history. `last_answer_mps2` is the controller's last answer.
-    pub fn observe<'p>(&self, seen: &Observation, last_answer_mps2: f64, past: &'p mut FrameStack) -> &'p [f32] {
+    pub fn observe<'p>(
+        &self,
+        seen: &Observation,
+        last_answer_mps2: f64,
+        past: &'p mut FrameStack,
+    ) -> &'p [f32] {
         past.push(&self.header.observation, seen, last_answer_mps2)
     }
 

@@ -39,8 +39,14 @@ impl Network {
     /// Creates a network of given layer sizes (inputs first, outputs last) with all parameters 0.
     #[must_use]
     pub fn zeros(sizes: &[usize]) -> Self {
-        let mut network = Self { sizes: sizes.to_vec(), parameters: Vec::new() };
-        let count = network.layers().last().map_or(0, |layer| layer.biases().end);
+        let mut network = Self {
+            sizes: sizes.to_vec(),
+            parameters: Vec::new(),
+        };
+        let count = network
+            .layers()
+            .last()
+            .map_or(0, |layer| layer.biases().end);
         network.parameters = vec![0.0; count];
         network
     }
@@ -67,13 +73,19 @@ impl Network {
 
     /// Returns the layers from input to output.
     #[inline]
-    pub fn layers(&self) -> impl DoubleEndedIterator<Item = LayerLayout> + ExactSizeIterator + use<> {
+    pub fn layers(
+        &self,
+    ) -> impl DoubleEndedIterator<Item = LayerLayout> + ExactSizeIterator + use<> {
         let mut from = 0;
         let layers: Vec<LayerLayout> = self
             .sizes
             .windows(2)
             .map(|pair| {
-                let layer = LayerLayout { inputs: pair[0], outputs: pair[1], offset: from };
+                let layer = LayerLayout {
+                    inputs: pair[0],
+                    outputs: pair[1],
+                    offset: from,
+                };
                 from = layer.biases().end;
                 layer
             })
@@ -92,8 +104,13 @@ impl Network {
         for (index, layer) in self.layers().enumerate() {
             let size = |value: &f32| f64::from(value.abs());
             let mut next: Vec<f64> = self.parameters[layer.biases()].iter().map(size).collect();
-            for (bound, row) in bounds.iter().zip(self.parameters[layer.weights()].chunks_exact(layer.outputs)) {
-                next.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * size(weight));
+            for (bound, row) in bounds
+                .iter()
+                .zip(self.parameters[layer.weights()].chunks_exact(layer.outputs))
+            {
+                next.iter_mut()
+                    .zip(row)
+                    .for_each(|(sum, weight)| *sum += bound * size(weight));
             }
             if !next.iter().all(|&bound| bound <= highest) {
                 return Some(index);
@@ -113,11 +130,18 @@ impl Network {
         out: &mut [f32],
         panels: &mut PackedPanels,
     ) {
-        let (weights, biases) = (&self.parameters[layer.weights()], &self.parameters[layer.biases()]);
+        let (weights, biases) = (
+            &self.parameters[layer.weights()],
+            &self.parameters[layer.biases()],
+        );
         if layer.outputs == 1 && !rectified {
             multiply_vector(input, weights, biases[0], out);
         } else {
-            panels.pack_parallel(Rhs::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
+            panels.pack_parallel(
+                Rhs::Rows(weights),
+                Some(biases),
+                [layer.inputs, layer.outputs],
+            );
             panels.multiply_parallel(Lhs::Rows(input), batch, rectified, out);
         }
     }
@@ -173,11 +197,18 @@ impl PackedNetwork {
         rectified: bool,
     ) {
         self.steps.push(match biases {
-            [bias] if is_last => PackedStep::Vector { weights: weights.to_vec(), bias: *bias },
+            [bias] if is_last => PackedStep::Vector {
+                weights: weights.to_vec(),
+                bias: *bias,
+            },
             _ => {
                 let outputs = biases.len();
                 let panels = PackedPanels::new(Rhs::Rows(weights), Some(biases), [inputs, outputs]);
-                PackedStep::Matrix { panels, outputs, rectified }
+                PackedStep::Matrix {
+                    panels,
+                    outputs,
+                    rectified,
+                }
             }
         });
     }
@@ -187,13 +218,22 @@ impl PackedNetwork {
     }
 
     /// Returns the output for `batch` rows of `input`; the bits of a row do not depend on other rows.
-    pub(crate) fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
+    pub(crate) fn forward<'w>(
+        &self,
+        input: &[f32],
+        batch: usize,
+        space: &'w mut Workspace,
+    ) -> &'w [f32] {
         space.front.clear();
         space.front.extend_from_slice(input);
         for step in &self.steps {
             let Workspace { front, back } = space;
             match step {
-                PackedStep::Matrix { panels, outputs, rectified } => {
+                PackedStep::Matrix {
+                    panels,
+                    outputs,
+                    rectified,
+                } => {
                     back.resize(batch * outputs, 0.0);
                     panels.multiply(Lhs::Rows(front), batch, *rectified, back);
                 }

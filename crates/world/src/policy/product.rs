@@ -74,14 +74,20 @@ impl PackedPanels {
             return self.pack(right, start, shape);
         }
         self.reshape(shape);
-        self.data.par_chunks_exact_mut(shape[0] + 1).enumerate().for_each(|(panel, data)| {
-            fill_panel(data, panel * PANEL_COLUMNS, right, start, shape);
-        });
+        self.data
+            .par_chunks_exact_mut(shape[0] + 1)
+            .enumerate()
+            .for_each(|(panel, data)| {
+                fill_panel(data, panel * PANEL_COLUMNS, right, start, shape);
+            });
     }
 
     fn reshape(&mut self, [rows, columns]: [usize; 2]) {
         (self.rows, self.columns) = (rows, columns);
-        self.data.resize(columns.div_ceil(PANEL_COLUMNS) * (rows + 1), PanelRow([0.0; PANEL_COLUMNS]));
+        self.data.resize(
+            columns.div_ceil(PANEL_COLUMNS) * (rows + 1),
+            PanelRow([0.0; PANEL_COLUMNS]),
+        );
     }
 
     /// Creates panels from a factor.
@@ -98,8 +104,22 @@ impl PackedPanels {
         self.multiply_with_arch(Arch::new(), left, m, rectified, out);
     }
 
-    fn multiply_with_arch(&self, path: Arch, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
-        path.dispatch(Multiply { panels: self, lhs: left, m, rows: 0..m, rectified, out });
+    fn multiply_with_arch(
+        &self,
+        path: Arch,
+        left: Lhs<'_>,
+        m: usize,
+        rectified: bool,
+        out: &mut [f32],
+    ) {
+        path.dispatch(Multiply {
+            panels: self,
+            lhs: left,
+            m,
+            rows: 0..m,
+            rectified,
+            out,
+        });
     }
 
     /// Multiplies as `multiply` does, on all threads of the current pool; for products without concurrent ones.
@@ -110,20 +130,37 @@ impl PackedPanels {
             return self.multiply(left, m, rectified, out);
         }
         let rows = m.div_ceil(parts).next_multiple_of(MAX_TILE_ROWS);
-        out.par_chunks_mut(rows * self.columns).enumerate().for_each(|(part, out)| {
-            let rows = part * rows..m.min((part + 1) * rows);
-            Arch::new().dispatch(Multiply { panels: self, lhs: left, m, rows, rectified, out });
-        });
+        out.par_chunks_mut(rows * self.columns)
+            .enumerate()
+            .for_each(|(part, out)| {
+                let rows = part * rows..m.min((part + 1) * rows);
+                Arch::new().dispatch(Multiply {
+                    panels: self,
+                    lhs: left,
+                    m,
+                    rows,
+                    rectified,
+                    out,
+                });
+            });
     }
 }
 
 /// Overwrites the panel of the columns that begin at `from`.
-fn fill_panel(data: &mut [PanelRow], from: usize, right: Rhs<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
+fn fill_panel(
+    data: &mut [PanelRow],
+    from: usize,
+    right: Rhs<'_>,
+    start: Option<&[f32]>,
+    [rows, columns]: [usize; 2],
+) {
     let width = PANEL_COLUMNS.min(columns - from);
     if width < PANEL_COLUMNS {
         data.fill(PanelRow([0.0; PANEL_COLUMNS]));
     }
-    let Some((first, rest)) = data.split_first_mut() else { return };
+    let Some((first, rest)) = data.split_first_mut() else {
+        return;
+    };
     first.0.fill(0.0);
     if let Some(start) = start {
         first.0[..width].copy_from_slice(&start[from..from + width]);
@@ -190,7 +227,11 @@ impl WithSimd for Multiply<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         // With 32 vector registers, sixteen hold sums; with 16, twelve. A sum waits some four cycles for its last term
         // while two terms start per cycle, so at least eight sums keep the units busy.
-        if S::F32_LANES == 16 { self.multiply_all::<S, MAX_TILE_ROWS>(simd) } else { self.multiply_all::<S, 6>(simd) }
+        if S::F32_LANES == 16 {
+            self.multiply_all::<S, MAX_TILE_ROWS>(simd)
+        } else {
+            self.multiply_all::<S, 6>(simd)
+        }
     }
 }
 
@@ -232,7 +273,8 @@ impl Multiply<'_> {
         let k = self.panels.rows;
         let mut sums = match self.lhs {
             Lhs::Rows(left) => {
-                let rows: [&[f32]; R] = std::array::from_fn(|r| &left[(row + r) * k..(row + r + 1) * k]);
+                let rows: [&[f32]; R] =
+                    std::array::from_fn(|r| &left[(row + r) * k..(row + r + 1) * k]);
                 tile_sums::<S, R>(simd, panel, group, |p| std::array::from_fn(|r| rows[r][p]))
             }
             Lhs::Columns(left) => {
@@ -286,7 +328,12 @@ fn tile_sums<S: Simd, const R: usize>(
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut partial = [0.0_f32; 16];
     let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
-    for (index, (a, b)) in a_chunks.remainder().iter().zip(b_chunks.remainder()).enumerate() {
+    for (index, (a, b)) in a_chunks
+        .remainder()
+        .iter()
+        .zip(b_chunks.remainder())
+        .enumerate()
+    {
         partial[index] = a * b;
     }
     for (a, b) in a_chunks.zip(b_chunks) {

@@ -21,7 +21,11 @@ fn policy_with_history(
         version: POLICY_VERSION,
         crumple: "test".to_owned(),
         hidden: hidden.to_vec(),
-        observation: ObservationScaling { history, history_every, ..ObservationScaling::default() },
+        observation: ObservationScaling {
+            history,
+            history_every,
+            ..ObservationScaling::default()
+        },
         action: ActionBounds::default(),
         decision_interval_s,
         estimator: EstimatorKind::Kalman,
@@ -39,17 +43,29 @@ fn policy_with_history(
 fn any_observation() -> impl Strategy<Value = Observation> {
     let neighbour = || {
         proptest::option::of((-1.0..90.0, 0.0..40.0, -9.0..4.0)).prop_map(|numbers| {
-            numbers.map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour { gap_m, speed_mps, acceleration_mps2 })
+            numbers.map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour {
+                gap_m,
+                speed_mps,
+                acceleration_mps2,
+            })
         })
     };
-    (0.0..40.0, -9.0..4.0, neighbour(), neighbour()).prop_map(|(speed_mps, acceleration_mps2, ahead, behind)| {
-        Observation { speed_mps, acceleration_mps2, ahead, behind }
-    })
+    (0.0..40.0, -9.0..4.0, neighbour(), neighbour()).prop_map(
+        |(speed_mps, acceleration_mps2, ahead, behind)| Observation {
+            speed_mps,
+            acceleration_mps2,
+            ahead,
+            behind,
+        },
+    )
 }
 
 fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = HeldAction::default();
-    held.set(policy.choose(policy.observe(seen, 0.0, &mut FrameStack::default()), &mut Workspace::default()));
+    held.set(policy.choose(
+        policy.observe(seen, 0.0, &mut FrameStack::default()),
+        &mut Workspace::default(),
+    ));
     held.acceleration_mps2(&policy.header().action)
 }
 
@@ -96,16 +112,27 @@ fn the_network_equals_its_definition() {
     let seen = Observation {
         speed_mps: 20.0,
         acceleration_mps2: -1.0,
-        ahead: Some(Neighbour { gap_m: 12.0, speed_mps: 18.0, acceleration_mps2: -3.0 }),
+        ahead: Some(Neighbour {
+            gap_m: 12.0,
+            speed_mps: 18.0,
+            acceleration_mps2: -3.0,
+        }),
         behind: None,
     };
     let mut h: Vec<f64> = [-0.25, 4.0, 0.44, 0.6, 0.6, -0.6, -0.2, 0.0].to_vec();
     let network = policy.network();
     for (index, layer) in network.layers().enumerate() {
-        let (w, b) = (&network.parameters()[layer.weights()], &network.parameters()[layer.biases()]);
+        let (w, b) = (
+            &network.parameters()[layer.weights()],
+            &network.parameters()[layer.biases()],
+        );
         h = (0..layer.outputs)
             .map(|j| {
-                let sum: f64 = h.iter().enumerate().map(|(i, h)| h * f64::from(w[i * layer.outputs + j])).sum::<f64>()
+                let sum: f64 = h
+                    .iter()
+                    .enumerate()
+                    .map(|(i, h)| h * f64::from(w[i * layer.outputs + j]))
+                    .sum::<f64>()
                     + f64::from(b[j]);
                 if index < 2 { sum.max(0.0) } else { sum }
             })
@@ -130,33 +157,79 @@ fn refusals_name_the_reason() {
     let refused = |change: &dyn Fn(&mut Policy)| {
         let mut policy = policy(&[6, 4], 0.1, 2);
         change(&mut policy);
-        Policy::from_bytes(&policy.to_bytes().unwrap()).expect_err("refused").to_string()
+        Policy::from_bytes(&policy.to_bytes().unwrap())
+            .expect_err("refused")
+            .to_string()
     };
     let says = |message: String, words: &str| assert!(message.contains(words), "{message}");
-    says(refused(&|p| p.header.version = 9), "version 9 is not supported");
-    says(refused(&|p| p.header.hidden = vec![6, 5]), "must have shape [6, 5], found [6, 4]");
-    says(refused(&|p| p.header.hidden = vec![6]), "is not part of the network");
-    says(refused(&|p| p.header.hidden = vec![6, 4, 4]), "actor.2.weight");
-    says(refused(&|p| p.header.hidden = vec![usize::MAX]), "1 to 4096 wide");
-    says(refused(&|p| p.header.decision_interval_s = 0.0), "decision_interval_s");
-    says(refused(&|p| p.header.action.low_mps2 = 5.0), "low_mps2 must be below");
-    says(refused(&|p| p.header.observation.scale[3] = 0.0), "observation: every scale");
-    says(refused(&|p| p.network.parameters_mut()[0] = f32::NAN), "not finite");
+    says(
+        refused(&|p| p.header.version = 9),
+        "version 9 is not supported",
+    );
+    says(
+        refused(&|p| p.header.hidden = vec![6, 5]),
+        "must have shape [6, 5], found [6, 4]",
+    );
+    says(
+        refused(&|p| p.header.hidden = vec![6]),
+        "is not part of the network",
+    );
+    says(
+        refused(&|p| p.header.hidden = vec![6, 4, 4]),
+        "actor.2.weight",
+    );
+    says(
+        refused(&|p| p.header.hidden = vec![usize::MAX]),
+        "1 to 4096 wide",
+    );
+    says(
+        refused(&|p| p.header.decision_interval_s = 0.0),
+        "decision_interval_s",
+    );
+    says(
+        refused(&|p| p.header.action.low_mps2 = 5.0),
+        "low_mps2 must be below",
+    );
+    says(
+        refused(&|p| p.header.observation.scale[3] = 0.0),
+        "observation: every scale",
+    );
+    says(
+        refused(&|p| p.network.parameters_mut()[0] = f32::NAN),
+        "not finite",
+    );
     says(
         refused(&|p| (p.header.action.low_mps2, p.header.action.high_mps2) = (f64::MIN, f64::MAX)),
         "the bounds must be finite",
     );
-    says(refused(&|p| p.header.observation.limit = 1e39), "layer 0 can overflow");
-    says(refused(&|p| p.network.parameters_mut()[8 * 6 + 6..].fill(-1e38)), "layer 1 can overflow");
-    says(Policy::from_bytes(b"not a policy").expect_err("refused").to_string(), "safetensors");
+    says(
+        refused(&|p| p.header.observation.limit = 1e39),
+        "layer 0 can overflow",
+    );
+    says(
+        refused(&|p| p.network.parameters_mut()[8 * 6 + 6..].fill(-1e38)),
+        "layer 1 can overflow",
+    );
+    says(
+        Policy::from_bytes(b"not a policy")
+            .expect_err("refused")
+            .to_string(),
+        "safetensors",
+    );
     let mut residual = policy(&[6, 4], 0.1, 2);
     residual.header.action.low_mps2 = -7.25;
     // A field of the same length takes the place of the bound.
     let bytes = residual.to_bytes().unwrap();
-    let at = bytes.windows(8).position(|window| window == b"low_mps2").unwrap();
+    let at = bytes
+        .windows(8)
+        .position(|window| window == b"low_mps2")
+        .unwrap();
     let bytes = [&bytes[..at], br#"departs_from\":0"#, &bytes[at + 16..]].concat();
     let removed = "action.departs_from: residual policies were removed in crumple 0.3.0";
-    says(Policy::from_bytes(&bytes).expect_err("refused").to_string(), removed);
+    says(
+        Policy::from_bytes(&bytes).expect_err("refused").to_string(),
+        removed,
+    );
     let missing = Policy::load(std::path::Path::new("no/such.safetensors")).expect_err("refused");
     says(missing.to_string(), "no/such.safetensors");
 }

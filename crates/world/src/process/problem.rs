@@ -88,7 +88,9 @@ pub enum ProcessProblem {
     #[error("answered with a number that is not finite")]
     NotFinite,
     /// An answer outside its range.
-    #[error("answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²")]
+    #[error(
+        "answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²"
+    )]
     OutOfRange {
         /// Answer, in m/s².
         answer_mps2: f64,
@@ -114,7 +116,9 @@ pub enum ProcessProblem {
         reused: bool,
     },
     /// The process declares itself non-deterministic, but its controller file does not.
-    #[error("declares that it is not deterministic: set `deterministic = false` in its controller file")]
+    #[error(
+        "declares that it is not deterministic: set `deterministic = false` in its controller file"
+    )]
     #[serde(rename = "undeclared")]
     UndeclaredNondeterminism,
     /// A decision interval that does not match the scenario.

@@ -11,7 +11,9 @@ pub(super) struct StderrTail(Vec<u8>);
 
 impl StderrTail {
     pub(super) fn push(&mut self, said: &[u8]) {
-        let said = said.get(said.len().saturating_sub(TAIL_BYTES)..).unwrap_or(said);
+        let said = said
+            .get(said.len().saturating_sub(TAIL_BYTES)..)
+            .unwrap_or(said);
         self.0.extend_from_slice(said);
         if self.0.len() > 2 * TAIL_BYTES {
             self.0.drain(..self.0.len() - TAIL_BYTES);
@@ -24,10 +26,18 @@ impl StderrTail {
 
     /// Returns the last lines, escaped for terminals.
     pub(super) fn lines(&self) -> Vec<String> {
-        let kept = self.0.get(self.0.len().saturating_sub(TAIL_BYTES)..).unwrap_or(&self.0);
+        let kept = self
+            .0
+            .get(self.0.len().saturating_sub(TAIL_BYTES)..)
+            .unwrap_or(&self.0);
         let text = String::from_utf8_lossy(kept);
-        let lines: Vec<_> = text.lines().filter(|line| !line.trim().is_empty()).collect();
-        let last = lines.get(lines.len().saturating_sub(MAX_LINES)..).unwrap_or_default();
+        let lines: Vec<_> = text
+            .lines()
+            .filter(|line| !line.trim().is_empty())
+            .collect();
+        let last = lines
+            .get(lines.len().saturating_sub(MAX_LINES)..)
+            .unwrap_or_default();
         last.iter().map(|line| escaped_excerpt(line)).collect()
     }
 }
@@ -45,7 +55,10 @@ mod tests {
             words.push(format!("line {number}\u{1b}\n\n").as_bytes());
             assert!(words.0.len() <= 2 * TAIL_BYTES + 64);
         }
-        assert_eq!(words.lines().first().map(String::as_str), Some("line 19992\\u001b"));
+        assert_eq!(
+            words.lines().first().map(String::as_str),
+            Some("line 19992\\u001b")
+        );
         assert_eq!(words.lines().len(), MAX_LINES);
         words.push(&vec![b'x'; 1 << 20]);
         assert_eq!(words.lines(), [format!("{}…", "x".repeat(MAX_CHARACTERS))]);

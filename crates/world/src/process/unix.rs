@@ -60,10 +60,23 @@ impl ProcessGroup {
     fn start() -> std::io::Result<Self> {
         let mut shell = Command::new("/bin/sh");
         // The name identifies the owner in process lists.
-        shell.args(["-c", WATCHDOG_SCRIPT, &format!("crumple-watchdog-{}", std::process::id())]).process_group(0);
-        let mut watchdog = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+        shell
+            .args([
+                "-c",
+                WATCHDOG_SCRIPT,
+                &format!("crumple-watchdog-{}", std::process::id()),
+            ])
+            .process_group(0);
+        let mut watchdog = shell
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()?;
         let lifeline = watchdog.stdin.take();
-        Ok(Self { watchdog, _lifeline: lifeline })
+        Ok(Self {
+            watchdog,
+            _lifeline: lifeline,
+        })
     }
 }
 
@@ -77,26 +90,42 @@ impl Drop for ProcessGroup {
 
 impl ChildProcess {
     /// Starts a program in `folder`. The path is `found`, or else the first of `words`.
-    pub(crate) fn start(words: &[String], found: Option<&Path>, folder: &Path) -> Result<Self, ProcessProblem> {
-        let failed = |error: std::io::Error| ProcessProblem::NotStarted { reason: error.to_string() };
-        let missing = || ProcessProblem::NotStarted { reason: "there is no command".to_owned() };
+    pub(crate) fn start(
+        words: &[String],
+        found: Option<&Path>,
+        folder: &Path,
+    ) -> Result<Self, ProcessProblem> {
+        let failed = |error: std::io::Error| ProcessProblem::NotStarted {
+            reason: error.to_string(),
+        };
+        let missing = || ProcessProblem::NotStarted {
+            reason: "there is no command".to_owned(),
+        };
         let (program, arguments) = words.split_first().ok_or_else(missing)?;
         let starting = SPAWN_LOCK.lock().unwrap_or_else(PoisonError::into_inner);
         let group = ProcessGroup::start().map_err(failed)?;
         let mut command = match found {
             Some(found) => Command::new(found),
             // Relative paths would otherwise be resolved against a system-dependent folder.
-            None if program.contains('/') => Command::new(std::path::absolute(folder.join(program)).map_err(failed)?),
+            None if program.contains('/') => {
+                Command::new(std::path::absolute(folder.join(program)).map_err(failed)?)
+            }
             None => Command::new(program),
         };
-        command.args(arguments).process_group(group.watchdog.id() as i32);
+        command
+            .args(arguments)
+            .process_group(group.watchdog.id() as i32);
         if folder != Path::new("") {
             command.current_dir(folder);
         }
-        let pipes = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let pipes = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
         let mut child = pipes.spawn().map_err(failed)?;
         drop(starting);
-        let (Some(input), Some(output), Some(error)) = (child.stdin.take(), child.stdout.take(), child.stderr.take())
+        let (Some(input), Some(output), Some(error)) =
+            (child.stdin.take(), child.stdout.take(), child.stderr.take())
         else {
             return Err(missing());
         };
@@ -111,19 +140,29 @@ impl ChildProcess {
             stderr_tail: StderrTail::default(),
             group,
         };
-        program.set_nonblocking().map_err(|error| failed(error.into()))?;
+        program
+            .set_nonblocking()
+            .map_err(|error| failed(error.into()))?;
         Ok(program)
     }
 
     /// Makes crumple's ends of the pipes non-blocking; the program's own ends block.
     fn set_nonblocking(&self) -> rustix::io::Result<()> {
-        self.stdin.as_ref().map_or(Ok(()), |input| ioctl_fionbio(input, true))?;
-        self.stderr.as_ref().map_or(Ok(()), |error| ioctl_fionbio(error, true))?;
+        self.stdin
+            .as_ref()
+            .map_or(Ok(()), |input| ioctl_fionbio(input, true))?;
+        self.stderr
+            .as_ref()
+            .map_or(Ok(()), |error| ioctl_fionbio(error, true))?;
         ioctl_fionbio(&self.stdout, true)
     }
 
     /// Writes a line, which must end in a line feed, and waits for the reply.
-    pub(crate) fn query(&mut self, request: &[u8], within: Duration) -> Result<&[u8], ProcessProblem> {
+    pub(crate) fn query(
+        &mut self,
+        request: &[u8],
+        within: Duration,
+    ) -> Result<&[u8], ProcessProblem> {
         let end = Instant::now() + within;
         self.received.drain(..self.consumed);
         self.consumed = 0;
@@ -140,7 +179,9 @@ impl ChildProcess {
                 searched = self.received.len();
             }
             if self.received.len() > MAX_LINE_BYTES {
-                return Err(ProcessProblem::TooLong { limit_bytes: MAX_LINE_BYTES });
+                return Err(ProcessProblem::TooLong {
+                    limit_bytes: MAX_LINE_BYTES,
+                });
             }
             if let (false, Some(input)) = (rest.is_empty(), &mut self.stdin) {
                 match input.write(rest) {
@@ -154,8 +195,15 @@ impl ChildProcess {
     }
 
     /// Waits until the process has output, or accepts input if `wants_to_write`, and reads the output.
-    fn poll_pipes(&mut self, wants_to_write: bool, end: Instant, within: Duration) -> Result<(), ProcessProblem> {
-        let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.timeout_problem(within)) };
+    fn poll_pipes(
+        &mut self,
+        wants_to_write: bool,
+        end: Instant,
+        within: Duration,
+    ) -> Result<(), ProcessProblem> {
+        let Some(left) = end.checked_duration_since(Instant::now()) else {
+            return Err(self.timeout_problem(within));
+        };
         // The number of polled pipes is fixed: if nothing is to be written, stdout takes the place of stdin.
         let input = match &self.stdin {
             Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
@@ -166,7 +214,10 @@ impl ChildProcess {
             None => PollFd::new(&self.stdout, PollFlags::IN),
         };
         let mut pipes = [PollFd::new(&self.stdout, PollFlags::IN), error, input];
-        let left = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
+        let left = Timespec {
+            tv_sec: left.as_secs() as i64,
+            tv_nsec: left.subsec_nanos().into(),
+        };
         match poll(&mut pipes, Some(&left)) {
             Ok(0) => return Err(self.timeout_problem(within)),
             Ok(_) | Err(rustix::io::Errno::INTR) => {}
@@ -179,7 +230,9 @@ impl ChildProcess {
         if output {
             match self.stdout.read(&mut self.chunk) {
                 Ok(0) => return Err(self.exit_problem()),
-                Ok(read) => self.received.extend_from_slice(self.chunk.get(..read).unwrap_or_default()),
+                Ok(read) => self
+                    .received
+                    .extend_from_slice(self.chunk.get(..read).unwrap_or_default()),
                 Err(error) if is_retryable(error.kind()) => {}
                 Err(_) => return Err(self.exit_problem()),
             }
@@ -189,10 +242,13 @@ impl ChildProcess {
 
     /// Reads once from standard error; returns true if there was output.
     fn read_stderr(&mut self) -> bool {
-        let Some(error) = &mut self.stderr else { return false };
+        let Some(error) = &mut self.stderr else {
+            return false;
+        };
         match error.read(&mut self.chunk) {
             Ok(read) if read > 0 => {
-                self.stderr_tail.push(self.chunk.get(..read).unwrap_or_default());
+                self.stderr_tail
+                    .push(self.chunk.get(..read).unwrap_or_default());
                 return true;
             }
             Err(error) if is_retryable(error.kind()) => {}
@@ -204,8 +260,12 @@ impl ChildProcess {
     /// Returns the reason of a missing reply. Children may keep the output open after the program ended.
     fn timeout_problem(&mut self, within: Duration) -> ProcessProblem {
         match self.child.try_wait() {
-            Ok(Some(status)) => ProcessProblem::Ended { status: describe_exit(status) },
-            _ => ProcessProblem::Timeout { limit_s: within.as_secs_f64() },
+            Ok(Some(status)) => ProcessProblem::Ended {
+                status: describe_exit(status),
+            },
+            _ => ProcessProblem::Timeout {
+                limit_s: within.as_secs_f64(),
+            },
         }
     }
 
@@ -214,7 +274,11 @@ impl ChildProcess {
         let end = Instant::now() + EXIT_CODE_TIMEOUT;
         while Instant::now() < end {
             match self.child.try_wait() {
-                Ok(Some(status)) => return ProcessProblem::Ended { status: describe_exit(status) },
+                Ok(Some(status)) => {
+                    return ProcessProblem::Ended {
+                        status: describe_exit(status),
+                    };
+                }
                 Ok(None) => thread::sleep(Duration::from_millis(1)),
                 Err(_) => break,
             }

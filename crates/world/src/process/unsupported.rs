@@ -9,7 +9,11 @@ use super::ProcessProblem;
 pub(crate) enum ChildProcess {}
 
 impl ChildProcess {
-    pub(crate) fn start(_words: &[String], _found: Option<&Path>, _folder: &Path) -> Result<Self, ProcessProblem> {
+    pub(crate) fn start(
+        _words: &[String],
+        _found: Option<&Path>,
+        _folder: &Path,
+    ) -> Result<Self, ProcessProblem> {
         Err(ProcessProblem::NotStarted {
             reason: "controllers that are processes need Unix, and the feature `process` of crumple-world or \
                      crumple-testing"
@@ -17,7 +21,11 @@ impl ChildProcess {
         })
     }
 
-    pub(crate) fn query(&mut self, _request: &[u8], _within: Duration) -> Result<&[u8], ProcessProblem> {
+    pub(crate) fn query(
+        &mut self,
+        _request: &[u8],
+        _within: Duration,
+    ) -> Result<&[u8], ProcessProblem> {
         match *self {}
     }
 

@@ -13,8 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    ControllerKind, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping, NameOrigin,
-    NetworkController, OutputMapping, ProcessController, ProcessSetup, StartPermission, StartRefusal,
+    ControllerKind, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping,
+    NameOrigin, NetworkController, OutputMapping, ProcessController, ProcessSetup, StartPermission,
+    StartRefusal,
 };
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
@@ -23,7 +24,11 @@ pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// Content of a controller file (`docs/controllers.md`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "crumple controller, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    derive(schemars::JsonSchema),
+    schemars(title = "crumple controller, version 1")
+)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerFile {
     /// Version of the format: 1.
@@ -39,7 +44,11 @@ pub struct ControllerFile {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, f64>,
     /// Command of the controller: a program and its arguments. It runs in the folder of this file, without a shell.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "deserialize_command")]
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "deserialize_command"
+    )]
     pub command: Option<Vec<String>>,
     /// Files that determine the behaviour of the command, as paths from the folder of this file. Without them no result
     /// is cached or certified.
@@ -84,7 +93,9 @@ fn default_history() -> usize {
 }
 
 /// Reads a list of words. The error for one text, which a shell would take, shows the list.
-fn deserialize_command<'de, D: Deserializer<'de>>(command: D) -> Result<Option<Vec<String>>, D::Error> {
+fn deserialize_command<'de, D: Deserializer<'de>>(
+    command: D,
+) -> Result<Option<Vec<String>>, D::Error> {
     command.deserialize_any(CommandVisitor).map(Some)
 }
 
@@ -107,7 +118,9 @@ impl<'de> Visitor<'de> for CommandVisitor {
 
     fn visit_str<E: Error>(self, line: &str) -> Result<Vec<String>, E> {
         let words: Vec<&str> = line.split_whitespace().collect();
-        Err(E::custom(format!("must be a list of the program and its arguments, as in `command = {words:?}`")))
+        Err(E::custom(format!(
+            "must be a list of the program and its arguments, as in `command = {words:?}`"
+        )))
     }
 }
 
@@ -175,7 +188,10 @@ pub enum ControllerFileError {
 /// # Errors
 /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
 pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
-    if path.extension().is_some_and(|extension| extension == "toml") {
+    if path
+        .extension()
+        .is_some_and(|extension| extension == "toml")
+    {
         load_controller_file(path, named_by)
     } else if path.extension().is_some_and(|extension| extension == "fmu") {
         load_fmu(path, named_by)
@@ -190,9 +206,17 @@ pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
 ///
 /// # Errors
 /// None in practice; passes on the error of the serializer.
-pub fn to_files(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
-    let Mapping { decision_interval_s, history, history_padding, newest_first, inputs, output } =
-        controller.mapping().clone();
+pub fn to_files(
+    controller: &NetworkController,
+) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
+    let Mapping {
+        decision_interval_s,
+        history,
+        history_padding,
+        newest_first,
+        inputs,
+        output,
+    } = controller.mapping().clone();
     let (network, bytes) = controller.file().name_and_bytes();
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
@@ -206,7 +230,10 @@ pub fn to_files(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2]
         output: Some(output),
         ..ControllerFile::default()
     };
-    Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
+    Ok([
+        (file_name(controller), toml::to_string(&file)?.into_bytes()),
+        (network, bytes.to_vec()),
+    ])
 }
 
 /// Returns the name that [`to_files`] gives the controller file.
@@ -226,13 +253,28 @@ fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
     if let Some(reason) = normalisation_evidence(&file, path) {
-        return Err(ControllerFileError::Normalised { path: shown(), reason });
+        return Err(ControllerFileError::Normalised {
+            path: shown(),
+            reason,
+        });
     }
-    let controller = NetworkController::with_native_mapping(file)
-        .map_err(|invalid| ControllerFileError::NeedsMapping { path: shown(), invalid })?;
+    let controller = NetworkController::with_native_mapping(file).map_err(|invalid| {
+        ControllerFileError::NeedsMapping {
+            path: shown(),
+            invalid,
+        }
+    })?;
     // Keeps `normalised = false` from the statistics file, which a copy elsewhere would lack.
-    let is_behind = controller.file().saved_model().is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind);
-    Ok(Arc::new(controller.with_normalised(is_behind.then_some(false)).with_file_path(path)).into())
+    let is_behind = controller
+        .file()
+        .saved_model()
+        .is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind);
+    Ok(Arc::new(
+        controller
+            .with_normalised(is_behind.then_some(false))
+            .with_file_path(path),
+    )
+    .into())
 }
 
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
@@ -243,14 +285,19 @@ fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
     else {
         return false;
     };
-    let is_close = |own: f64, their: f64| (own - their).abs() <= TOLERANCE * their.abs().max(TOLERANCE);
+    let is_close =
+        |own: f64, their: f64| (own - their).abs() <= TOLERANCE * their.abs().max(TOLERANCE);
     theirs.means.len() == mapping.inputs.len()
-        && mapping.inputs.iter().zip(theirs.means.iter().zip(&theirs.deviations)).all(|(input, (mean, deviation))| {
-            is_close(input.offset, *mean)
-                && is_close(input.scale, *deviation)
-                && is_close(input.low, -theirs.limit)
-                && is_close(input.high, theirs.limit)
-        })
+        && mapping
+            .inputs
+            .iter()
+            .zip(theirs.means.iter().zip(&theirs.deviations))
+            .all(|(input, (mean, deviation))| {
+                is_close(input.offset, *mean)
+                    && is_close(input.scale, *deviation)
+                    && is_close(input.low, -theirs.limit)
+                    && is_close(input.high, theirs.limit)
+            })
 }
 
 /// Returns the evidence that observations were normalised in training: the model itself, or a statistics file beside
@@ -261,35 +308,54 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
         return None;
     }
     let beside = VecNormalizeStats::find_for_model(path);
-    if beside.as_deref().is_some_and(|beside| VecNormalizeStats::load(beside) == VecNormalizeStats::RewardsOnly) {
+    if beside
+        .as_deref()
+        .is_some_and(|beside| VecNormalizeStats::load(beside) == VecNormalizeStats::RewardsOnly)
+    {
         return None;
     }
     let folder = path.parent().unwrap_or(Path::new(""));
-    let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
+    let beside = beside.map(|beside| {
+        beside
+            .strip_prefix(folder)
+            .unwrap_or(&beside)
+            .display()
+            .to_string()
+    });
     match (trace, beside) {
         (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
             "its data shows that it was trained with VecNormalize (`{beside}` seems to contain the statistics)"
         )),
-        (VecNormalizeUse::Behind, None) => Some("its data shows that it was trained with VecNormalize".to_owned()),
-        (_, Some(beside)) => {
-            Some(format!("`{beside}` is in the same folder, so its observations were normalised in training"))
+        (VecNormalizeUse::Behind, None) => {
+            Some("its data shows that it was trained with VecNormalize".to_owned())
         }
+        (_, Some(beside)) => Some(format!(
+            "`{beside}` is in the same folder, so its observations were normalised in training"
+        )),
         (_, None) => None,
     }
 }
 
-fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
+fn load_controller_file(
+    path: &Path,
+    named_by: NameOrigin,
+) -> Result<ControllerKind, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
-    let wrong = |InvalidMapping { field, problem }| FileError::from_field(path, &text, &field, problem);
+    let wrong =
+        |InvalidMapping { field, problem }| FileError::from_field(path, &text, &field, problem);
     if file.version != CONTROLLER_FILE_VERSION {
-        let problem =
-            format!("version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}", file.version);
+        let problem = format!(
+            "version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}",
+            file.version
+        );
         return Err(wrong(InvalidMapping::new("version", problem)).into());
     }
     let folder = path.with_file_name("");
-    let permission =
-        |field: &str| named_by.permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)));
+    let permission = |field: &str| {
+        named_by
+            .permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))
+    };
     match file.controller_source().map_err(wrong)? {
         ControllerFileSource::Network(name) => {
             let normalised = file.normalised;
@@ -318,19 +384,28 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
         }
         ControllerFileSource::Fmu(name) => {
-            let plain = ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| match problem {
-                FmuProblem::Mapping(invalid) => wrong(invalid).into(),
-                problem @ FmuProblem::ProcessFeatureDisabled => {
-                    ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem }
-                }
-                problem => wrong(InvalidMapping::new("fmu", problem.describe(&folder.join(&name)))).into(),
-            })?;
+            let plain =
+                ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| {
+                    match problem {
+                        FmuProblem::Mapping(invalid) => wrong(invalid).into(),
+                        problem @ FmuProblem::ProcessFeatureDisabled => ControllerFileError::Fmu {
+                            path: folder.join(&name).display().to_string(),
+                            problem,
+                        },
+                        problem => wrong(InvalidMapping::new(
+                            "fmu",
+                            problem.describe(&folder.join(&name)),
+                        ))
+                        .into(),
+                    }
+                })?;
             process_controller(file.with_limits(plain), path, permission("fmu")?)
                 .map_err(|invalid| wrong(invalid).into())
         }
         ControllerFileSource::Command(command) => {
             let setup = file.into_process_setup(command, &folder);
-            process_controller(setup, path, permission("command")?).map_err(|invalid| wrong(invalid).into())
+            process_controller(setup, path, permission("command")?)
+                .map_err(|invalid| wrong(invalid).into())
         }
     }
 }
@@ -340,7 +415,10 @@ fn process_controller(
     path: &Path,
     permission: StartPermission,
 ) -> Result<ControllerKind, InvalidMapping> {
-    let setup = ProcessSetup { file: Some(path.to_owned()), ..setup };
+    let setup = ProcessSetup {
+        file: Some(path.to_owned()),
+        ..setup
+    };
     Ok(Arc::new(ProcessController::new(setup, permission)?).into())
 }
 
@@ -349,8 +427,14 @@ fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default());
     let failed = |problem| match problem {
-        FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping { path: path.display().to_string(), invalid },
-        problem => ControllerFileError::Fmu { path: path.display().to_string(), problem },
+        FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping {
+            path: path.display().to_string(),
+            invalid,
+        },
+        problem => ControllerFileError::Fmu {
+            path: path.display().to_string(),
+            problem,
+        },
     };
     let setup = setup.map_err(failed)?;
     let permission = named_by.permission(|| path.display().to_string())?;
@@ -366,32 +450,83 @@ enum ControllerFileSource {
 impl ControllerFile {
     /// Returns the source, unless a field belongs to another source.
     fn controller_source(&self) -> Result<ControllerFileSource, InvalidMapping> {
-        let network = self.network.clone().map(|name| ("network", "a network", ControllerFileSource::Network(name)));
-        let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
-        let command = self.command.clone().map(|words| ("command", "a command", ControllerFileSource::Command(words)));
+        let network = self
+            .network
+            .clone()
+            .map(|name| ("network", "a network", ControllerFileSource::Network(name)));
+        let fmu = self
+            .fmu
+            .clone()
+            .map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
+        let command = self
+            .command
+            .clone()
+            .map(|words| ("command", "a command", ControllerFileSource::Command(words)));
         let mut message = [network, fmu, command].into_iter().flatten();
         let problem = "one of `network`, `fmu` and `command` is required";
-        let (field, what, drives) = message.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
+        let (field, what, drives) = message
+            .next()
+            .ok_or_else(|| InvalidMapping::new("version", problem))?;
         if let Some((other, ..)) = message.next() {
-            return Err(InvalidMapping::new(other, format!("`{field}` is given already: keep one of them")));
+            return Err(InvalidMapping::new(
+                other,
+                format!("`{field}` is given already: keep one of them"),
+            ));
         }
         let (is_network, is_fmu) = (field == "network", field == "fmu");
-        let input = self.inputs.iter().flatten().position(|input| input.variable.is_some());
-        let output = self.output.as_ref().is_some_and(|output| output.variable.is_some());
+        let input = self
+            .inputs
+            .iter()
+            .flatten()
+            .position(|input| input.variable.is_some());
+        let output = self
+            .output
+            .as_ref()
+            .is_some_and(|output| output.variable.is_some());
         let misplaced = [
-            ("files".to_owned(), !self.files.is_empty() && (is_network || is_fmu)),
-            ("deterministic".to_owned(), self.deterministic.is_some() && is_network),
-            ("start_within_s".to_owned(), self.start_within_s.is_some() && is_network),
-            ("answer_within_s".to_owned(), self.answer_within_s.is_some() && is_network),
-            ("history".to_owned(), self.history != default_history() && is_fmu),
-            ("history_padding".to_owned(), !self.history_padding.is_default() && is_fmu),
+            (
+                "files".to_owned(),
+                !self.files.is_empty() && (is_network || is_fmu),
+            ),
+            (
+                "deterministic".to_owned(),
+                self.deterministic.is_some() && is_network,
+            ),
+            (
+                "start_within_s".to_owned(),
+                self.start_within_s.is_some() && is_network,
+            ),
+            (
+                "answer_within_s".to_owned(),
+                self.answer_within_s.is_some() && is_network,
+            ),
+            (
+                "history".to_owned(),
+                self.history != default_history() && is_fmu,
+            ),
+            (
+                "history_padding".to_owned(),
+                !self.history_padding.is_default() && is_fmu,
+            ),
             ("newest_first".to_owned(), self.newest_first && is_fmu),
-            ("normalised".to_owned(), self.normalised.is_some() && !is_network),
-            ("parameters".to_owned(), !self.parameters.is_empty() && !is_fmu),
-            (format!("inputs[{}].variable", input.unwrap_or_default()), input.is_some() && !is_fmu),
+            (
+                "normalised".to_owned(),
+                self.normalised.is_some() && !is_network,
+            ),
+            (
+                "parameters".to_owned(),
+                !self.parameters.is_empty() && !is_fmu,
+            ),
+            (
+                format!("inputs[{}].variable", input.unwrap_or_default()),
+                input.is_some() && !is_fmu,
+            ),
             ("output.variable".to_owned(), output && !is_fmu),
         ];
-        match misplaced.into_iter().find(|(_, is_misplaced)| *is_misplaced) {
+        match misplaced
+            .into_iter()
+            .find(|(_, is_misplaced)| *is_misplaced)
+        {
             Some((field, _)) => Err(InvalidMapping::new(field, format!("is not for {what}"))),
             None => Ok(drives),
         }
@@ -401,7 +536,10 @@ impl ControllerFile {
     fn into_network_mapping(self) -> Result<Mapping, InvalidMapping> {
         let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
         Ok(Mapping {
-            decision_interval_s: Some(self.decision_interval_s.ok_or_else(|| missing("decision_interval_s"))?),
+            decision_interval_s: Some(
+                self.decision_interval_s
+                    .ok_or_else(|| missing("decision_interval_s"))?,
+            ),
             history: self.history,
             history_padding: self.history_padding,
             newest_first: self.newest_first,
@@ -411,8 +549,19 @@ impl ControllerFile {
     }
 
     fn wiring(&self) -> FmuConfig {
-        let Self { inputs, output, parameters, decision_interval_s, .. } = self.clone();
-        FmuConfig { inputs, output, parameters, decision_interval_s }
+        let Self {
+            inputs,
+            output,
+            parameters,
+            decision_interval_s,
+            ..
+        } = self.clone();
+        FmuConfig {
+            inputs,
+            output,
+            parameters,
+            decision_interval_s,
+        }
     }
 
     /// Returns a setup with the limits that the file states in place of the default ones.

@@ -28,7 +28,10 @@ pub enum Driver {
 /// A driver that is a controller from a file, the same in every run.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(rename = "FileForm", description = "As a scenario file states it."))]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "FileForm", description = "As a scenario file states it.")
+)]
 #[serde(deny_unknown_fields)]
 pub struct FileDriver {
     /// Path from the folder of the scenario file: a policy, a network or a controller file.
@@ -65,14 +68,16 @@ impl FileDriver {
     /// scenario written to another folder finds the same controller.
     pub(super) fn read(&mut self, folder: &Path) -> Result<(), FieldProblem> {
         let unusable = |why: String| FieldProblem::DriverFile { reason: why };
-        let path = path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
+        let path =
+            path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
         if !is_regular_file(&path) {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller = controller_file::load(&path, NameOrigin::File).map_err(|error| match error {
-            ControllerFileError::StartRefused(refused) => refused.into(),
-            other => unusable(other.to_string()),
-        })?;
+        let controller =
+            controller_file::load(&path, NameOrigin::File).map_err(|error| match error {
+                ControllerFileError::StartRefused(refused) => refused.into(),
+                other => unusable(other.to_string()),
+            })?;
         let Some(identity) = controller.identity() else {
             // Without an identity, the scenario does not determine its runs.
             return Err(unusable(format!(
@@ -81,12 +86,20 @@ impl FileDriver {
             )));
         };
         if let Some(wanted) = self.sha256.as_ref().filter(|wanted| **wanted != identity) {
-            let problem = format!("{} has the identity {identity}, and {wanted} is wanted", path.display());
+            let problem = format!(
+                "{} has the identity {identity}, and {wanted} is wanted",
+                path.display()
+            );
             return Err(unusable(problem));
         }
         let path = path.into_os_string().into_string();
-        let path = path.map_err(|path| unusable(format!("{} is a path that is not UTF-8", path.display())))?;
-        *self = Self { path, sha256: Some(identity), controller: Some(controller) };
+        let path = path
+            .map_err(|path| unusable(format!("{} is a path that is not UTF-8", path.display())))?;
+        *self = Self {
+            path,
+            sha256: Some(identity),
+            controller: Some(controller),
+        };
         Ok(())
     }
 }
@@ -177,7 +190,9 @@ impl Driver {
         match self {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,
             Self::Profile(_) | Self::File(_) => false,
-            Self::Controller(controller) => ControllerSpec::from_name(controller.name()).as_ref() == Some(controller),
+            Self::Controller(controller) => {
+                ControllerSpec::from_name(controller.name()).as_ref() == Some(controller)
+            }
         }
     }
 }
@@ -206,16 +221,19 @@ impl<'de> Deserialize<'de> for Driver {
                 let no_settings = std::iter::empty::<(&str, &str)>();
                 let settings = de::value::MapDeserializer::new(no_settings);
                 let named = std::iter::once((name, settings));
-                DriverForm::deserialize(de::value::MapAccessDeserializer::new(de::value::MapDeserializer::new(named)))
+                DriverForm::deserialize(de::value::MapAccessDeserializer::new(
+                    de::value::MapDeserializer::new(named),
+                ))
             }
 
             fn visit_map<A: de::MapAccess<'de>>(self, mut map: A) -> Result<DriverForm, A::Error> {
-                let driver = DriverForm::deserialize(de::value::MapAccessDeserializer::new(&mut map))?;
+                let driver =
+                    DriverForm::deserialize(de::value::MapAccessDeserializer::new(&mut map))?;
                 match map.next_key::<String>()? {
                     None => Ok(driver),
-                    Some(second) => {
-                        Err(de::Error::custom(format!("a vehicle has one driver: remove the second one, `{second}`")))
-                    }
+                    Some(second) => Err(de::Error::custom(format!(
+                        "a vehicle has one driver: remove the second one, `{second}`"
+                    ))),
                 }
             }
         }

@@ -56,13 +56,26 @@ impl FileError {
     /// Creates the error for an invalid `field` in the TOML text of a file.
     #[must_use]
     pub fn from_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
-        Self::Syntax { path: path.to_owned(), line: line_in_toml(text, field), message: format!("{field}: {problem}") }
+        Self::Syntax {
+            path: path.to_owned(),
+            line: line_in_toml(text, field),
+            message: format!("{field}: {problem}"),
+        }
     }
 
     /// Returns true if the only error is a driver program that crumple may not start.
     #[must_use]
     pub fn is_start_refused(&self) -> bool {
-        matches!(self, Self::Invalid { invalid: InvalidField { problem: FieldProblem::StartRefused(_), .. }, .. })
+        matches!(
+            self,
+            Self::Invalid {
+                invalid: InvalidField {
+                    problem: FieldProblem::StartRefused(_),
+                    ..
+                },
+                ..
+            }
+        )
     }
 }
 
@@ -87,7 +100,9 @@ impl ScenarioFileFormat {
 /// # Errors
 /// [`FileError`] for a file that cannot be read, parsed or accepted.
 pub fn load(path: &Path) -> Result<Scenario, FileError> {
-    let format = ScenarioFileFormat::from_path(path).ok_or_else(|| FileError::Extension { path: path.to_owned() })?;
+    let format = ScenarioFileFormat::from_path(path).ok_or_else(|| FileError::Extension {
+        path: path.to_owned(),
+    })?;
     parse(&read(path)?, format, path)
 }
 
@@ -101,20 +116,43 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
     }
-    let unreadable = |source| FileError::Read { path: path.to_owned(), source };
-    let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
-    let is_scenario = |path: &PathBuf| {
-        ScenarioFileFormat::from_path(path).is_some() && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref())
+    let unreadable = |source| FileError::Read {
+        path: path.to_owned(),
+        source,
     };
-    let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(is_scenario).collect();
+    let entries = fs::read_dir(path)
+        .map_err(unreadable)?
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(unreadable)?;
+    let is_scenario = |path: &PathBuf| {
+        ScenarioFileFormat::from_path(path).is_some()
+            && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref())
+    };
+    let mut files: Vec<_> = entries
+        .iter()
+        .map(fs::DirEntry::path)
+        .filter(is_scenario)
+        .collect();
     files.sort();
-    let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();
+    let bytes: u64 = files
+        .iter()
+        .flat_map(fs::metadata)
+        .map(|found| found.len())
+        .sum();
     if files.len() > MAX_FILES || bytes > MAX_FOLDER_BYTES {
         let most = MAX_FOLDER_BYTES >> 20;
-        let problem = format!("holds more than {MAX_FILES} scenario files, or more than {most} MiB: too much at once");
-        return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+        let problem = format!(
+            "holds more than {MAX_FILES} scenario files, or more than {most} MiB: too much at once"
+        );
+        return Err(unreadable(io::Error::new(
+            io::ErrorKind::InvalidData,
+            problem,
+        )));
     }
-    files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
+    files
+        .into_iter()
+        .map(|path| load(&path).map(|scenario| (path, scenario)))
+        .collect()
 }
 
 /// Name of the TOML file with the recorded verdicts of a folder of scenarios. The extension keeps it out of `*.toml`.
@@ -149,22 +187,39 @@ pub fn read(path: &Path) -> Result<String, FileError> {
 /// # Errors
 /// [`FileError`], as for [`read`].
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
-    let unreadable = |source| FileError::Read { path: path.to_owned(), source };
+    let unreadable = |source| FileError::Read {
+        path: path.to_owned(),
+        source,
+    };
     let mut bytes = Vec::new();
     regular_file::open(path)
         .and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes))
         .map_err(unreadable)?;
     if bytes.len() as u64 > most {
-        let size = if most < 1 << 20 { format!("{} KiB", most >> 10) } else { format!("{} MiB", most >> 20) };
+        let size = if most < 1 << 20 {
+            format!("{} KiB", most >> 10)
+        } else {
+            format!("{} MiB", most >> 20)
+        };
         let problem = format!("holds more than {size}, too much for such a file");
-        return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
+        return Err(unreadable(io::Error::new(
+            io::ErrorKind::InvalidData,
+            problem,
+        )));
     }
     let text = String::from_utf8(bytes).map_err(|error| {
         let whole = error.utf8_error().valid_up_to();
         let message = "is not UTF-8 text from here on: save it as UTF-8".to_owned();
-        FileError::Syntax { path: path.to_owned(), line: line_at(error.as_bytes(), whole), message }
+        FileError::Syntax {
+            path: path.to_owned(),
+            line: line_at(error.as_bytes(), whole),
+            message,
+        }
     })?;
-    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+    Ok(text
+        .strip_prefix('\u{feff}')
+        .map(str::to_owned)
+        .unwrap_or(text))
 }
 
 /// Reads a scenario from TOML text; `path` only names it in errors.
@@ -189,22 +244,35 @@ fn parse(text: &str, format: ScenarioFileFormat, path: &Path) -> Result<Scenario
         ScenarioFileFormat::Json => parse_json(text, path)?,
     };
     let drivers = spec.read_drivers(path.parent().unwrap_or(Path::new("")));
-    drivers.and_then(|()| Scenario::new(spec)).map_err(|invalid| {
-        let span = match format {
-            ScenarioFileFormat::Toml => locate_in_toml(text, &invalid.field),
-            ScenarioFileFormat::Json => locate_in_json(text, &invalid.field),
-        };
-        FileError::Invalid { path: path.to_owned(), line: line_at(text, span.start), invalid }
-    })
+    drivers
+        .and_then(|()| Scenario::new(spec))
+        .map_err(|invalid| {
+            let span = match format {
+                ScenarioFileFormat::Toml => locate_in_toml(text, &invalid.field),
+                ScenarioFileFormat::Json => locate_in_json(text, &invalid.field),
+            };
+            FileError::Invalid {
+                path: path.to_owned(),
+                line: line_at(text, span.start),
+                invalid,
+            }
+        })
 }
 
 /// Parses a value from TOML text, with errors that name line and field.
 pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let misread = |field: String, error: toml::de::Error| {
         // For an entry of an array of tagged tables, the span is that of the whole array.
-        let start = error.span().map_or(0, |span| span.start).max(locate_in_toml(text, &field).start);
+        let start = error
+            .span()
+            .map_or(0, |span| span.start)
+            .max(locate_in_toml(text, &field).start);
         let message = prefix_field(&field, &simplify_message(error.message()));
-        FileError::Syntax { path: path.to_owned(), line: line_at(text, start), message }
+        FileError::Syntax {
+            path: path.to_owned(),
+            line: line_at(text, start),
+            message,
+        }
     };
     if text.len() as u64 > MAX_TOML_BYTES {
         let most = MAX_TOML_BYTES >> 20;
@@ -212,7 +280,11 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
             "holds more than {most} MiB of TOML, too much to parse (a scenario may have {} MiB as JSON)",
             MAX_BYTES >> 20
         );
-        return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
+        return Err(FileError::Syntax {
+            path: path.to_owned(),
+            line: 1,
+            message,
+        });
     }
     let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
     serde_path_to_error::deserialize(NamedFields(parsed))
@@ -247,12 +319,20 @@ pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
         line: error.line().max(1),
         message: prefix_field(
             &field,
-            &simplify_message(error.to_string().split(" at line ").next().unwrap_or_default()),
+            &simplify_message(
+                error
+                    .to_string()
+                    .split(" at line ")
+                    .next()
+                    .unwrap_or_default(),
+            ),
         ),
     };
     let value = serde_path_to_error::deserialize(NamedFields(&mut parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
-    parsed.end().map_err(|error| misread(String::new(), error))?;
+    parsed
+        .end()
+        .map_err(|error| misread(String::new(), error))?;
     Ok(value)
 }
 
@@ -275,31 +355,49 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
             "several kinds are given, and exactly one is required".into()
         }
         "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
-        "invalid type: sequence, expected a string" => "must be one text in quotation marks, not a list".into(),
-        "integer number overflowed" => "a whole number this large must be written with a point or an exponent".into(),
+        "invalid type: sequence, expected a string" => {
+            "must be one text in quotation marks, not a list".into()
+        }
+        "integer number overflowed" => {
+            "a whole number this large must be written with a point or an exponent".into()
+        }
         "invalid type: unit variant, expected newtype variant" => {
             "a name alone is not enough: its settings belong in a table".into()
         }
         other => match single_item(other) {
             Some(item) => format!("must be a list in square brackets, as in `[{item}]`").into(),
             // Serde appends this for an item without settings.
-            None => other.strip_suffix(", there are no fields").unwrap_or(other).into(),
+            None => other
+                .strip_suffix(", there are no fields")
+                .unwrap_or(other)
+                .into(),
         },
     }
 }
 
 /// Returns the text or number that a message of serde names where a list is required.
 fn single_item(message: &str) -> Option<&str> {
-    let found = message.strip_prefix("invalid type: ")?.strip_suffix(", expected a sequence")?;
+    let found = message
+        .strip_prefix("invalid type: ")?
+        .strip_suffix(", expected a sequence")?;
     let number = |kind: &str| found.strip_prefix(kind)?.strip_suffix('`');
-    found.strip_prefix("string ").or_else(|| number("integer `")).or_else(|| number("floating point `"))
+    found
+        .strip_prefix("string ")
+        .or_else(|| number("integer `"))
+        .or_else(|| number("floating point `"))
 }
 
 /// Prefixes the message with its field, if the parser knows the field.
 fn prefix_field(field: &str, message: &str) -> String {
     // `serde_path_to_error` ends the path with `?` where the text ends.
-    let field = field.strip_suffix('?').map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
-    if field.is_empty() || field == "." { message.to_owned() } else { format!("{field}: {message}") }
+    let field = field
+        .strip_suffix('?')
+        .map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
+    if field.is_empty() || field == "." {
+        message.to_owned()
+    } else {
+        format!("{field}: {message}")
+    }
 }
 
 /// Serializes the scenario as TOML.
@@ -312,14 +410,23 @@ pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
 
 /// Returns the line, from 1, of a byte offset.
 fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
-    1 + text.as_ref().iter().take(offset).filter(|&&byte| byte == b'\n').count()
+    1 + text
+        .as_ref()
+        .iter()
+        .take(offset)
+        .filter(|&&byte| byte == b'\n')
+        .count()
 }
 
 /// Splits a path such as `vehicles[1].driver.brake` into steps.
 fn path_steps(field: &str) -> impl Iterator<Item = PathStep<'_>> {
     field.split('.').flat_map(|part| {
-        let (name, indices) = part.split_once('[').map_or((part, ""), |(name, rest)| (name, rest));
-        let index = indices.strip_suffix(']').and_then(|digits| digits.parse().ok());
+        let (name, indices) = part
+            .split_once('[')
+            .map_or((part, ""), |(name, rest)| (name, rest));
+        let index = indices
+            .strip_suffix(']')
+            .and_then(|digits| digits.parse().ok());
         std::iter::once(PathStep::Field(name)).chain(index.map(PathStep::Index))
     })
 }
@@ -337,15 +444,21 @@ fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
 /// Returns the span as [`locate_in_toml`] does, and true if the text contains the field.
 fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut span = 0..0;
-    let Ok(root) = toml::de::DeTable::parse(text) else { return (span, false) };
+    let Ok(root) = toml::de::DeTable::parse(text) else {
+        return (span, false);
+    };
     let mut table = Some(root.get_ref());
     let mut array = None;
     for step in path_steps(field) {
         let value = match step {
             PathStep::Field(name) => table.and_then(|table| table.get(name)),
-            PathStep::Index(index) => array.and_then(|array: &toml::de::DeArray<'_>| array.get(index)),
+            PathStep::Index(index) => {
+                array.and_then(|array: &toml::de::DeArray<'_>| array.get(index))
+            }
         };
-        let Some(value) = value else { return (span, false) };
+        let Some(value) = value else {
+            return (span, false);
+        };
         span = value.span();
         table = value.get_ref().as_table();
         array = value.get_ref().as_array();

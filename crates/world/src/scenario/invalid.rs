@@ -76,7 +76,9 @@ pub enum FieldProblem {
         found: usize,
     },
     /// A vehicle that starts inside or ahead of its predecessor in the list.
-    #[error("overlaps vehicle {ahead}: its rear bumper is at {rear_bumper_m} m, and this front bumper at {found} m")]
+    #[error(
+        "overlaps vehicle {ahead}: its rear bumper is at {rear_bumper_m} m, and this front bumper at {found} m"
+    )]
     Overlap {
         /// Index of the vehicle ahead.
         ahead: usize,
@@ -86,7 +88,9 @@ pub enum FieldProblem {
         found: f64,
     },
     /// A profile that brakes harder than the vehicle can.
-    #[error("asks for {found} m/s² from a vehicle that can brake at {limit} m/s² at most: raise its max_brake_mps2")]
+    #[error(
+        "asks for {found} m/s² from a vehicle that can brake at {limit} m/s² at most: raise its max_brake_mps2"
+    )]
     BrakeBeyondLimit {
         /// Limit of the vehicle, in m/s².
         limit: f64,
@@ -182,7 +186,15 @@ pub struct AllowedRange {
 
 impl fmt::Display for AllowedRange {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { min, max, excludes_min: above_min } = self;
-        if *above_min { write!(out, "above {min} and at most {max}") } else { write!(out, "from {min} to {max}") }
+        let Self {
+            min,
+            max,
+            excludes_min: above_min,
+        } = self;
+        if *above_min {
+            write!(out, "above {min} and at most {max}")
+        } else {
+            write!(out, "from {min} to {max}")
+        }
     }
 }

@@ -33,7 +33,9 @@ pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
 pub use plant::{BodyKind, PlantKind};
-pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
+pub use profile::{
+    Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
+};
 pub use sensor_faults::{GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;
@@ -47,7 +49,10 @@ pub const SCENARIO_VERSION: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a scenario: a table of fields")]
-#[cfg_attr(feature = "schema", schemars(rename = "Scenario", title = "crumple scenario, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "Scenario", title = "crumple scenario, version 1")
+)]
 pub struct ScenarioSpec {
     /// Version of the file format: 1.
     pub version: u32,
@@ -127,7 +132,12 @@ pub struct Sensors {
 
 impl Default for Sensors {
     fn default() -> Self {
-        Self { position_noise_m: 0.02, gap_noise_m: 0.03, dropout: 0.0, faults: SensorFaults::default() }
+        Self {
+            position_noise_m: 0.02,
+            gap_noise_m: 0.03,
+            dropout: 0.0,
+            faults: SensorFaults::default(),
+        }
     }
 }
 
@@ -177,7 +187,10 @@ impl ScenarioSpec {
         for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
                 let field = || format!("vehicles[{index}].driver.file.path");
-                file.read(folder).map_err(|problem| InvalidField { field: field(), problem })?;
+                file.read(folder).map_err(|problem| InvalidField {
+                    field: field(),
+                    problem,
+                })?;
             }
         }
         Ok(())
@@ -191,7 +204,11 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec: Arc::new(spec), steps, noise_shares: None })
+        Ok(Self {
+            spec: Arc::new(spec),
+            steps,
+            noise_shares: None,
+        })
     }
 
     /// Returns the data of the scenario.
@@ -214,7 +231,10 @@ impl Scenario {
     /// seed must be that of the spec, which determines all other random numbers. A file cannot state shares.
     #[must_use]
     pub fn with_noise_shares(self, shares: &[NoiseShare]) -> Self {
-        Self { noise_shares: Some(shares.into()), ..self }
+        Self {
+            noise_shares: Some(shares.into()),
+            ..self
+        }
     }
 
     pub(crate) fn noise_shares(&self) -> &[NoiseShare] {
@@ -230,7 +250,10 @@ impl Scenario {
     /// Returns true if every vehicle is a point mass: proofs and convex programs model no other plant.
     #[must_use]
     pub fn has_only_point_masses(&self) -> bool {
-        self.spec.vehicles.iter().all(|vehicle| vehicle.multi_body().is_none())
+        self.spec
+            .vehicles
+            .iter()
+            .all(|vehicle| vehicle.multi_body().is_none())
     }
 
     /// Returns true if no vehicle changes lanes, so that all neighbours stay the same.
@@ -248,7 +271,10 @@ impl Scenario {
     /// Returns true if the controller under test drives vehicle `index`; false for a vehicle that does not exist.
     #[must_use]
     pub fn is_under_test(&self, index: usize) -> bool {
-        self.spec.vehicles.get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
+        self.spec
+            .vehicles
+            .get(index)
+            .is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
     }
 
     /// Returns the number of steps of `step_s` in `duration_s`.
@@ -261,7 +287,10 @@ impl Scenario {
     /// exist.
     #[must_use]
     pub fn usable_brake_mps2(&self, index: usize) -> f64 {
-        self.spec.vehicles.get(index).map_or(0.0, |v| v.max_brake_mps2() * self.spec.environment.friction)
+        self.spec
+            .vehicles
+            .get(index)
+            .map_or(0.0, |v| v.max_brake_mps2() * self.spec.environment.friction)
     }
 
     /// Returns the initial bumper gap of vehicle `index` to the vehicle listed before it, in metres; `None` for the

@@ -7,7 +7,8 @@
 use std::fmt;
 
 use serde::de::{
-    DeserializeSeed, Deserializer, EnumAccess, Error, MapAccess, SeqAccess, Unexpected, VariantAccess, Visitor,
+    DeserializeSeed, Deserializer, EnumAccess, Error, MapAccess, SeqAccess, Unexpected,
+    VariantAccess, Visitor,
 };
 
 /// A wrapper around a deserializer, visitor, seed or access.
@@ -43,7 +44,8 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for NamedFields<D> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, D::Error> {
-        self.0.deserialize_struct(name, fields, StructVisitor(visitor))
+        self.0
+            .deserialize_struct(name, fields, StructVisitor(visitor))
     }
 }
 
@@ -125,7 +127,10 @@ impl<'de, S: DeserializeSeed<'de>> DeserializeSeed<'de> for NamedFields<S> {
 impl<'de, A: SeqAccess<'de>> SeqAccess<'de> for NamedFields<A> {
     type Error = A::Error;
 
-    fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, A::Error> {
+    fn next_element_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<Option<S::Value>, A::Error> {
         self.0.next_element_seed(NamedFields(seed))
     }
 }
@@ -133,7 +138,10 @@ impl<'de, A: SeqAccess<'de>> SeqAccess<'de> for NamedFields<A> {
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for NamedFields<A> {
     type Error = A::Error;
 
-    fn next_key_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, A::Error> {
+    fn next_key_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<Option<S::Value>, A::Error> {
         self.0.next_key_seed(NamedFields(seed))
     }
 
@@ -146,8 +154,13 @@ impl<'de, A: EnumAccess<'de>> EnumAccess<'de> for NamedFields<A> {
     type Error = A::Error;
     type Variant = NamedFields<A::Variant>;
 
-    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self::Variant), A::Error> {
-        self.0.variant_seed(NamedFields(seed)).map(|(value, variant)| (value, NamedFields(variant)))
+    fn variant_seed<S: DeserializeSeed<'de>>(
+        self,
+        seed: S,
+    ) -> Result<(S::Value, Self::Variant), A::Error> {
+        self.0
+            .variant_seed(NamedFields(seed))
+            .map(|(value, variant)| (value, NamedFields(variant)))
     }
 }
 
@@ -162,7 +175,11 @@ impl<'de, A: VariantAccess<'de>> VariantAccess<'de> for NamedFields<A> {
         self.0.newtype_variant_seed(NamedFields(seed))
     }
 
-    fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, A::Error> {
+    fn tuple_variant<V: Visitor<'de>>(
+        self,
+        length: usize,
+        visitor: V,
+    ) -> Result<V::Value, A::Error> {
         self.0.tuple_variant(length, NamedFields(visitor))
     }
 

@@ -7,7 +7,9 @@
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
 
-use super::{Brake, Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use super::{
+    Brake, Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+};
 use crate::control::{AebSettings, ControllerSpec};
 use crate::random::{self, Purpose};
 
@@ -28,9 +30,18 @@ const MIDDLE_VEHICLES: usize = 3;
 #[must_use]
 pub fn built_in_scenario_names() -> [(&'static str, &'static str); 3] {
     [
-        ("paper-1", "Emergency brake ahead, a heavy follower behind (paper, scenario 1)."),
-        ("paper-2", "Emergency brake ahead, a light follower behind (paper, scenario 2)."),
-        ("paper-3", "Emergency brake ahead, three middle vehicles, a heavy follower behind (paper, scenario 3)."),
+        (
+            "paper-1",
+            "Emergency brake ahead, a heavy follower behind (paper, scenario 1).",
+        ),
+        (
+            "paper-2",
+            "Emergency brake ahead, a light follower behind (paper, scenario 2).",
+        ),
+        (
+            "paper-3",
+            "Emergency brake ahead, three middle vehicles, a heavy follower behind (paper, scenario 3).",
+        ),
     ]
 }
 
@@ -44,23 +55,38 @@ pub fn built_in_scenario(name: &str) -> Option<Scenario> {
         "paper-3" => (MIDDLE_VEHICLES, Heavy),
         _ => return None,
     };
-    let about = built_in_scenario_names().into_iter().find(|(known, _)| *known == name)?.1;
+    let about = built_in_scenario_names()
+        .into_iter()
+        .find(|(known, _)| *known == name)?
+        .1;
     let spacing_m = GAP_M + Light.length_m();
     let mut vehicles = vec![VehicleSpec::new(
         Light,
         spacing_m * (middle + 1) as f64,
         SPEED_MPS,
-        Driver::Profile(LeadProfile::Brake(Brake { onset_s: ONSET_S, rate_mps2: LEAD_BRAKE_MPS2 })),
+        Driver::Profile(LeadProfile::Brake(Brake {
+            onset_s: ONSET_S,
+            rate_mps2: LEAD_BRAKE_MPS2,
+        })),
     )];
     for index in (1..=middle).rev() {
-        vehicles.push(VehicleSpec::new(Light, spacing_m * index as f64, SPEED_MPS, Driver::UnderTest));
+        vehicles.push(VehicleSpec::new(
+            Light,
+            spacing_m * index as f64,
+            SPEED_MPS,
+            Driver::UnderTest,
+        ));
     }
     vehicles.push(VehicleSpec::new(last, 0.0, SPEED_MPS, baseline()));
     Scenario::new(spec(name.to_owned(), about.to_owned(), 0, vehicles)).ok()
 }
 
 fn spec(name: String, about: String, seed: u64, vehicles: Vec<VehicleSpec>) -> ScenarioSpec {
-    ScenarioSpec { about, seed, ..ScenarioSpec::new(name, DURATION_S, vehicles) }
+    ScenarioSpec {
+        about,
+        seed,
+        ..ScenarioSpec::new(name, DURATION_S, vehicles)
+    }
 }
 
 fn baseline() -> Driver {
@@ -86,7 +112,11 @@ impl PaperDistribution {
     /// None in practice: a normal number would have to be 15 standard deviations from its mean.
     pub fn draw(&self, index: u64) -> Result<Scenario, InvalidField> {
         let mut stream = random::stream(self.seed, Purpose::ScenarioSampling, index);
-        let follower = if stream.random::<bool>() { VehicleClass::Heavy } else { VehicleClass::Light };
+        let follower = if stream.random::<bool>() {
+            VehicleClass::Heavy
+        } else {
+            VehicleClass::Light
+        };
         let mut normal = |mean: f64, deviation: f64| match Normal::new(mean, deviation) {
             Ok(distribution) => distribution.sample(&mut stream),
             Err(_) => mean,
@@ -98,7 +128,12 @@ impl PaperDistribution {
         let brake = Driver::Profile(LeadProfile::Brake(Brake { onset_s, rate_mps2 }));
         let mut vehicles = vec![
             VehicleSpec::new(VehicleClass::Light, positions_m[0], SPEED_MPS, brake),
-            VehicleSpec::new(VehicleClass::Light, positions_m[1], SPEED_MPS, Driver::UnderTest),
+            VehicleSpec::new(
+                VehicleClass::Light,
+                positions_m[1],
+                SPEED_MPS,
+                Driver::UnderTest,
+            ),
             VehicleSpec::new(follower, positions_m[2], SPEED_MPS, baseline()),
         ];
         vehicles[0].acceleration_noise_mps2 = 0.01;
@@ -106,7 +141,12 @@ impl PaperDistribution {
         vehicles[2].max_brake_mps2 = Some(follower_brake_mps2);
         let name = format!("paper-draw-{}-{index}", self.seed);
         let about = "A draw from the paper's training distribution.".to_owned();
-        Scenario::new(spec(name, about, random::derived_seed(self.seed, index), vehicles))
+        Scenario::new(spec(
+            name,
+            about,
+            random::derived_seed(self.seed, index),
+            vehicles,
+        ))
     }
 }
 
@@ -116,7 +156,10 @@ mod tests {
 
     #[test]
     fn built_in_scenarios_are_the_papers() {
-        let names: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
+        let names: Vec<_> = built_in_scenario_names()
+            .iter()
+            .map(|(name, _)| *name)
+            .collect();
         for name in names {
             let scenario = built_in_scenario(name).expect("every listed scenario is valid");
             assert_eq!(scenario.steps(), 1500);
@@ -124,8 +167,14 @@ mod tests {
                 assert_eq!(scenario.initial_gap_m(index), Some(16.0));
             }
         }
-        let positions =
-            |name: &str| built_in_scenario(name).unwrap().vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
+        let positions = |name: &str| {
+            built_in_scenario(name)
+                .unwrap()
+                .vehicles()
+                .iter()
+                .map(|v| v.position_m)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(positions("paper-1"), [36.0, 18.0, 0.0]);
         assert_eq!(positions("paper-3"), [72.0, 54.0, 36.0, 18.0, 0.0]);
         assert!(built_in_scenario("paper-4").is_none());
@@ -133,7 +182,9 @@ mod tests {
 
     #[test]
     fn draws_have_the_papers_moments() {
-        let draws: Vec<_> = (0..4000).map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid")).collect();
+        let draws: Vec<_> = (0..4000)
+            .map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid"))
+            .collect();
         let moments = |of: &dyn Fn(&Scenario) -> f64| {
             let n = draws.len() as f64;
             let mean = draws.iter().map(of).sum::<f64>() / n;
@@ -141,12 +192,18 @@ mod tests {
             (mean, variance.sqrt())
         };
         let (mean, deviation) = moments(&|d| d.vehicles()[0].position_m);
-        assert!((mean - 36.0).abs() < 0.04 && (deviation - 0.5).abs() < 0.03, "{mean} {deviation}");
+        assert!(
+            (mean - 36.0).abs() < 0.04 && (deviation - 0.5).abs() < 0.03,
+            "{mean} {deviation}"
+        );
         let (mean, deviation) = moments(&|d| match &d.vehicles()[0].driver {
             Driver::Profile(LeadProfile::Brake(brake)) => brake.rate_mps2,
             other => panic!("leader drives by {other:?}"),
         });
-        assert!((mean - 3.0).abs() < 0.016 && (deviation - 0.2).abs() < 0.012, "{mean} {deviation}");
+        assert!(
+            (mean - 3.0).abs() < 0.016 && (deviation - 0.2).abs() < 0.012,
+            "{mean} {deviation}"
+        );
         let (heavy, _) = moments(&|d| f64::from(d.vehicles()[2].class == VehicleClass::Heavy));
         assert!((heavy - 0.5).abs() < 0.04, "{heavy}");
     }

@@ -50,7 +50,13 @@ pub enum BodyKind {
 
 impl BodyKind {
     /// All parameter sets.
-    pub const ALL: [Self; 5] = [Self::FordEscort, Self::Bmw320i, Self::VwVanagon, Self::LorryLaden, Self::LorryUnladen];
+    pub const ALL: [Self; 5] = [
+        Self::FordEscort,
+        Self::Bmw320i,
+        Self::VwVanagon,
+        Self::LorryLaden,
+        Self::LorryUnladen,
+    ];
 
     /// Returns the parameter set of a class: `bmw-320i` for `light`, `lorry-laden` for `heavy`.
     #[must_use]
@@ -69,7 +75,11 @@ impl Scenario {
     /// [`InvalidField`] in principle, if the changed scenario is invalid.
     pub fn with_plant(&self, plant: PlantKind) -> Result<Self, InvalidField> {
         self.edited(|spec| {
-            for vehicle in spec.vehicles.iter_mut().filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_))) {
+            for vehicle in spec
+                .vehicles
+                .iter_mut()
+                .filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_)))
+            {
                 vehicle.plant = plant;
                 if plant == PlantKind::PointMass {
                     vehicle.body = None;

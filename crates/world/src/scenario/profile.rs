@@ -128,12 +128,19 @@ impl LeadProfile {
         match self {
             Self::ConstantSpeed => Some([0.0, f64::INFINITY]),
             Self::Brake(brake) => {
-                let until_s = if brake.onset_s <= from_s { f64::INFINITY } else { brake.onset_s };
+                let until_s = if brake.onset_s <= from_s {
+                    f64::INFINITY
+                } else {
+                    brake.onset_s
+                };
                 Some([brake.acceleration_mps2(from_s, from_s), until_s])
             }
             Self::Pieces(pieces) => {
                 let next = pieces.from_s.partition_point(|&start| start <= from_s);
-                Some([pieces.piece_before_mps2(next), pieces.from_s.get(next).copied().unwrap_or(f64::INFINITY)])
+                Some([
+                    pieces.piece_before_mps2(next),
+                    pieces.from_s.get(next).copied().unwrap_or(f64::INFINITY),
+                ])
             }
             Self::RampBrake(_) | Self::BrakeToSpeed(_) | Self::Recorded(_) => None,
         }
@@ -168,7 +175,9 @@ impl LeadProfile {
             Self::Pieces(pieces) => pieces
                 .accel_mps2
                 .iter()
-                .fold([0.0, 0.0], |[lowest, highest]: [f64; 2], &a| [lowest.min(a), highest.max(a)]),
+                .fold([0.0, 0.0], |[lowest, highest]: [f64; 2], &a| {
+                    [lowest.min(a), highest.max(a)]
+                }),
         }
     }
 }
@@ -194,7 +203,8 @@ fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
 
 impl RampBrake {
     fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
-        let mean_build_up = (self.speed_lost_mps(to_s) - self.speed_lost_mps(from_s)) / (to_s - from_s);
+        let mean_build_up =
+            (self.speed_lost_mps(to_s) - self.speed_lost_mps(from_s)) / (to_s - from_s);
         -mean_build_up.min(self.easing_mps2(to_s - from_s, speed_mps))
     }
 
@@ -237,7 +247,10 @@ impl PiecewiseAcceleration {
 
     /// Returns the acceleration of the piece before `next`, in m/s².
     fn piece_before_mps2(&self, next: usize) -> f64 {
-        next.checked_sub(1).and_then(|current| self.accel_mps2.get(current)).copied().unwrap_or(0.0)
+        next.checked_sub(1)
+            .and_then(|current| self.accel_mps2.get(current))
+            .copied()
+            .unwrap_or(0.0)
     }
 }
 

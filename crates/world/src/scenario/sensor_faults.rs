@@ -57,7 +57,12 @@ pub struct GhostObject {
 
 impl GhostObject {
     /// A standing object that is never reported: the nominal ghost of spaces whose base has none.
-    pub(super) const NEVER: Self = Self { onset_s: 0.0, duration_s: 0.0, gap_m: 50.0, speed_mps: 0.0 };
+    pub(super) const NEVER: Self = Self {
+        onset_s: 0.0,
+        duration_s: 0.0,
+        gap_m: 50.0,
+        speed_mps: 0.0,
+    };
 }
 
 impl SensorFaults {
@@ -74,15 +79,37 @@ impl SensorFaults {
             ("latency_s", Some(self.latency_s), [0.0, 2.0]),
             ("gap_bias_m", Some(self.gap_bias_m), [-10.0, 10.0]),
             ("gap_resolution_m", Some(self.gap_resolution_m), [0.0, 10.0]),
-            ("outage_rate_per_s", Some(self.outage_rate_per_s), [0.0, 100.0]),
+            (
+                "outage_rate_per_s",
+                Some(self.outage_rate_per_s),
+                [0.0, 100.0],
+            ),
             ("outage_length_s", Some(self.outage_length_s), [0.0, 100.0]),
             ("range_m", self.range_m, [1.0, 1e4]),
-            ("detection_delay_s", Some(self.detection_delay_s), [0.0, 10.0]),
-            ("ghost.onset_s", ghost.map(|ghost| ghost.onset_s), [0.0, 1e5]),
-            ("ghost.duration_s", ghost.map(|ghost| ghost.duration_s), [0.0, 1e5]),
+            (
+                "detection_delay_s",
+                Some(self.detection_delay_s),
+                [0.0, 10.0],
+            ),
+            (
+                "ghost.onset_s",
+                ghost.map(|ghost| ghost.onset_s),
+                [0.0, 1e5],
+            ),
+            (
+                "ghost.duration_s",
+                ghost.map(|ghost| ghost.duration_s),
+                [0.0, 1e5],
+            ),
             ("ghost.gap_m", ghost.map(|ghost| ghost.gap_m), [0.1, 1e4]),
-            ("ghost.speed_mps", ghost.map(|ghost| ghost.speed_mps), [0.0, 100.0]),
+            (
+                "ghost.speed_mps",
+                ghost.map(|ghost| ghost.speed_mps),
+                [0.0, 100.0],
+            ),
         ];
-        fields.into_iter().filter_map(|(path, value, range)| Some((path, value?, range)))
+        fields
+            .into_iter()
+            .filter_map(|(path, value, range)| Some((path, value?, range)))
     }
 }

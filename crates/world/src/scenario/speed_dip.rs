@@ -1,7 +1,8 @@
 //! A leader that slows down briefly and recovers, ahead of a line of vehicles.
 
 use super::{
-    Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass,
+    VehicleSpec,
 };
 
 /// Start of the leader's dip in [`speed_dip`], in seconds; the line first settles to its time gaps.
@@ -23,17 +24,37 @@ const DURATION_S: f64 = 120.0;
 pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidField> {
     let class = VehicleClass::Light;
     let pieces = PiecewiseAcceleration {
-        from_s: DIP.iter().map(|(after_s, _)| SPEED_DIP_ONSET_S + after_s).collect(),
+        from_s: DIP
+            .iter()
+            .map(|(after_s, _)| SPEED_DIP_ONSET_S + after_s)
+            .collect(),
         accel_mps2: DIP.iter().map(|&(_, accel_mps2)| accel_mps2).collect(),
     };
     let spacing_m = class.length_m() + time_gap_s * SPEED_MPS;
-    let leader = VehicleSpec::new(class, 0.0, SPEED_MPS, Driver::Profile(LeadProfile::Pieces(pieces)));
-    let behind = (1..=followers)
-        .map(|index| VehicleSpec::new(class, -spacing_m * index as f64, SPEED_MPS + CLOSING_MPS, Driver::UnderTest));
+    let leader = VehicleSpec::new(
+        class,
+        0.0,
+        SPEED_MPS,
+        Driver::Profile(LeadProfile::Pieces(pieces)),
+    );
+    let behind = (1..=followers).map(|index| {
+        VehicleSpec::new(
+            class,
+            -spacing_m * index as f64,
+            SPEED_MPS + CLOSING_MPS,
+            Driver::UnderTest,
+        )
+    });
     let name = format!("speed-dip-{followers}");
     Scenario::new(ScenarioSpec {
-        about: "A leader slows down a little and recovers: does the disturbance grow along the line?".to_owned(),
-        ..ScenarioSpec::new(name, DURATION_S, std::iter::once(leader).chain(behind).collect())
+        about:
+            "A leader slows down a little and recovers: does the disturbance grow along the line?"
+                .to_owned(),
+        ..ScenarioSpec::new(
+            name,
+            DURATION_S,
+            std::iter::once(leader).chain(behind).collect(),
+        )
     })
 }
 
@@ -48,15 +69,26 @@ mod tests {
     #[test]
     fn the_dip_takes_four_metres_a_second_off_and_a_line_of_cruise_controls_carries_it_back() {
         let scenario = speed_dip(5, 1.5).unwrap();
-        assert!((1..=5).all(|index| scenario.is_under_test(index) && scenario.initial_gap_m(index) == Some(30.0)));
+        assert!(
+            (1..=5).all(|index| scenario.is_under_test(index)
+                && scenario.initial_gap_m(index) == Some(30.0))
+        );
         let acc = ControllerSpec::from_name("acc-aeb").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(acc).with_estimator(EstimatorKind::Truth)).unwrap();
+        let run = Run::new(
+            &scenario,
+            RunOptions::new(acc).with_estimator(EstimatorKind::Truth),
+        )
+        .unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
         let leader = &trace.vehicles[0].speed_mps;
         let slowest_mps = leader.iter().copied().fold(f64::INFINITY, f64::min);
         assert!((slowest_mps - 16.0).abs() < 1e-9 && (leader.last().unwrap() - 20.0).abs() < 1e-9);
         let found = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
         assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
-        assert!(speed_dip(0, 1.5).is_err() && speed_dip(5, 0.0).is_err() && speed_dip(5, f64::NAN).is_err());
+        assert!(
+            speed_dip(0, 1.5).is_err()
+                && speed_dip(5, 0.0).is_err()
+                && speed_dip(5, f64::NAN).is_err()
+        );
     }
 }

@@ -57,7 +57,11 @@ impl VehicleClass {
     /// Returns the class of a recorded vehicle: heavy from 7.5 m on, which exceeds any car.
     #[must_use]
     pub fn from_length(length_m: f64) -> Self {
-        if length_m >= 7.5 { Self::Heavy } else { Self::Light }
+        if length_m >= 7.5 {
+            Self::Heavy
+        } else {
+            Self::Light
+        }
     }
 
     /// Returns the number of the class in spaces and logs.
@@ -199,7 +203,8 @@ impl VehicleSpec {
     /// Returns the parameter set of a multi-body vehicle; `None` for a point mass.
     #[must_use]
     pub fn multi_body(&self) -> Option<BodyKind> {
-        (self.plant == PlantKind::MultiBody).then(|| self.body.unwrap_or(BodyKind::from_class(self.class)))
+        (self.plant == PlantKind::MultiBody)
+            .then(|| self.body.unwrap_or(BodyKind::from_class(self.class)))
     }
 
     /// Returns the length from bumper to bumper, in metres: the override, or the class's.

@@ -36,20 +36,29 @@ impl Actuator {
         let vehicle = &scenario.vehicles()[index];
         let step_s = scenario.spec().step_s;
         let body = vehicle.multi_body();
-        let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s + body.map_or(0.0, brake_delay_s);
+        let delay_s =
+            vehicle.reaction_delay_s + vehicle.actuator_delay_s + body.map_or(0.0, brake_delay_s);
         let delay_steps = (delay_s / step_s).round() as usize;
         // Commands that are still pending at the end of the scenario need no space.
         let delay_steps = delay_steps.min(scenario.steps());
         let lag_s = vehicle.actuator_lag_s;
-        let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some() || body.is_some();
+        let is_sluggish =
+            delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some() || body.is_some();
         let friction = scenario.spec().environment.friction;
         let sluggish = is_sluggish.then(|| {
             Box::new(ActuatorDynamics {
                 pending_mps2: VecDeque::from(vec![0.0; delay_steps]),
-                response_fraction: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
-                max_change_mps2: vehicle.jerk_limit_mps3.map_or(f64::INFINITY, |jerk| jerk * step_s),
+                response_fraction: if lag_s > 0.0 {
+                    -(-step_s / lag_s).exp_m1()
+                } else {
+                    1.0
+                },
+                max_change_mps2: vehicle
+                    .jerk_limit_mps3
+                    .map_or(f64::INFINITY, |jerk| jerk * step_s),
                 response_mps2: 0.0,
-                multi_body: body.map(|body| (MultiBody::new(body, friction, vehicle.speed_mps), step_s)),
+                multi_body: body
+                    .map(|body| (MultiBody::new(body, friction, vehicle.speed_mps), step_s)),
             })
         });
         Self {
@@ -76,10 +85,13 @@ impl Actuator {
                 let due_mps2 = sluggish.pending_mps2.pop_front().unwrap_or(command_mps2);
                 let wanted = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
                 let change = sluggish.response_fraction * (wanted - sluggish.response_mps2);
-                sluggish.response_mps2 += change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
+                sluggish.response_mps2 +=
+                    change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
                 match &mut sluggish.multi_body {
                     None => sluggish.response_mps2,
-                    Some((plant, step_s)) => plant.respond(sluggish.response_mps2, speed_mps, *step_s),
+                    Some((plant, step_s)) => {
+                        plant.respond(sluggish.response_mps2, speed_mps, *step_s)
+                    }
                 }
             }
         }
@@ -91,9 +103,17 @@ impl Actuator {
 ///
 /// Not for vehicles that are locked together; their motion depends on their summed forces.
 #[inline]
-pub(super) fn add_noise_unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
+pub(super) fn add_noise_unless_at_rest(
+    acceleration_mps2: f64,
+    noise_mps2: f64,
+    speed_mps: f64,
+) -> f64 {
     let disturbed_mps2 = acceleration_mps2 + noise_mps2;
-    if speed_mps == 0.0 && (acceleration_mps2 <= 0.0 || disturbed_mps2 < 0.0) { 0.0 } else { disturbed_mps2 }
+    if speed_mps == 0.0 && (acceleration_mps2 <= 0.0 || disturbed_mps2 < 0.0) {
+        0.0
+    } else {
+        disturbed_mps2
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -107,8 +127,12 @@ impl Disturbance {
     pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
         let (seed, shares) = (scenario.spec().seed, scenario.noise_shares());
-        let noise = || NoiseStream::from_shares(seed, shares, Purpose::AccelerationNoise, index as u64);
-        (deviation_mps2 > 0.0).then(|| Self { noise: noise(), deviation_mps2 })
+        let noise =
+            || NoiseStream::from_shares(seed, shares, Purpose::AccelerationNoise, index as u64);
+        (deviation_mps2 > 0.0).then(|| Self {
+            noise: noise(),
+            deviation_mps2,
+        })
     }
 
     #[inline]
@@ -119,7 +143,9 @@ impl Disturbance {
     /// Returns the noise of the next `N` steps, in m/s².
     #[inline]
     pub(super) fn next_n_mps2<const N: usize>(&mut self) -> [f64; N] {
-        self.noise.normals().map(|normal| self.deviation_mps2 * normal)
+        self.noise
+            .normals()
+            .map(|normal| self.deviation_mps2 * normal)
     }
 }
 
@@ -129,21 +155,26 @@ mod tests {
     use crate::scenario::{VehicleSpec, built_in_scenario};
 
     fn actuator(change: impl FnOnce(&mut VehicleSpec)) -> Actuator {
-        let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| change(&mut spec.vehicles[1])).unwrap();
+        let scenario = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| change(&mut spec.vehicles[1]))
+            .unwrap();
         Actuator::new(&scenario, 1)
     }
 
     #[test]
     fn commands_are_cut_to_the_limits_and_nan_is_nothing() {
         let mut actuator = actuator(|_| {});
-        let responses = [-20.0, 20.0, f64::NAN, f64::NEG_INFINITY].map(|command| actuator.respond(command, 10.0));
+        let responses = [-20.0, 20.0, f64::NAN, f64::NEG_INFINITY]
+            .map(|command| actuator.respond(command, 10.0));
         assert_eq!(responses, [-7.5, 3.0, 0.0, -7.5]);
     }
 
     #[test]
     fn delays_add_up() {
         let mut actuator = actuator(|v| (v.reaction_delay_s, v.actuator_delay_s) = (0.02, 0.01));
-        let responses = [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command, 10.0));
+        let responses =
+            [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command, 10.0));
         assert_eq!(responses, [0.0, 0.0, 0.0, -1.0, -2.0]);
     }
 
@@ -151,7 +182,10 @@ mod tests {
     fn lag_covers_63_percent_in_one_time_constant_and_jerk_is_limited() {
         let mut lagging = actuator(|v| v.actuator_lag_s = 0.2);
         let after = (0..20).map(|_| lagging.respond(-5.0, 10.0)).last().unwrap();
-        assert!((after + 5.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12, "{after}");
+        assert!(
+            (after + 5.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12,
+            "{after}"
+        );
         let mut limited = actuator(|v| v.jerk_limit_mps3 = Some(10.0));
         let after = (0..5).map(|_| limited.respond(-5.0, 10.0)).last().unwrap();
         assert!((after + 0.5).abs() < 1e-12, "{after}");

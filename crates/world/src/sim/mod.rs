@@ -25,7 +25,8 @@ pub use motion::Motion;
 pub(crate) use motion::closest_gap_m;
 pub use named::{NamedController, RefusedController, UnknownController};
 pub use outcome::{
-    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome, SimulationResult, VehicleSummary,
+    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome,
+    SimulationResult, VehicleSummary,
 };
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;

@@ -18,8 +18,17 @@ impl Motion {
     #[must_use]
     #[inline]
     pub fn after(self, dt_s: f64) -> Self {
-        let (position_m, speed_mps) = advance(self.position_m, self.speed_mps, self.acceleration_mps2, dt_s);
-        Self { position_m, speed_mps, ..self }
+        let (position_m, speed_mps) = advance(
+            self.position_m,
+            self.speed_mps,
+            self.acceleration_mps2,
+            dt_s,
+        );
+        Self {
+            position_m,
+            speed_mps,
+            ..self
+        }
     }
 
     /// Returns the motion at `from_s`, valid until the vehicle stops; without acceleration if it stands.
@@ -28,26 +37,47 @@ impl Motion {
     /// of the stop.
     fn piece_from(self, from_s: f64) -> Self {
         let later = self.after(from_s);
-        if from_s < self.stopping_time_s() { later } else { Self { speed_mps: 0.0, acceleration_mps2: 0.0, ..later } }
+        if from_s < self.stopping_time_s() {
+            later
+        } else {
+            Self {
+                speed_mps: 0.0,
+                acceleration_mps2: 0.0,
+                ..later
+            }
+        }
     }
 
     /// Returns the time until the vehicle stops, in seconds; infinite if it does not.
     pub(crate) fn stopping_time_s(self) -> f64 {
-        if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
+        if self.acceleration_mps2 < 0.0 {
+            self.speed_mps / -self.acceleration_mps2
+        } else {
+            f64::INFINITY
+        }
     }
 }
 
 #[inline]
 pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
     let v_end = v + a * dt;
-    if v_end < 0.0 { (x + v * v / (-2.0 * a), 0.0) } else { (x + v * dt + 0.5 * a * dt * dt, v_end) }
+    if v_end < 0.0 {
+        (x + v * v / (-2.0 * a), 0.0)
+    } else {
+        (x + v * dt + 0.5 * a * dt * dt, v_end)
+    }
 }
 
 /// True if a step needs [`first_contact`] and [`closest_gap_m`]: the vehicles could collide, or are closest inside it.
 ///
 /// The gap shrinks by at most the distance that the follower covers at its higher end speed.
 #[inline]
-pub(super) fn needs_contact_check(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
+pub(super) fn needs_contact_check(
+    gap_m: f64,
+    rear_mps: [f64; 2],
+    closing_mps: [f64; 2],
+    dt: f64,
+) -> bool {
     may_collide(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
 }
 
@@ -60,10 +90,19 @@ pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
 /// Returns the first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less, if any.
 ///
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
-pub(crate) fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
+pub(crate) fn first_contact(
+    front: Motion,
+    rear: Motion,
+    front_length_m: f64,
+    dt_s: f64,
+) -> Option<f64> {
     let gap = |front: Motion, rear: Motion| {
         let gap_m = front.position_m - front_length_m - rear.position_m;
-        [gap_m, front.speed_mps - rear.speed_mps, front.acceleration_mps2 - rear.acceleration_mps2]
+        [
+            gap_m,
+            front.speed_mps - rear.speed_mps,
+            front.acceleration_mps2 - rear.acceleration_mps2,
+        ]
     };
     first_zero(front, rear, gap, dt_s)
 }
@@ -96,7 +135,12 @@ pub(super) fn first_zero(
 
 /// Returns the minimum gap between two vehicles at any instant after now and up to `dt_s`, in metres.
 pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
-    closest_gap_given_ends_m([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
+    closest_gap_given_ends_m(
+        [front, rear],
+        [front.after(dt_s), rear.after(dt_s)],
+        front_length_m,
+        dt_s,
+    )
 }
 
 /// Returns the minimum gap as [`closest_gap_m`] does, given the motions of front and rear vehicle at the end.
@@ -118,7 +162,12 @@ pub(super) fn closest_gap_given_ends_m(
 
 /// Returns the gap at which two vehicles stop closing in, in metres.
 #[inline(never)]
-fn gap_at_equal_speed_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
+fn gap_at_equal_speed_m(
+    front: Motion,
+    rear: Motion,
+    front_length_m: f64,
+    dt_s: f64,
+) -> Option<f64> {
     let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
     let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
     // The closing speed is piecewise linear and continuous: the gap is smallest where it changes sign.
@@ -133,7 +182,10 @@ fn gap_at_equal_speed_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: 
 }
 
 fn split_at_stops(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
-    let (a, b) = (front.stopping_time_s().min(dt), rear.stopping_time_s().min(dt));
+    let (a, b) = (
+        front.stopping_time_s().min(dt),
+        rear.stopping_time_s().min(dt),
+    );
     let (first, second) = (a.min(b), a.max(b));
     [[0.0, first], [first, second], [second, dt]]
 }
@@ -161,7 +213,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn motion(position_m: f64, speed_mps: f64, acceleration_mps2: f64) -> Motion {
-        Motion { position_m, speed_mps, acceleration_mps2 }
+        Motion {
+            position_m,
+            speed_mps,
+            acceleration_mps2,
+        }
     }
 
     #[test]
@@ -197,11 +253,17 @@ mod tests {
     fn a_vehicle_that_stops_within_a_step_has_speed_zero() {
         // The computed v - b (v / b) is a rounding error above zero.
         let (v, b) = (0.109_350_472_814_391, 9.586_679_427_354_404);
-        let speed_mps = (1..1000).map(|k| v * f64::from(k)).find(|&v| v - b * (v / b) > 0.0).expect("common");
+        let speed_mps = (1..1000)
+            .map(|k| v * f64::from(k))
+            .find(|&v| v - b * (v / b) > 0.0)
+            .expect("common");
         let front = motion(2.5, speed_mps, -b);
         let stands_m = front.after(10.0).position_m - 2.0;
         let time_s = first_contact(front, motion(-40.0, 10.0, 0.0), 2.0, 10.0).unwrap();
-        assert!((time_s - (stands_m + 40.0) / 10.0).abs() < 1e-12, "{time_s}");
+        assert!(
+            (time_s - (stands_m + 40.0) / 10.0).abs() < 1e-12,
+            "{time_s}"
+        );
     }
 
     #[test]
@@ -215,10 +277,22 @@ mod tests {
     #[test]
     fn calm_steps_are_waved_through() {
         let (far_m, dt_s) = (50.0, 0.01);
-        assert!(!needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s), "closing throughout");
-        assert!(!needs_contact_check(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s), "opening throughout");
-        assert!(!needs_contact_check(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s), "farthest inside");
-        assert!(needs_contact_check(far_m, [20.0, 20.0], [1.0, -1.0], dt_s), "closest inside");
+        assert!(
+            !needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s),
+            "closing throughout"
+        );
+        assert!(
+            !needs_contact_check(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s),
+            "opening throughout"
+        );
+        assert!(
+            !needs_contact_check(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s),
+            "farthest inside"
+        );
+        assert!(
+            needs_contact_check(far_m, [20.0, 20.0], [1.0, -1.0], dt_s),
+            "closest inside"
+        );
     }
 
     proptest! {

@@ -5,8 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting,
-    NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, ShieldedSource, StartRefusal,
+    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds,
+    InvalidSetting, NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings,
+    ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
@@ -69,7 +70,9 @@ pub enum UnknownController {
     #[error("only one shield may stand before a controller")]
     NestedShields,
     /// A command with invalid quoting.
-    #[error("`{command}` is not a valid command: a quotation mark is not closed, or a backslash is last")]
+    #[error(
+        "`{command}` is not a valid command: a quotation mark is not closed, or a backslash is last"
+    )]
     CommandSyntax {
         /// The command.
         command: String,
@@ -113,7 +116,9 @@ pub enum UnknownController {
 
 /// A controller that contradicted itself or cannot be started any more, so that its results are not reproducible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the controller `{controller}` failed during the command, so its results are invalid: {failure}")]
+#[error(
+    "the controller `{controller}` failed during the command, so its results are invalid: {failure}"
+)]
 pub struct RefusedController {
     /// Name of the controller.
     pub controller: String,
@@ -135,7 +140,10 @@ impl NamedController {
     /// Creates a controller from an external source, under a given name.
     #[must_use]
     pub fn from_source(name: &str, source: Arc<dyn ControllerSource>) -> Self {
-        Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
+        Self {
+            name: name.to_owned(),
+            kind: ControllerKind::Custom(source),
+        }
     }
 
     /// Finds the controller that a file names: a built-in one, or one in another file relative to `folder`
@@ -169,7 +177,8 @@ impl NamedController {
     #[must_use]
     pub fn file_in_name(name: &str) -> Option<&str> {
         let inner = split_shield(name).map_or(name, |(_, inner)| inner);
-        let is_file = ControllerSpec::parse(&present_name(inner)).is_none() && !inner.starts_with(EXEC_PREFIX);
+        let is_file = ControllerSpec::parse(&present_name(inner)).is_none()
+            && !inner.starts_with(EXEC_PREFIX);
         is_file.then_some(inner)
     }
 
@@ -204,15 +213,24 @@ impl NamedController {
             true => format!("{}{field}: ", self.field_location(field)),
             false => self.field_location(field),
         };
-        self.kind.try_start().map_err(|failure| UnknownController::NotStarted { location: place(), failure })
+        self.kind
+            .try_start()
+            .map_err(|failure| UnknownController::NotStarted {
+                location: place(),
+                failure,
+            })
     }
 
     /// Returns file and line of a field as a message prefix (`acc.toml:12: `); empty without a controller file.
     #[must_use]
     pub fn field_location(&self, field: &str) -> String {
-        let Some(path) = self.kind.file() else { return String::new() };
+        let Some(path) = self.kind.file() else {
+            return String::new();
+        };
         match read_at_most(path, MAX_TOML_BYTES) {
-            Ok(text) if is_toml(path) => format!("{}:{}: ", path.display(), line_in_toml(&text, field)),
+            Ok(text) if is_toml(path) => {
+                format!("{}:{}: ", path.display(), line_in_toml(&text, field))
+            }
             _ => format!("{}: ", path.display()),
         }
     }
@@ -224,33 +242,56 @@ impl NamedController {
     pub fn ensure_trusted(&self) -> Result<(), RefusedController> {
         match self.kind.refusal() {
             None => Ok(()),
-            Some(failure) => Err(RefusedController { controller: self.name.clone(), failure }),
+            Some(failure) => Err(RefusedController {
+                controller: self.name.clone(),
+                failure,
+            }),
         }
     }
 
     fn parse(name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
-        let Some((settings, inner)) = split_shield(name) else { return Self::parse_unshielded(name, folder, named_by) };
+        let Some((settings, inner)) = split_shield(name) else {
+            return Self::parse_unshielded(name, folder, named_by);
+        };
         let settings = parse_shield_settings(settings)?;
         if split_shield(inner).is_some() {
             return Err(UnknownController::NestedShields);
         }
-        let Self { name: inner_name, kind: controller } = Self::parse_unshielded(inner, folder, named_by)?;
+        let Self {
+            name: inner_name,
+            kind: controller,
+        } = Self::parse_unshielded(inner, folder, named_by)?;
         let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
-        Ok(Self { name, kind: ShieldedSource { controller, settings }.into() })
+        Ok(Self {
+            name,
+            kind: ShieldedSource {
+                controller,
+                settings,
+            }
+            .into(),
+        })
     }
 
-    fn parse_unshielded(name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
+    fn parse_unshielded(
+        name: &str,
+        folder: &Path,
+        named_by: NameOrigin,
+    ) -> Result<Self, UnknownController> {
         let name = &*present_name(name);
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
         }
         if let Some(command) = name.strip_prefix(EXEC_PREFIX) {
-            let words = split_command(command)
-                .ok_or_else(|| UnknownController::CommandSyntax { command: command.to_owned() })?;
+            let words = split_command(command).ok_or_else(|| UnknownController::CommandSyntax {
+                command: command.to_owned(),
+            })?;
             let permission = named_by.permission(|| format!("`{name}`"))?;
             let process = ProcessController::new(ProcessSetup::new(words, folder), permission)
                 .map_err(ControllerFileError::Command)?;
-            return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
+            return Ok(Self {
+                name: name.to_owned(),
+                kind: Arc::new(process).into(),
+            });
         }
         let place = folder.join(name);
         let is_network = NetworkFile::is_network(&place);
@@ -259,25 +300,45 @@ impl NamedController {
         }
         if Path::new(name).extension().is_none() && !is_network {
             if let Some(file) = file_with_extension(&place, name) {
-                return Err(UnknownController::MissingExtension { name: name.to_owned(), file });
+                return Err(UnknownController::MissingExtension {
+                    name: name.to_owned(),
+                    file,
+                });
             }
-            let known: Vec<_> = ControllerSpec::all().iter().map(ControllerSpec::name).collect();
-            return Err(UnknownController::UnknownName { name: name.to_owned(), built_in_names: known.join(", ") });
+            let known: Vec<_> = ControllerSpec::all()
+                .iter()
+                .map(ControllerSpec::name)
+                .collect();
+            return Err(UnknownController::UnknownName {
+                name: name.to_owned(),
+                built_in_names: known.join(", "),
+            });
         }
-        Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
+        Ok(Self {
+            name: name.to_owned(),
+            kind: controller_file::load(&place, named_by)?,
+        })
     }
 
     /// Returns the identity of the controller unless its name, or its name and policy, already determine it. External
     /// controllers and controllers under another name need it.
     #[must_use]
     pub fn disambiguating_hash(&self) -> Option<String> {
-        if is_identified_by_name(&self.kind, &self.name) { None } else { self.kind.identity() }
+        if is_identified_by_name(&self.kind, &self.name) {
+            None
+        } else {
+            self.kind.identity()
+        }
     }
 
     /// Describes a failure of a run; only external controllers can fail without a collision.
     #[must_use]
     pub fn failure_description(&self) -> &'static str {
-        if self.kind.is_external() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
+        if self.kind.is_external() {
+            "vehicles touch, or a controller fails"
+        } else {
+            "vehicles touch"
+        }
     }
 
     /// Returns the policy of a policy controller.
@@ -289,13 +350,16 @@ impl NamedController {
 
 /// Returns true for a controller file, the only kind of file with fields.
 fn is_toml(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension == "toml")
+    path.extension()
+        .is_some_and(|extension| extension == "toml")
 }
 
 /// Returns the name without names of earlier versions: version 0.1.0 calls the retrained policy `hardened`.
 fn present_name(name: &str) -> Cow<'_, str> {
     match name.strip_prefix("hardened") {
-        Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME).into(),
+        Some(rest) if rest.is_empty() || rest.starts_with(',') => {
+            format!("{}{rest}", RetrainedPolicy::NAME).into()
+        }
         _ => name.into(),
     }
 }
@@ -309,7 +373,10 @@ fn split_shield(name: &str) -> Option<(&str, &str)> {
 fn file_with_extension(place: &Path, name: &str) -> Option<String> {
     const EXTENSIONS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
     let is_there = |ending: &&str| place.with_extension(ending).is_file();
-    EXTENSIONS.into_iter().find(is_there).map(|ending| format!("{name}.{ending}"))
+    EXTENSIONS
+        .into_iter()
+        .find(is_there)
+        .map(|ending| format!("{name}.{ending}"))
 }
 
 /// True if a name identifies the controller, together with the digest of a policy.
@@ -317,11 +384,15 @@ fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
     match kind {
         ControllerKind::BuiltIn(spec) => name == spec.to_arg(),
         ControllerKind::Policy(_) => true,
-        ControllerKind::Shielded(shielded) => split_shield(name).is_some_and(|(settings, inner)| {
-            parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
-                && is_identified_by_name(&shielded.controller, inner)
-        }),
-        ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
+        ControllerKind::Shielded(shielded) => {
+            split_shield(name).is_some_and(|(settings, inner)| {
+                parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
+                    && is_identified_by_name(&shielded.controller, inner)
+            })
+        }
+        ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => {
+            false
+        }
     }
 }
 
@@ -330,14 +401,19 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     const LIBRARIES: [&str; 3] = ["so", "dll", "dylib"];
     const SOURCES: [&str; 10] = ["c", "h", "cc", "cpp", "cxx", "rs", "py", "m", "java", "sh"];
     let path = folder.join(name);
-    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    let extension = path
+        .extension()
+        .map(|extension| extension.to_string_lossy().to_lowercase());
     let is_one_of = |kinds: &[&str]| extension.as_deref().is_some_and(|own| kinds.contains(&own));
     let (what, hint) = if !is_regular_file(&path) {
         return None;
     } else if is_one_of(&LIBRARIES) {
         ("a shared library", "; export a library as an FMU, F.fmu")
     } else if is_one_of(&SOURCES) {
-        ("source code", "; export a model as an FMU, F.fmu, or a network, F.onnx")
+        (
+            "source code",
+            "; export a model as an FMU, F.fmu, or a network, F.onnx",
+        )
     } else if extension.is_none() {
         ("a file without an extension", "")
     } else {
@@ -350,13 +426,22 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
         Some("sh") => command_path(Path::new(name)),
         _ => command_path(&Path::new(name).with_extension("")),
     };
-    Some(UnknownController::NotAController { path: path.display().to_string(), what, command, hint })
+    Some(UnknownController::NotAController {
+        path: path.display().to_string(),
+        what,
+        command,
+        hint,
+    })
 }
 
 /// Returns a program as a command names it; `./` marks one in this folder.
 fn command_path(program: &Path) -> String {
     let name = program.display();
-    if program.components().count() > 1 { name.to_string() } else { format!("./{name}") }
+    if program.components().count() > 1 {
+        name.to_string()
+    } else {
+        format!("./{name}")
+    }
 }
 
 /// Splits a command into words as a shell does; `None` for invalid quoting.
@@ -372,7 +457,9 @@ fn split_command(command: &str) -> Option<Vec<String>> {
 fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
     let mut settings = ShieldSettings::default();
     let mut parts = text.split(',');
-    let unknown = |setting: &str| UnknownController::ShieldSetting { setting: setting.to_owned() };
+    let unknown = |setting: &str| UnknownController::ShieldSetting {
+        setting: setting.to_owned(),
+    };
     if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
         return Err(unknown(before));
     }
@@ -385,9 +472,24 @@ fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController
         let errors = settings.errors.unwrap_or_default();
         match name {
             "ahead" if value > 0.0 => settings.ahead_brake_mps2 = Some(value),
-            "gap-error" => settings.errors = Some(ErrorBounds { gap_m: value, ..errors }),
-            "speed-error" => settings.errors = Some(ErrorBounds { speed_mps: value, ..errors }),
-            "ahead-speed-error" => settings.errors = Some(ErrorBounds { ahead_speed_mps: value, ..errors }),
+            "gap-error" => {
+                settings.errors = Some(ErrorBounds {
+                    gap_m: value,
+                    ..errors
+                })
+            }
+            "speed-error" => {
+                settings.errors = Some(ErrorBounds {
+                    speed_mps: value,
+                    ..errors
+                })
+            }
+            "ahead-speed-error" => {
+                settings.errors = Some(ErrorBounds {
+                    ahead_speed_mps: value,
+                    ..errors
+                })
+            }
             _ => return Err(unknown(part)),
         }
     }
@@ -396,6 +498,9 @@ fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController
 
 impl From<ControllerSpec> for NamedController {
     fn from(spec: ControllerSpec) -> Self {
-        Self { name: spec.to_arg(), kind: ControllerKind::BuiltIn(spec) }
+        Self {
+            name: spec.to_arg(),
+            kind: ControllerKind::BuiltIn(spec),
+        }
     }
 }

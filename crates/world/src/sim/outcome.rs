@@ -40,8 +40,15 @@ pub struct FailedController {
 
 impl fmt::Display for FailedController {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { time_s, vehicle, failure } = self;
-        write!(out, "the controller of vehicle {vehicle} failed at {time_s:.2} s: {failure}")
+        let Self {
+            time_s,
+            vehicle,
+            failure,
+        } = self;
+        write!(
+            out,
+            "the controller of vehicle {vehicle} failed at {time_s:.2} s: {failure}"
+        )
     }
 }
 
@@ -59,7 +66,13 @@ pub struct FailedControllerRuns {
 impl FailedControllerRuns {
     /// Adds one run, after the known ones.
     pub fn add(known: &mut Option<Self>, failed: &FailedController) {
-        Self::merge(known, Some(Self { runs: 1, because: failed.reason() }));
+        Self::merge(
+            known,
+            Some(Self {
+                runs: 1,
+                because: failed.reason(),
+            }),
+        );
     }
 
     /// Adds runs that come after the known ones.
@@ -90,13 +103,21 @@ impl Outcome {
     /// Returns the first collision, if any.
     #[must_use]
     pub fn contact(&self) -> Option<&Contact> {
-        if let Self::Collision(contact) = self { Some(contact) } else { None }
+        if let Self::Collision(contact) = self {
+            Some(contact)
+        } else {
+            None
+        }
     }
 
     /// Returns the controller that failed, if any.
     #[must_use]
     pub fn failed_controller(&self) -> Option<&FailedController> {
-        if let Self::ControllerFailed(failed) = self { Some(failed) } else { None }
+        if let Self::ControllerFailed(failed) = self {
+            Some(failed)
+        } else {
+            None
+        }
     }
 
     /// True if the run ended without a collision and without a failed controller.
@@ -153,7 +174,9 @@ impl Impact {
     #[must_use]
     pub fn delta_v_mps(&self, index: usize) -> f64 {
         match self.involves(index) {
-            true if index <= self.contact.front_vehicle => self.common_speed_mps - self.contact.front_speed_mps,
+            true if index <= self.contact.front_vehicle => {
+                self.common_speed_mps - self.contact.front_speed_mps
+            }
             true => self.contact.rear_speed_mps - self.common_speed_mps,
             false => 0.0,
         }
@@ -205,6 +228,8 @@ impl SimulationResult {
     /// Returns the number of vehicles with at least one impact.
     #[must_use]
     pub fn vehicles_involved(&self) -> usize {
-        (0..self.vehicles.len()).filter(|&index| self.impacts.iter().any(|impact| impact.involves(index))).count()
+        (0..self.vehicles.len())
+            .filter(|&index| self.impacts.iter().any(|impact| impact.involves(index)))
+            .count()
     }
 }

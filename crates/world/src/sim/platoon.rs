@@ -25,7 +25,9 @@ pub(super) struct PlatoonState {
 impl PlatoonState {
     /// Returns the gap ahead of a vehicle, in metres; `None` without a leader.
     pub(super) fn gap_m(&self, rear: usize) -> Option<f64> {
-        self.lane.ahead(rear).map(|front| self.gap_between_m(front, rear))
+        self.lane
+            .ahead(rear)
+            .map(|front| self.gap_between_m(front, rear))
     }
 
     pub(super) fn gap_between_m(&self, front: usize, rear: usize) -> f64 {
@@ -33,8 +35,13 @@ impl PlatoonState {
     }
 
     pub(super) fn is_locked(&self, index: usize) -> bool {
-        self.locked_to_front.get(index).is_some_and(|&sticks| sticks)
-            || self.lane.behind(index).is_some_and(|rear| self.locked_to_front[rear])
+        self.locked_to_front
+            .get(index)
+            .is_some_and(|&sticks| sticks)
+            || self
+                .lane
+                .behind(index)
+                .is_some_and(|rear| self.locked_to_front[rear])
     }
 
     pub(super) fn track_gaps(&mut self) {
@@ -60,14 +67,17 @@ impl PlatoonState {
         }
         let mut done_s = 0.0;
         let mut stints = self.lane_intervals(from_s, dt_s);
-        while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s) {
+        while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s)
+        {
             let until = self.lane_intervals(from_s + done_s, in_s);
             self.advance_and_track_gaps(until, in_s);
             done_s += in_s;
             let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
             let common_mps = impact.common_speed_mps;
-            let involved: Vec<usize> = (0..self.motion.len()).filter(|&vehicle| impact.involves(vehicle)).collect();
+            let involved: Vec<usize> = (0..self.motion.len())
+                .filter(|&vehicle| impact.involves(vehicle))
+                .collect();
             impacts.push(impact);
             if after_contact == AfterContact::Stop {
                 return done_s;
@@ -89,17 +99,35 @@ impl PlatoonState {
     /// inside the step.
     #[inline]
     fn advance_contact_free(&mut self, dt_s: f64) -> bool {
-        let mut ends = [Motion { position_m: 0.0, speed_mps: 0.0, acceleration_mps2: 0.0 }; MAX_SHORT_LINE_VEHICLES];
-        let Some(ends) = ends.get_mut(..self.motion.len()).filter(|_| self.lane.is_constant()) else { return false };
+        let mut ends = [Motion {
+            position_m: 0.0,
+            speed_mps: 0.0,
+            acceleration_mps2: 0.0,
+        }; MAX_SHORT_LINE_VEHICLES];
+        let Some(ends) = ends
+            .get_mut(..self.motion.len())
+            .filter(|_| self.lane.is_constant())
+        else {
+            return false;
+        };
         for (end, motion) in ends.iter_mut().zip(&self.motion) {
             *end = motion.after(dt_s);
         }
         let mut gaps_m = [f64::INFINITY; MAX_SHORT_LINE_VEHICLES];
-        let pairs = self.motion.windows(2).zip(ends.windows(2)).zip(&self.length_m);
-        for ((gap_m, &sticks), ((now, end), length_m)) in
-            gaps_m.iter_mut().zip(&self.locked_to_front).skip(1).zip(pairs)
+        let pairs = self
+            .motion
+            .windows(2)
+            .zip(ends.windows(2))
+            .zip(&self.length_m);
+        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m
+            .iter_mut()
+            .zip(&self.locked_to_front)
+            .skip(1)
+            .zip(pairs)
         {
-            let ([front, rear], [front_end, rear_end]) = (now, end) else { continue };
+            let ([front, rear], [front_end, rear_end]) = (now, end) else {
+                continue;
+            };
             match contact_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
                 Some(end_m) if !sticks => *gap_m = end_m,
                 _ => return false,
@@ -116,25 +144,37 @@ impl PlatoonState {
     }
 
     fn bodies(&self) -> Bodies<'_> {
-        Bodies { motion: &self.motion, length_m: &self.length_m }
+        Bodies {
+            motion: &self.motion,
+            length_m: &self.length_m,
+        }
     }
 
     fn lane_intervals(&self, now_s: f64, within_s: f64) -> Option<Vec<LaneInterval>> {
-        (!self.lane.has_no_pending_changes()).then(|| self.lane.intervals(self.bodies(), now_s, within_s))
+        (!self.lane.has_no_pending_changes())
+            .then(|| self.lane.intervals(self.bodies(), now_s, within_s))
     }
 
     /// Returns the earliest, foremost collision within `within_s` seconds: time, front and rear vehicle.
-    fn next_contact(&self, stints: Option<&[LaneInterval]>, within_s: f64) -> Option<(f64, [usize; 2])> {
+    fn next_contact(
+        &self,
+        stints: Option<&[LaneInterval]>,
+        within_s: f64,
+    ) -> Option<(f64, [usize; 2])> {
         match stints {
             None => self.first_contact_between(&self.lane, [0.0, within_s]),
-            Some(stints) => stints
-                .iter()
-                .find_map(|interval| self.first_contact_between(&interval.lane, [interval.from_s, interval.to_s])),
+            Some(stints) => stints.iter().find_map(|interval| {
+                self.first_contact_between(&interval.lane, [interval.from_s, interval.to_s])
+            }),
         }
     }
 
     /// Returns the earliest collision between two instants without lane changes between them.
-    fn first_contact_between(&self, lane: &LaneState, [from_s, to_s]: [f64; 2]) -> Option<(f64, [usize; 2])> {
+    fn first_contact_between(
+        &self,
+        lane: &LaneState,
+        [from_s, to_s]: [f64; 2],
+    ) -> Option<(f64, [usize; 2])> {
         let within_s = to_s - from_s;
         let mut first: Option<(f64, [usize; 2])> = None;
         let mut before: Option<(usize, Motion, Motion)> = None;
@@ -148,7 +188,10 @@ impl PlatoonState {
                 && !self.locked_to_front[rear]
             {
                 let behind_mps = [behind.speed_mps, behind_end.speed_mps];
-                let closing_mps = [behind_mps[0] - front.speed_mps, behind_mps[1] - front_end.speed_mps];
+                let closing_mps = [
+                    behind_mps[0] - front.speed_mps,
+                    behind_mps[1] - front_end.speed_mps,
+                ];
                 let length_m = self.length_m[index];
                 let gap_m = front.position_m - length_m - behind.position_m;
                 if needs_contact_check(gap_m, behind_mps, closing_mps, within_s)
@@ -164,7 +207,11 @@ impl PlatoonState {
     }
 
     fn motion_after(&self, vehicle: usize, in_s: f64) -> Motion {
-        if in_s == 0.0 { self.motion[vehicle] } else { self.motion[vehicle].after(in_s) }
+        if in_s == 0.0 {
+            self.motion[vehicle]
+        } else {
+            self.motion[vehicle].after(in_s)
+        }
     }
 
     fn advance_and_track_gaps(&mut self, stints: Option<Vec<LaneInterval>>, dt_s: f64) {
@@ -177,7 +224,9 @@ impl PlatoonState {
                         self.track_closest_gaps(&interval.lane, [interval.from_s, interval.to_s]);
                     }
                 }
-                self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));
+                self.motion
+                    .iter_mut()
+                    .for_each(|motion| *motion = motion.after(dt_s));
                 if let Some(last) = stints.pop() {
                     self.lane = last.lane;
                 }
@@ -210,8 +259,12 @@ impl PlatoonState {
             if let Some((index, front, front_end)) = before
                 && !self.locked_to_front[rear]
             {
-                let closest_m =
-                    closest_gap_given_ends_m([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
+                let closest_m = closest_gap_given_ends_m(
+                    [front, behind],
+                    [front_end, behind_end],
+                    self.length_m[index],
+                    dt_s,
+                );
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
             }
             before = Some((rear, behind, behind_end));
@@ -220,30 +273,50 @@ impl PlatoonState {
 
     fn track_closest_gaps(&mut self, lane: &LaneState, [from_s, to_s]: [f64; 2]) {
         for rear in 0..self.motion.len() {
-            let Some(front) = lane.ahead(rear).filter(|_| !self.locked_to_front[rear]) else { continue };
-            let (ahead, behind) = (self.motion_after(front, from_s), self.motion_after(rear, from_s));
+            let Some(front) = lane.ahead(rear).filter(|_| !self.locked_to_front[rear]) else {
+                continue;
+            };
+            let (ahead, behind) = (
+                self.motion_after(front, from_s),
+                self.motion_after(rear, from_s),
+            );
             let (length_m, within_s) = (self.length_m[front], to_s - from_s);
             let ends = [ahead.after(within_s), behind.after(within_s)];
             let at_first_m = ahead.position_m - length_m - behind.position_m;
-            let closest_m = closest_gap_given_ends_m([ahead, behind], ends, length_m, within_s).min(at_first_m);
+            let closest_m =
+                closest_gap_given_ends_m([ahead, behind], ends, length_m, within_s).min(at_first_m);
             self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
         }
     }
 
     fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
         let mut first_involved = front;
-        while let Some(ahead) = self.lane.ahead(first_involved).filter(|_| self.locked_to_front[first_involved]) {
+        while let Some(ahead) = self
+            .lane
+            .ahead(first_involved)
+            .filter(|_| self.locked_to_front[first_involved])
+        {
             first_involved = ahead;
         }
         let mut last_involved = rear;
-        while let Some(behind) = self.lane.behind(last_involved).filter(|&behind| self.locked_to_front[behind]) {
+        while let Some(behind) = self
+            .lane
+            .behind(last_involved)
+            .filter(|&behind| self.locked_to_front[behind])
+        {
             last_involved = behind;
         }
-        let beside = (first_involved..=last_involved).filter(|&vehicle| !self.lane.contains(vehicle)).collect();
-        let involved = || (first_involved..=last_involved).filter(|&vehicle| self.lane.contains(vehicle));
+        let beside = (first_involved..=last_involved)
+            .filter(|&vehicle| !self.lane.contains(vehicle))
+            .collect();
+        let involved =
+            || (first_involved..=last_involved).filter(|&vehicle| self.lane.contains(vehicle));
         let mass_kg: f64 = involved().map(|i| self.mass_kg[i]).sum();
-        let momentum: f64 = involved().map(|i| self.mass_kg[i] * self.motion[i].speed_mps).sum();
-        let (front_speed_mps, rear_speed_mps) = (self.motion[front].speed_mps, self.motion[rear].speed_mps);
+        let momentum: f64 = involved()
+            .map(|i| self.mass_kg[i] * self.motion[i].speed_mps)
+            .sum();
+        let (front_speed_mps, rear_speed_mps) =
+            (self.motion[front].speed_mps, self.motion[rear].speed_mps);
         let contact = Contact {
             time_s,
             front_vehicle: front,
@@ -252,21 +325,35 @@ impl PlatoonState {
             rear_speed_mps,
             impact_speed_mps: rear_speed_mps - front_speed_mps,
         };
-        Impact { contact, common_speed_mps: momentum / mass_kg, first_involved, last_involved, beside }
+        Impact {
+            contact,
+            common_speed_mps: momentum / mass_kg,
+            first_involved,
+            last_involved,
+            beside,
+        }
     }
 
     /// Gives each locked group the acceleration of its summed forces.
     pub(super) fn share_acceleration(&mut self) {
-        for first in (0..self.motion.len()).filter(|&vehicle| !self.locked_to_front[vehicle]).collect::<Vec<_>>() {
+        for first in (0..self.motion.len())
+            .filter(|&vehicle| !self.locked_to_front[vehicle])
+            .collect::<Vec<_>>()
+        {
             let mut members = vec![first];
-            while let Some(next) =
-                self.lane.behind(members[members.len() - 1]).filter(|&behind| self.locked_to_front[behind])
+            while let Some(next) = self
+                .lane
+                .behind(members[members.len() - 1])
+                .filter(|&behind| self.locked_to_front[behind])
             {
                 members.push(next);
             }
             if members.len() > 1 {
                 let mass_kg: f64 = members.iter().map(|&i| self.mass_kg[i]).sum();
-                let force: f64 = members.iter().map(|&i| self.mass_kg[i] * self.motion[i].acceleration_mps2).sum();
+                let force: f64 = members
+                    .iter()
+                    .map(|&i| self.mass_kg[i] * self.motion[i].acceleration_mps2)
+                    .sum();
                 let shared = force / mass_kg;
                 let at_rest = self.motion[first].speed_mps == 0.0 && shared <= 0.0;
                 for member in members {
@@ -279,7 +366,12 @@ impl PlatoonState {
 
 /// Returns the gap after `dt_s` seconds, in metres; `None` if the vehicles could collide or be closest inside the step.
 #[inline]
-fn contact_free_end_gap_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
+fn contact_free_end_gap_m(
+    now: [&Motion; 2],
+    end: [&Motion; 2],
+    length_m: f64,
+    dt_s: f64,
+) -> Option<f64> {
     let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
     let closing_mps = [now, end].map(|[front, rear]| rear.speed_mps - front.speed_mps);
     let rear_mps = [now[1].speed_mps, end[1].speed_mps];

@@ -2,7 +2,9 @@
 
 use super::motion::Motion;
 use super::platoon::PlatoonState;
-use super::{FailedController, Impact, Intervention, Outcome, SimulationResult, Trace, Track, VehicleSummary};
+use super::{
+    FailedController, Impact, Intervention, Outcome, SimulationResult, Trace, Track, VehicleSummary,
+};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VehicleExtremes {
@@ -11,7 +13,10 @@ pub(super) struct VehicleExtremes {
 }
 
 impl VehicleExtremes {
-    pub(super) const INITIAL: Self = Self { min_ttc_s: f64::INFINITY, max_brake_mps2: 0.0 };
+    pub(super) const INITIAL: Self = Self {
+        min_ttc_s: f64::INFINITY,
+        max_brake_mps2: 0.0,
+    };
 }
 
 /// Returns the maximum deceleration, updated with `acceleration_mps2`.
@@ -19,20 +24,36 @@ impl VehicleExtremes {
 /// Plain comparison: for 0 and -0, `f64::max` may return either, so that separately compiled engines could differ.
 #[inline(always)]
 pub(super) fn raise_max_brake(so_far_mps2: f64, acceleration_mps2: f64) -> f64 {
-    if -acceleration_mps2 > so_far_mps2 { -acceleration_mps2 } else { so_far_mps2 }
+    if -acceleration_mps2 > so_far_mps2 {
+        -acceleration_mps2
+    } else {
+        so_far_mps2
+    }
 }
 
 /// Returns the time to collision in seconds; infinite for a gap that does not close, 0 for a negative gap.
 #[inline]
 pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
-    if closing_mps > 0.0 { gap_m.max(0.0) / closing_mps } else { f64::INFINITY }
+    if closing_mps > 0.0 {
+        gap_m.max(0.0) / closing_mps
+    } else {
+        f64::INFINITY
+    }
 }
 
-pub(super) fn summarize_vehicle(min_gap_m: f64, tally: VehicleExtremes, speed_mps: f64) -> VehicleSummary {
+pub(super) fn summarize_vehicle(
+    min_gap_m: f64,
+    tally: VehicleExtremes,
+    speed_mps: f64,
+) -> VehicleSummary {
     // The gap may be slightly negative if another collision ends the run at the same instant as that of this pair.
     let min_gap_m = min_gap_m.max(0.0);
     // Samples lie on either side of a collision; at the collision itself time to collision is 0.
-    let min_ttc_s = if min_gap_m == 0.0 { 0.0 } else { tally.min_ttc_s };
+    let min_ttc_s = if min_gap_m == 0.0 {
+        0.0
+    } else {
+        tally.min_ttc_s
+    };
     VehicleSummary {
         min_gap_m: min_gap_m.is_finite().then_some(min_gap_m),
         min_ttc_s: min_ttc_s.is_finite().then_some(min_ttc_s),
@@ -48,9 +69,19 @@ pub(super) fn assemble_result(
     trace: Option<Trace>,
     failed: Option<FailedController>,
 ) -> SimulationResult {
-    let collided = || impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
+    let collided = || {
+        impacts.first().map_or(Outcome::NoCollision, |impact| {
+            Outcome::Collision(impact.contact)
+        })
+    };
     let outcome = failed.map_or_else(collided, Outcome::ControllerFailed);
-    SimulationResult { outcome, impacts, vehicles, interventions, trace }
+    SimulationResult {
+        outcome,
+        impacts,
+        vehicles,
+        interventions,
+        trace,
+    }
 }
 
 /// Amount of data that a run records.
@@ -64,7 +95,11 @@ pub enum RecordingLevel {
 
 impl Trace {
     /// Creates an empty trace for the vehicles of a platoon; `None` if no trace is recorded.
-    pub(super) fn begin(keep: RecordingLevel, platoon: &PlatoonState, samples: usize) -> Option<Self> {
+    pub(super) fn begin(
+        keep: RecordingLevel,
+        platoon: &PlatoonState,
+        samples: usize,
+    ) -> Option<Self> {
         let track = |(&length_m, &mass_kg): (&f64, &f64)| Track {
             length_m,
             mass_kg,
@@ -75,7 +110,12 @@ impl Trace {
         };
         (keep == RecordingLevel::Trace).then(|| Self {
             time_s: Vec::with_capacity(samples),
-            vehicles: platoon.length_m.iter().zip(&platoon.mass_kg).map(track).collect(),
+            vehicles: platoon
+                .length_m
+                .iter()
+                .zip(&platoon.mass_kg)
+                .map(track)
+                .collect(),
         })
     }
 

@@ -8,12 +8,15 @@ use super::motion::Motion;
 use super::platoon::PlatoonState;
 use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, Controller, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver, ProcessDriver,
-    RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold, clamp_command,
+    AnyController, Controller, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver,
+    ProcessDriver, RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold,
+    clamp_command,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
-use crate::scenario::{Driver, LeadProfile, MAX_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
+use crate::scenario::{
+    Driver, LeadProfile, MAX_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple,
+};
 
 /// Options of a run.
 ///
@@ -89,11 +92,19 @@ impl OpenLoopController {
     /// # Errors
     /// [`ControllerFailure`] if the controller gives no answer.
     pub fn command_mps2(&mut self, observed: &Observation) -> Result<f64, ControllerFailure> {
-        let Ego { max_brake_mps2, max_accel_mps2, .. } = self.limits;
+        let Ego {
+            max_brake_mps2,
+            max_accel_mps2,
+            ..
+        } = self.limits;
         if std::mem::replace(&mut self.has_decided, true) {
             self.controller.record_command(observed.acceleration_mps2);
         }
-        Ok(clamp_command(self.controller.decide(observed)?, max_brake_mps2, max_accel_mps2))
+        Ok(clamp_command(
+            self.controller.decide(observed)?,
+            max_brake_mps2,
+            max_accel_mps2,
+        ))
     }
 }
 
@@ -102,7 +113,9 @@ impl OpenLoopController {
 #[non_exhaustive]
 pub enum RunError {
     /// The integration step does not divide the scenario's.
-    #[error("an integration step of {dt_s} s does not divide the scenario's step of {step_s} s into whole parts")]
+    #[error(
+        "an integration step of {dt_s} s does not divide the scenario's step of {step_s} s into whole parts"
+    )]
     IntegrationStep {
         /// Requested integration step, in seconds.
         dt_s: f64,
@@ -110,7 +123,9 @@ pub enum RunError {
         step_s: f64,
     },
     /// The run would record too much data.
-    #[error("an integration step of {dt_s} s makes {found} vehicle-samples, and at most {limit} are allowed")]
+    #[error(
+        "an integration step of {dt_s} s makes {found} vehicle-samples, and at most {limit} are allowed"
+    )]
     TooFine {
         /// Requested integration step, in seconds.
         dt_s: f64,
@@ -130,7 +145,9 @@ pub enum RunError {
         step_s: f64,
     },
     /// The controller cannot drive a vehicle because a neighbour is missing.
-    #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it that stays in the lane")]
+    #[error(
+        "the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it that stays in the lane"
+    )]
     MissingNeighbour {
         /// Index of the vehicle.
         vehicle: usize,
@@ -199,16 +216,34 @@ impl Run {
         let step_s = scenario.spec().step_s;
         let substeps = match options.dt_s {
             None => 1,
-            Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::IntegrationStep { dt_s, step_s })?,
+            Some(dt_s) => {
+                whole_multiple(step_s, dt_s).ok_or(RunError::IntegrationStep { dt_s, step_s })?
+            }
         };
         let dt_s = step_s / substeps as f64;
         let (steps, after_contact) = (scenario.steps(), options.after_contact);
-        let time_grid = TimeGrid { step_s, dt_s, substeps, steps, after_contact };
+        let time_grid = TimeGrid {
+            step_s,
+            dt_s,
+            substeps,
+            steps,
+            after_contact,
+        };
         let (tuning, shield_params) = Default::default();
-        let mut run = Self { scenario: scenario.clone(), options, time_grid, tuning, shield_params };
+        let mut run = Self {
+            scenario: scenario.clone(),
+            options,
+            time_grid,
+            tuning,
+            shield_params,
+        };
         let found = run.vehicle_samples();
         if found > MAX_VEHICLE_STEPS {
-            return Err(RunError::TooFine { dt_s, limit: MAX_VEHICLE_STEPS, found });
+            return Err(RunError::TooFine {
+                dt_s,
+                limit: MAX_VEHICLE_STEPS,
+                found,
+            });
         }
         run.shield_params = run.shield_params_by_vehicle()?;
         let vehicles = scenario.vehicles();
@@ -223,16 +258,25 @@ impl Run {
                 Driver::UnderTest => &run.options.controller,
             };
             if let Some(interval_s) = kind.interval_s() {
-                whole_multiple(interval_s, step_s).ok_or(RunError::DecisionInterval { interval_s, step_s })?;
+                whole_multiple(interval_s, step_s)
+                    .ok_or(RunError::DecisionInterval { interval_s, step_s })?;
             }
             let needs = kind.required_neighbours();
             // A vehicle that enters or leaves is not always a neighbour.
             let (ahead, behind) = (&vehicles[..vehicle], &vehicles[vehicle + 1..]);
             if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
-                return Err(RunError::MissingNeighbour { vehicle, missing: "ahead of" });
+                return Err(RunError::MissingNeighbour {
+                    vehicle,
+                    missing: "ahead of",
+                });
             }
-            if needs == RequiredNeighbours::AheadAndBehind && !behind.iter().any(VehicleSpec::keeps_lane) {
-                return Err(RunError::MissingNeighbour { vehicle, missing: "behind" });
+            if needs == RequiredNeighbours::AheadAndBehind
+                && !behind.iter().any(VehicleSpec::keeps_lane)
+            {
+                return Err(RunError::MissingNeighbour {
+                    vehicle,
+                    missing: "behind",
+                });
             }
         }
         Ok(run)
@@ -263,12 +307,16 @@ impl Run {
     }
 
     pub(super) fn vehicle_samples(&self) -> usize {
-        self.scenario.steps().saturating_mul(self.scenario.vehicles().len()).saturating_mul(self.substeps())
+        self.scenario
+            .steps()
+            .saturating_mul(self.scenario.vehicles().len())
+            .saturating_mul(self.substeps())
     }
 
     pub(super) fn tuning(&self) -> &Arc<EgoTuning> {
         let spec = self.scenario.spec();
-        self.tuning.get_or_init(|| Arc::new(EgoTuning::new(spec.step_s, &spec.sensors)))
+        self.tuning
+            .get_or_init(|| Arc::new(EgoTuning::new(spec.step_s, &spec.sensors)))
     }
 
     fn shield_params_by_vehicle(&self) -> Result<Vec<Option<ShieldParams>>, RunError> {
@@ -283,7 +331,10 @@ impl Run {
             Driver::UnderTest => self
                 .shield_params(vehicle, &shielded.settings)
                 .map(Some)
-                .map_err(|why| RunError::Shield { vehicle, refusal: why }),
+                .map_err(|why| RunError::Shield {
+                    vehicle,
+                    refusal: why,
+                }),
             _ => Ok(None),
         };
         vehicles.iter().enumerate().map(frame).collect()
@@ -293,11 +344,14 @@ impl Run {
     /// is no such vehicle.
     #[must_use]
     pub fn open_loop_controller(&self, index: usize) -> Option<OpenLoopController> {
-        self.scenario.vehicles().get(index).map(|_| OpenLoopController {
-            controller: self.start_controller(index, &self.options.controller),
-            limits: self.ego(index),
-            has_decided: false,
-        })
+        self.scenario
+            .vehicles()
+            .get(index)
+            .map(|_| OpenLoopController {
+                controller: self.start_controller(index, &self.options.controller),
+                limits: self.ego(index),
+                has_decided: false,
+            })
     }
 
     fn ego(&self, index: usize) -> Ego {
@@ -313,13 +367,20 @@ impl Run {
 
     /// True if the run can be simulated in lockstep with others.
     pub(super) fn supports_lockstep(&self) -> bool {
-        self.scenario.vehicles().iter().enumerate().all(|(index, vehicle)| match &vehicle.driver {
-            Driver::Profile(_) | Driver::Controller(_) => true,
-            Driver::File(file) => {
-                file.controller().is_none_or(|controller| controller.supports_lockstep(|| self.ego(index)))
-            }
-            Driver::UnderTest => self.options.controller.supports_lockstep(|| self.ego(index)),
-        })
+        self.scenario
+            .vehicles()
+            .iter()
+            .enumerate()
+            .all(|(index, vehicle)| match &vehicle.driver {
+                Driver::Profile(_) | Driver::Controller(_) => true,
+                Driver::File(file) => file
+                    .controller()
+                    .is_none_or(|controller| controller.supports_lockstep(|| self.ego(index))),
+                Driver::UnderTest => self
+                    .options
+                    .controller
+                    .supports_lockstep(|| self.ego(index)),
+            })
     }
 
     pub(super) fn start_driver(&self, index: usize) -> VehicleController<&LeadProfile> {
@@ -332,9 +393,13 @@ impl Run {
             )),
             Driver::File(file) => VehicleController::Controller(match file.controller() {
                 Some(controller) => self.start_controller(index, controller),
-                None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),
+                None => AnyController::NotStarted(ControllerFailure::Died {
+                    message: "it was not read".to_owned(),
+                }),
             }),
-            Driver::UnderTest => VehicleController::Controller(self.start_controller(index, &self.options.controller)),
+            Driver::UnderTest => VehicleController::Controller(
+                self.start_controller(index, &self.options.controller),
+            ),
         }
     }
 
@@ -342,22 +407,31 @@ impl Run {
         let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
         match kind {
             ControllerKind::BuiltIn(spec) => AnyController::from_spec(spec, &ego, seed),
-            ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
-            ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
-            ControllerKind::Process(process) => match ProcessDriver::new(Arc::clone(process), &ego, seed) {
-                Ok(started) => AnyController::Process(Box::new(started)),
-                Err(failure) => AnyController::NotStarted(failure),
-            },
+            ControllerKind::Policy(policy) => {
+                AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego))
+            }
+            ControllerKind::Network(network) => {
+                AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego))
+            }
+            ControllerKind::Process(process) => {
+                match ProcessDriver::new(Arc::clone(process), &ego, seed) {
+                    Ok(started) => AnyController::Process(Box::new(started)),
+                    Err(failure) => AnyController::NotStarted(failure),
+                }
+            }
             ControllerKind::Shielded(shielded) => {
                 let controller = self.start_controller(index, &shielded.controller);
                 match self.shield_params.get(index).copied().flatten() {
-                    Some(frame) => AnyController::Shielded(ShieldedController::new(controller, frame)),
+                    Some(frame) => {
+                        AnyController::Shielded(ShieldedController::new(controller, frame))
+                    }
                     None => controller,
                 }
             }
             ControllerKind::Custom(source) => match source.start(&ego, seed) {
                 Ok(started) => AnyController::Custom(
-                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s).with_batching(source),
+                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s)
+                        .with_batching(source),
                 ),
                 Err(failure) => AnyController::NotStarted(failure),
             },
@@ -367,11 +441,19 @@ impl Run {
     /// Creates sensors and filters of vehicle `index`; `None` if it observes the true state.
     pub(super) fn estimator(&self, index: usize, platoon: &PlatoonState) -> Option<EgoEstimator> {
         let vehicle = &self.scenario.vehicles()[index];
-        let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
+        let estimates =
+            vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
             let (shares, truth) = (self.scenario.noise_shares(), true_state(platoon, index));
-            EgoEstimator::with_noise_shares(spec.seed, shares, index, &spec.sensors, self.tuning(), &truth)
+            EgoEstimator::with_noise_shares(
+                spec.seed,
+                shares,
+                index,
+                &spec.sensors,
+                self.tuning(),
+                &truth,
+            )
         })
     }
 
@@ -381,7 +463,11 @@ impl Run {
         let mut platoon = PlatoonState {
             motion: vehicles
                 .iter()
-                .map(|v| Motion { position_m: v.position_m, speed_mps: v.speed_mps, acceleration_mps2: 0.0 })
+                .map(|v| Motion {
+                    position_m: v.position_m,
+                    speed_mps: v.speed_mps,
+                    acceleration_mps2: 0.0,
+                })
                 .collect(),
             length_m: vehicles.iter().map(|v| v.length_m()).collect(),
             mass_kg: vehicles.iter().map(|v| v.mass_kg()).collect(),
@@ -389,7 +475,13 @@ impl Run {
             locked_to_front: vec![false; vehicles.len()],
             min_gap_m: vec![f64::INFINITY; vehicles.len()],
         };
-        platoon.lane = LaneState::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
+        platoon.lane = LaneState::new(
+            vehicles,
+            Bodies {
+                motion: &platoon.motion,
+                length_m: &platoon.length_m,
+            },
+        );
         platoon.track_gaps();
         platoon
     }
@@ -407,15 +499,25 @@ pub(super) fn true_state(platoon: &PlatoonState, index: usize) -> TrueState {
     let neighbour = |other: usize, [front, rear]: [usize; 2]| {
         let motion = platoon.motion[other];
         let gap_m = platoon.gap_between_m(front, rear);
-        Neighbour { gap_m, speed_mps: motion.speed_mps, acceleration_mps2: motion.acceleration_mps2 }
+        Neighbour {
+            gap_m,
+            speed_mps: motion.speed_mps,
+            acceleration_mps2: motion.acceleration_mps2,
+        }
     };
     TrueState {
         position_m: own.position_m,
         observation: Observation {
             speed_mps: own.speed_mps,
             acceleration_mps2: own.acceleration_mps2,
-            ahead: platoon.lane.ahead(index).map(|front| neighbour(front, [front, index])),
-            behind: platoon.lane.behind(index).map(|rear| neighbour(rear, [index, rear])),
+            ahead: platoon
+                .lane
+                .ahead(index)
+                .map(|front| neighbour(front, [front, index])),
+            behind: platoon
+                .lane
+                .behind(index)
+                .map(|rear| neighbour(rear, [index, rear])),
         },
     }
 }

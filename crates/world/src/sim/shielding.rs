@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::control::{
-    AnyController, ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override, RearVehicleParams, ShieldParams,
-    ShieldSettings, ViabilityKernel,
+    AnyController, ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override,
+    RearVehicleParams, ShieldParams, ShieldSettings, ViabilityKernel,
 };
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};
@@ -27,7 +27,9 @@ pub enum ShieldRefusal {
     #[error("vehicles enter or leave the lane, which the kernel does not cover")]
     LaneChanges,
     /// Noise on the own acceleration may cancel the brake.
-    #[error("noise on its acceleration can be as large as its maximum braking, {brake_mps2} m/s² on this road")]
+    #[error(
+        "noise on its acceleration can be as large as its maximum braking, {brake_mps2} m/s² on this road"
+    )]
     Noise {
         /// Maximum deceleration on this road, in m/s².
         brake_mps2: f64,
@@ -73,8 +75,14 @@ pub struct Intervention {
     pub rear_conflict: bool,
 }
 
-pub(super) fn interventions(controller: &AnyController, vehicle: usize, step_s: f64) -> Vec<Intervention> {
-    let AnyController::Shielded(shield) = controller else { return Vec::new() };
+pub(super) fn interventions(
+    controller: &AnyController,
+    vehicle: usize,
+    step_s: f64,
+) -> Vec<Intervention> {
+    let AnyController::Shielded(shield) = controller else {
+        return Vec::new();
+    };
     let intervention = |done: &Override| Intervention {
         vehicle,
         from_s: done.first_step as f64 * step_s,
@@ -90,13 +98,20 @@ impl Run {
     ///
     /// # Errors
     /// [`ShieldRefusal`] if no guarantee is possible.
-    pub(super) fn shield_params(&self, index: usize, settings: &ShieldSettings) -> Result<ShieldParams, ShieldRefusal> {
+    pub(super) fn shield_params(
+        &self,
+        index: usize,
+        settings: &ShieldSettings,
+    ) -> Result<ShieldParams, ShieldRefusal> {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let own = &vehicles[index];
         let step_s = spec.step_s;
         let whole_steps = |time_s: f64| (time_s / step_s).round();
-        let (brake_mps2, noise_mps2) = (self.scenario().usable_brake_mps2(index), noise_bound_mps2(own));
+        let (brake_mps2, noise_mps2) = (
+            self.scenario().usable_brake_mps2(index),
+            noise_bound_mps2(own),
+        );
         if !self.scenario().keeps_lanes() {
             return Err(ShieldRefusal::LaneChanges);
         }
@@ -110,9 +125,15 @@ impl Run {
             return Err(ShieldRefusal::Noise { brake_mps2 });
         }
         let ahead = index.checked_sub(1).and_then(|front| vehicles.get(front));
-        let dry_mps2 = settings.ahead_brake_mps2.or(ahead.map(VehicleSpec::max_brake_mps2)).unwrap_or(brake_mps2);
-        let ahead_brake_mps2 = dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2);
-        let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| ahead.max_accel_mps2() + noise_bound_mps2(ahead));
+        let dry_mps2 = settings
+            .ahead_brake_mps2
+            .or(ahead.map(VehicleSpec::max_brake_mps2))
+            .unwrap_or(brake_mps2);
+        let ahead_brake_mps2 =
+            dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2);
+        let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| {
+            ahead.max_accel_mps2() + noise_bound_mps2(ahead)
+        });
         let accel_mps2 = own.max_accel_mps2();
         if spec.sensors.faults.is_any() && self.options().estimator == EstimatorKind::Kalman {
             return Err(ShieldRefusal::SensorFaults);
@@ -120,15 +141,25 @@ impl Run {
         let errors = match (settings.errors, self.options().estimator) {
             (Some(errors), _) => errors,
             (None, EstimatorKind::Truth) => ErrorBounds::default(),
-            (None, EstimatorKind::Kalman) if spec.sensors.dropout > 0.0 => return Err(ShieldRefusal::Dropout),
+            (None, EstimatorKind::Kalman) if spec.sensors.dropout > 0.0 => {
+                return Err(ShieldRefusal::Dropout);
+            }
             (None, EstimatorKind::Kalman) => {
-                let spans_mps2 = [brake_mps2 + accel_mps2 + 2.0 * noise_mps2, ahead_brake_mps2 + ahead_accel_mps2];
-                let [gap_m, speed_mps, ahead_speed_mps] = self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
-                ErrorBounds { gap_m, speed_mps, ahead_speed_mps }
+                let spans_mps2 = [
+                    brake_mps2 + accel_mps2 + 2.0 * noise_mps2,
+                    ahead_brake_mps2 + ahead_accel_mps2,
+                ];
+                let [gap_m, speed_mps, ahead_speed_mps] =
+                    self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
+                ErrorBounds {
+                    gap_m,
+                    speed_mps,
+                    ahead_speed_mps,
+                }
             }
         };
-        let delay_steps =
-            (whole_steps(own.reaction_delay_s + own.actuator_delay_s) as usize).min(self.scenario().steps());
+        let delay_steps = (whole_steps(own.reaction_delay_s + own.actuator_delay_s) as usize)
+            .min(self.scenario().steps());
         let mut frame = ShieldParams {
             step_s,
             brake_mps2,
@@ -136,7 +167,11 @@ impl Run {
             noise_mps2,
             ahead_brake_mps2,
             delay_steps,
-            response_fraction: if own.actuator_lag_s > 0.0 { -(-step_s / own.actuator_lag_s).exp_m1() } else { 1.0 },
+            response_fraction: if own.actuator_lag_s > 0.0 {
+                -(-step_s / own.actuator_lag_s).exp_m1()
+            } else {
+                1.0
+            },
             errors,
             behind: vehicles.get(index + 1).map(|behind| RearVehicleParams {
                 brake_mps2: self.scenario().usable_brake_mps2(index + 1),
@@ -150,7 +185,11 @@ impl Run {
             frame.margin_m = travel.margin_m(&frame);
             if frame.margin_m > MAX_MARGIN_M || frame.margin_m.is_nan() {
                 let (half_m, position_m) = (0.5 * frame.margin_m, travel.position_m);
-                return Err(ShieldRefusal::Rounding { rounding_m: half_m, position_m, max_margin_m: MAX_MARGIN_M });
+                return Err(ShieldRefusal::Rounding {
+                    rounding_m: half_m,
+                    position_m,
+                    max_margin_m: MAX_MARGIN_M,
+                });
             }
         }
         Ok(frame)
@@ -179,10 +218,14 @@ impl Run {
         let spare_m = (100.0 + 60.0 * frame.step_s) * frame.step_s + ahead.length_m();
         let farthest_m = first.position_m + fastest_mps(first) * spec.duration_s + spare_m;
         let ahead_mps = fastest_mps(ahead);
-        let ViabilityKernel { own_brake_mps2, ahead_brake_mps2 } = frame.kernel();
+        let ViabilityKernel {
+            own_brake_mps2,
+            ahead_brake_mps2,
+        } = frame.kernel();
         let road_m = farthest_m - own.position_m;
-        let in_kernel_mps =
-            (2.0 * own_brake_mps2 * road_m + own_brake_mps2 / ahead_brake_mps2 * ahead_mps * ahead_mps).sqrt();
+        let in_kernel_mps = (2.0 * own_brake_mps2 * road_m
+            + own_brake_mps2 / ahead_brake_mps2 * ahead_mps * ahead_mps)
+            .sqrt();
         let own_mps = fastest_mps(own).min(in_kernel_mps);
         MotionBounds {
             position_m: farthest_m.abs().max((own.position_m - spare_m).abs()),

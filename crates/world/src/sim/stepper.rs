@@ -7,10 +7,14 @@ use std::ops::ControlFlow;
 use self::short_line::FallbackReason;
 use super::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use super::platoon::PlatoonState;
-use super::recorder::{VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle, ttc_s};
+use super::recorder::{
+    VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle, ttc_s,
+};
 use super::run::{TimeGrid, VehicleController, true_state};
 use super::shielding::interventions;
-use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace};
+use super::{
+    AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace,
+};
 use crate::control::{Controller, ControllerFailure};
 use crate::estimate::EgoEstimator;
 use crate::observation::{EstimatorKind, Observation};
@@ -51,8 +55,9 @@ impl Stepper {
     #[must_use]
     pub fn new(run: &Run, keep: RecordingLevel) -> Self {
         let platoon = run.initial_platoon();
-        let loops: Vec<VehicleLoop> =
-            (0..platoon.motion.len()).map(|index| VehicleLoop::new(run, index, &platoon)).collect();
+        let loops: Vec<VehicleLoop> = (0..platoon.motion.len())
+            .map(|index| VehicleLoop::new(run, index, &platoon))
+            .collect();
         let mut tallies = vec![VehicleExtremes::INITIAL; loops.len()];
         update_min_ttc(&mut tallies, &platoon);
         Self {
@@ -73,7 +78,10 @@ impl Stepper {
     /// reads every step itself. [`finish`](Self::finish) returns no vehicle summaries.
     #[must_use]
     pub fn without_summaries(run: &Run) -> Self {
-        Self { extremes: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
+        Self {
+            extremes: Vec::new(),
+            ..Self::new(run, RecordingLevel::Summary)
+        }
     }
 
     /// Returns the number of completed steps of the scenario, including one that ended in a collision.
@@ -123,7 +131,10 @@ impl Stepper {
     /// Returns the answer of a [consulted](Self::consult) driver in the last step, in m/s².
     #[must_use]
     pub fn consulted_mps2(&self, index: usize) -> Option<f64> {
-        self.loops.get(index)?.consulted.map(|(_, answer_mps2)| answer_mps2)
+        self.loops
+            .get(index)?
+            .consulted
+            .map(|(_, answer_mps2)| answer_mps2)
     }
 
     /// Returns the impacts so far, in order of time.
@@ -194,18 +205,29 @@ impl Stepper {
     }
 
     fn span_s(&self) -> [f64; 2] {
-        [self.time_grid.time_s(self.step, 0), self.time_grid.time_s(self.step + 1, 0)]
+        [
+            self.time_grid.time_s(self.step, 0),
+            self.time_grid.time_s(self.step + 1, 0),
+        ]
     }
 
     fn decide(&mut self) {
         let span_s = self.span_s();
         // All vehicles decide on the state at the start of the step, before any vehicle moves.
-        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.next_acceleration_mps2).enumerate()
+        for (index, (vehicle, decided_mps2)) in self
+            .loops
+            .iter_mut()
+            .zip(&mut self.next_acceleration_mps2)
+            .enumerate()
         {
             match vehicle.decide(&self.platoon, index, span_s) {
                 Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
                 Err(failure) => {
-                    let failed = FailedController { time_s: span_s[0], vehicle: index, failure };
+                    let failed = FailedController {
+                        time_s: span_s[0],
+                        vehicle: index,
+                        failure,
+                    };
                     self.failed.get_or_insert(failed);
                 }
             }
@@ -217,7 +239,12 @@ impl Stepper {
             self.ended = true;
             return;
         }
-        for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.next_acceleration_mps2) {
+        for (motion, &acceleration_mps2) in self
+            .platoon
+            .motion
+            .iter_mut()
+            .zip(&self.next_acceleration_mps2)
+        {
             motion.acceleration_mps2 = acceleration_mps2;
         }
         if self.has_collided() {
@@ -234,14 +261,24 @@ impl Stepper {
     }
 
     fn advance_substep(&mut self, from_s: f64) {
-        let Self { platoon, extremes: tallies, trace, impacts, .. } = self;
+        let Self {
+            platoon,
+            extremes: tallies,
+            trace,
+            impacts,
+            ..
+        } = self;
         if let Some(trace) = trace {
             trace.push_sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
             tally.max_brake_mps2 = raise_max_brake(tally.max_brake_mps2, motion.acceleration_mps2);
         }
-        let TimeGrid { dt_s, after_contact, .. } = self.time_grid;
+        let TimeGrid {
+            dt_s,
+            after_contact,
+            ..
+        } = self.time_grid;
         let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
         update_min_ttc(tallies, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
@@ -258,24 +295,46 @@ impl Stepper {
         if let Some(trace) = &mut self.trace
             && (self.impacts.is_empty() || self.time_grid.after_contact == AfterContact::Continue)
         {
-            trace.push_sample(self.time_grid.time_s(self.step, 0), self.platoon.motion.iter().copied());
+            trace.push_sample(
+                self.time_grid.time_s(self.step, 0),
+                self.platoon.motion.iter().copied(),
+            );
         }
         let step_s = self.time_grid.step_s;
-        let interventions = self.loops.iter().enumerate().flat_map(|(index, vehicle)| match &vehicle.driver {
-            VehicleController::Controller(controller) => interventions(controller, index, step_s),
-            VehicleController::Profile(_) => Vec::new(),
-        });
+        let interventions =
+            self.loops
+                .iter()
+                .enumerate()
+                .flat_map(|(index, vehicle)| match &vehicle.driver {
+                    VehicleController::Controller(controller) => {
+                        interventions(controller, index, step_s)
+                    }
+                    VehicleController::Profile(_) => Vec::new(),
+                });
         let interventions = interventions.collect();
         if let Some(trace) = &mut self.trace {
             for (vehicle, track) in trace.vehicles.iter_mut().enumerate() {
                 track.in_lane_s = self.platoon.lane.in_lane_s(vehicle);
             }
         }
-        let vehicles = self.platoon.min_gap_m.iter().zip(self.extremes).zip(&self.platoon.motion);
+        let vehicles = self
+            .platoon
+            .min_gap_m
+            .iter()
+            .zip(self.extremes)
+            .zip(&self.platoon.motion);
         let vehicles = vehicles
-            .map(|((&min_gap_m, tally), motion)| summarize_vehicle(min_gap_m, tally, motion.speed_mps))
+            .map(|((&min_gap_m, tally), motion)| {
+                summarize_vehicle(min_gap_m, tally, motion.speed_mps)
+            })
             .collect();
-        assemble_result(self.impacts, vehicles, interventions, self.trace, self.failed)
+        assemble_result(
+            self.impacts,
+            vehicles,
+            interventions,
+            self.trace,
+            self.failed,
+        )
     }
 }
 
@@ -292,7 +351,11 @@ fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
         let pairs = platoon.motion.windows(2).zip(&platoon.length_m);
         for (tally, (pair, length_m)) in tallies.iter_mut().skip(1).zip(pairs) {
             let [front, rear] = pair else { continue };
-            see(tally, front.position_m - length_m - rear.position_m, rear.speed_mps - front.speed_mps);
+            see(
+                tally,
+                front.position_m - length_m - rear.position_m,
+                rear.speed_mps - front.speed_mps,
+            );
         }
         return;
     }
@@ -325,7 +388,9 @@ impl VehicleLoop {
         Self {
             driver: match run.start_driver(index) {
                 VehicleController::Profile(profile) => VehicleController::Profile(profile.clone()),
-                VehicleController::Controller(controller) => VehicleController::Controller(controller),
+                VehicleController::Controller(controller) => {
+                    VehicleController::Controller(controller)
+                }
             },
             estimator: run.estimator(index, platoon).map(Box::new),
             actuator: Actuator::new(run.scenario(), index),
@@ -346,7 +411,8 @@ impl VehicleLoop {
             Some(estimator) => {
                 let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
                 if neighbours != self.tracked_neighbours {
-                    let changed = [0, 1].map(|side| neighbours[side] != self.tracked_neighbours[side]);
+                    let changed =
+                        [0, 1].map(|side| neighbours[side] != self.tracked_neighbours[side]);
                     estimator.switch_neighbours(&truth, changed);
                     self.tracked_neighbours = neighbours;
                 }
@@ -374,7 +440,9 @@ impl VehicleLoop {
         }
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
-            (None, VehicleController::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
+            (None, VehicleController::Profile(profile)) => {
+                profile.acceleration_mps2(from_s, to_s, speed_mps)
+            }
             (None, VehicleController::Controller(controller)) => match seen {
                 Some(seen) => controller.decide(&seen)?,
                 None => controller.decide(&true_state(platoon, index).observation)?,
@@ -384,9 +452,17 @@ impl VehicleLoop {
     }
 
     /// Consults the driver, whose answer is also the command if there is none from outside.
-    fn consult_driver(&mut self, estimate: Option<Observation>, truth: &Observation) -> Result<(), ControllerFailure> {
-        let VehicleController::Controller(controller) = &mut self.driver else { return Ok(()) };
-        let Some((estimator, answer_mps2)) = &mut self.consulted else { return Ok(()) };
+    fn consult_driver(
+        &mut self,
+        estimate: Option<Observation>,
+        truth: &Observation,
+    ) -> Result<(), ControllerFailure> {
+        let VehicleController::Controller(controller) = &mut self.driver else {
+            return Ok(());
+        };
+        let Some((estimator, answer_mps2)) = &mut self.consulted else {
+            return Ok(());
+        };
         *answer_mps2 = match (estimator, estimate) {
             (EstimatorKind::Kalman, Some(estimate)) => controller.decide(&estimate)?,
             _ => controller.decide(truth)?,
@@ -401,7 +477,10 @@ impl VehicleLoop {
     #[inline]
     fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_locked: bool) -> f64 {
         let acceleration_mps2 = self.actuator.respond(command_mps2, speed_mps);
-        let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
+        let noise_mps2 = self
+            .disturbance
+            .as_mut()
+            .map_or(0.0, Disturbance::next_mps2);
         match is_locked {
             true => acceleration_mps2 + noise_mps2,
             false => add_noise_unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),

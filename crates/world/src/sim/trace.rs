@@ -61,7 +61,9 @@ impl Track {
     /// Returns the motion at a time in seconds, computed from the last sample at or before it; `None` before the first
     /// sample.
     fn motion_at(&self, times_s: &[f64], time_s: f64) -> Option<Motion> {
-        let sample = times_s.partition_point(|&sampled_s| sampled_s <= time_s).checked_sub(1)?;
+        let sample = times_s
+            .partition_point(|&sampled_s| sampled_s <= time_s)
+            .checked_sub(1)?;
         Some(self.motion(sample)?.after(time_s - times_s.get(sample)?))
     }
 }
@@ -82,21 +84,40 @@ impl Trace {
     /// Returns the pairs of a vehicle and its successive leaders, in order of time.
     #[must_use]
     pub fn pairs(&self, rear: usize) -> Vec<VehiclePair<'_>> {
-        let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else { return Vec::new() };
-        let mut changes_s: Vec<f64> = ahead.iter().chain([rear]).flat_map(|track| track.in_lane_s).collect();
+        let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else {
+            return Vec::new();
+        };
+        let mut changes_s: Vec<f64> = ahead
+            .iter()
+            .chain([rear])
+            .flat_map(|track| track.in_lane_s)
+            .collect();
         changes_s.extend(Track::THROUGHOUT_S);
         changes_s.sort_by(f64::total_cmp);
         changes_s.dedup();
         // A vehicle that leaves at the start was never in the lane.
-        let before_s = self.time_s.first().map_or(f64::NEG_INFINITY, |first_s| first_s + TIME_TOLERANCE_S);
+        let before_s = self
+            .time_s
+            .first()
+            .map_or(f64::NEG_INFINITY, |first_s| first_s + TIME_TOLERANCE_S);
         let mut pairs: Vec<VehiclePair<'_>> = Vec::new();
-        for (&from_s, &to_s) in changes_s.iter().zip(changes_s.iter().skip(1)).filter(|(_, to_s)| **to_s > before_s) {
-            let is_there = |track: &&Track| track.in_lane_s[0] <= from_s && to_s <= track.in_lane_s[1];
-            let Some(front_vehicle) = ahead.iter().rposition(|track| is_there(&track)).filter(|_| is_there(&rear))
+        for (&from_s, &to_s) in changes_s
+            .iter()
+            .zip(changes_s.iter().skip(1))
+            .filter(|(_, to_s)| **to_s > before_s)
+        {
+            let is_there =
+                |track: &&Track| track.in_lane_s[0] <= from_s && to_s <= track.in_lane_s[1];
+            let Some(front_vehicle) = ahead
+                .iter()
+                .rposition(|track| is_there(&track))
+                .filter(|_| is_there(&rear))
             else {
                 continue;
             };
-            let goes_on = |last: &&mut VehiclePair<'_>| last.front_vehicle == front_vehicle && last.span_s[1] == from_s;
+            let goes_on = |last: &&mut VehiclePair<'_>| {
+                last.front_vehicle == front_vehicle && last.span_s[1] == from_s
+            };
             match pairs.last_mut().filter(goes_on) {
                 Some(last) => last.span_s[1] = to_s,
                 None => {
@@ -131,7 +152,11 @@ impl Trace {
         let own = self.vehicles.get(rear);
         self.time_s.iter().map(move |&time_s| {
             own.filter(|own| own.is_in_lane(time_s))?;
-            self.vehicles.get(..rear)?.iter().rev().find(|front| front.is_in_lane(time_s))
+            self.vehicles
+                .get(..rear)?
+                .iter()
+                .rev()
+                .find(|front| front.is_in_lane(time_s))
         })
     }
 }
@@ -164,13 +189,20 @@ impl<'a> VehiclePair<'a> {
     /// Returns the samples within `span_s`, including both ends.
     pub(crate) fn samples(&self) -> Range<usize> {
         let [from_s, to_s] = self.span_s;
-        let first = self.time_s.partition_point(|&time_s| time_s < from_s - TIME_TOLERANCE_S);
-        let end = self.time_s.partition_point(|&time_s| time_s <= to_s + TIME_TOLERANCE_S);
+        let first = self
+            .time_s
+            .partition_point(|&time_s| time_s < from_s - TIME_TOLERANCE_S);
+        let end = self
+            .time_s
+            .partition_point(|&time_s| time_s <= to_s + TIME_TOLERANCE_S);
         first..end
     }
 
     /// Returns the motions of front and rear vehicle at a time in seconds.
     pub(crate) fn motion_at(&self, time_s: f64) -> Option<[Motion; 2]> {
-        Some([self.front.motion_at(self.time_s, time_s)?, self.rear.motion_at(self.time_s, time_s)?])
+        Some([
+            self.front.motion_at(self.time_s, time_s)?,
+            self.rear.motion_at(self.time_s, time_s)?,
+        ])
     }
 }

@@ -8,7 +8,9 @@ use libfuzzer_sys::fuzz_target;
 
 static CHECK: LazyLock<ControllerCheck> = LazyLock::new(|| {
     let check = check(stateless(my_controller::decide)).on("alone");
-    check.property(Property::no_avoidable_collision()).corpus("crumple-corpus")
+    check
+        .property(Property::no_avoidable_collision())
+        .corpus("crumple-corpus")
 });
 
 fuzz_target!(|bytes: &[u8]| CHECK.assert_input(bytes));

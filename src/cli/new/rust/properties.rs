@@ -8,15 +8,27 @@ fn controller() -> ControllerCheck {
 
 #[test]
 fn answers_every_observation() {
-    controller().on("any").property(Property::deterministic()).cases(100).assert();
+    controller()
+        .on("any")
+        .property(Property::deterministic())
+        .cases(100)
+        .assert();
 }
 
 #[test]
 fn avoids_avoidable_collisions() {
-    controller().on("alone").property(Property::no_avoidable_collision()).cases(100).assert();
+    controller()
+        .on("alone")
+        .property(Property::no_avoidable_collision())
+        .cases(100)
+        .assert();
 }
 
 #[test]
 fn brakes_only_with_cause() {
-    controller().on("traffic").property(Property::no_unnecessary_braking()).cases(50).assert();
+    controller()
+        .on("traffic")
+        .property(Property::no_unnecessary_braking())
+        .cases(50)
+        .assert();
 }

@@ -36,9 +36,14 @@ fn any_activation() -> impl Strategy<Value = Activation> {
         Just(Activation::Sigmoid),
         any_f32(10.0).prop_map(move |a| Activation::Add(one(a))),
         any_f32(10.0).prop_map(move |a| Activation::Multiply(one(a))),
-        any_f32(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Activation::Divide(one(a))),
+        any_f32(10.0)
+            .prop_filter("not 0", |a| *a != 0.0)
+            .prop_map(move |a| Activation::Divide(one(a))),
         (any_f32(3.0), 0.0..3.0_f32).prop_map(move |(low, more)| {
-            Activation::Clip { low: one(low), high: one(f64::from(low as f32 + more)) }
+            Activation::Clip {
+                low: one(low),
+                high: one(f64::from(low as f32 + more)),
+            }
         }),
     ]
 }
@@ -59,7 +64,10 @@ fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
 /// Bounds the single-precision rounding between two ends, by the list in the module documentation.
 fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
     let u = 2.0_f64.powi(-24);
-    let largest = [low, high].map(|x| evaluate(each, x).abs()).into_iter().fold(0.0, f64::max);
+    let largest = [low, high]
+        .map(|x| evaluate(each, x).abs())
+        .into_iter()
+        .fold(0.0, f64::max);
     match each {
         Activation::LeakyRelu(slope) if low < 0.0 => u * slope.abs() * -low,
         Activation::Elu(alpha) if low < 0.0 => 8.0 * u * alpha.abs(),
@@ -159,7 +167,10 @@ fn linear_pieces_are_unchanged() {
         Activation::Relu,
         Activation::LeakyRelu(0.1),
         Activation::Elu(0.5),
-        Activation::Clip { low: one(-1.0), high: one(9.0) },
+        Activation::Clip {
+            low: one(-1.0),
+            high: one(9.0),
+        },
     ] {
         for (low, high) in [(0.0, 2.0), (0.5, 0.5), (1.0, 3.0)] {
             assert!(each.relaxation(0, low, high).is_identity(), "{each:?}");
@@ -171,21 +182,37 @@ fn linear_pieces_are_unchanged() {
         let line = Activation::Relu.relaxation(0, low, high);
         assert!(line.is_constant() && line == LinearRelaxation::new_constant(0.0));
     }
-    for (each, cut) in
-        [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| (Activation::Clip { low, high: one(high) }, high))
-    {
+    for (each, cut) in [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| {
+        (
+            Activation::Clip {
+                low,
+                high: one(high),
+            },
+            high,
+        )
+    }) {
         for (low, high) in [(3.0, 3.0), (3.0, 7.0), (cut, 7.0)] {
             let line = each.relaxation(0, low, high);
             assert!(line.is_constant() && line.low == cut, "{each:?} {line:?}");
         }
     }
-    let below = Activation::Clip { low: one(-1.0), high: one(2.0) }.relaxation(0, -7.0, -1.0);
+    let below = Activation::Clip {
+        low: one(-1.0),
+        high: one(2.0),
+    }
+    .relaxation(0, -7.0, -1.0);
     assert!(below.is_constant() && below.low == -1.0);
     let level = LinearRelaxation::new_constant(2.0);
     for line in [
-        LinearRelaxation { slope: 1.0, ..level },
+        LinearRelaxation {
+            slope: 1.0,
+            ..level
+        },
         LinearRelaxation { high: 3.0, ..level },
-        LinearRelaxation { rounding: 1e-9, ..level },
+        LinearRelaxation {
+            rounding: 1e-9,
+            ..level
+        },
     ] {
         assert!(!line.is_constant() && level.is_constant());
     }
@@ -194,15 +221,25 @@ fn linear_pieces_are_unchanged() {
 #[test]
 fn numbers_have_as_many_operands_as_there_are() {
     let numbers = vec![1.0, 2.0, 3.0];
-    let clip = Activation::Clip { low: numbers.clone(), high: numbers.clone() };
-    for each in
-        [Activation::Add(numbers.clone()), Activation::Multiply(numbers.clone()), Activation::Divide(numbers), clip]
-    {
+    let clip = Activation::Clip {
+        low: numbers.clone(),
+        high: numbers.clone(),
+    };
+    for each in [
+        Activation::Add(numbers.clone()),
+        Activation::Multiply(numbers.clone()),
+        Activation::Divide(numbers),
+        clip,
+    ] {
         assert_eq!(each.width(), Some(3));
     }
-    for each in
-        [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(1.0), Activation::Tanh, Activation::Sigmoid]
-    {
+    for each in [
+        Activation::Relu,
+        Activation::LeakyRelu(0.1),
+        Activation::Elu(1.0),
+        Activation::Tanh,
+        Activation::Sigmoid,
+    ] {
         assert_eq!(each.width(), None);
     }
 }
@@ -211,7 +248,12 @@ fn numbers_have_as_many_operands_as_there_are() {
 #[test]
 fn curved_activations_cost_most() {
     assert_eq!(
-        [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Tanh].map(|each| each.operations()),
+        [
+            Activation::Relu,
+            Activation::LeakyRelu(0.1),
+            Activation::Tanh
+        ]
+        .map(|each| each.operations()),
         [0, 100, 1000]
     );
 }
@@ -233,5 +275,8 @@ fn small_values_may_be_lost() {
         );
     }
     let line = Activation::Divide(vec![3.0]).relaxation(0, -1.0, 6.0);
-    assert!(line.low < 0.0 && line.high == -line.low && line.high >= f64::EPSILON && line.high <= 1e-14, "{line:?}");
+    assert!(
+        line.low < 0.0 && line.high == -line.low && line.high >= f64::EPSILON && line.high <= 1e-14,
+        "{line:?}"
+    );
 }

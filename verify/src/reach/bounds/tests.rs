@@ -6,7 +6,11 @@ use proptest::prelude::*;
 
 const NUMBERS: usize = 3;
 
-fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [AffineForm; NUMBERS] {
+fn input_forms(
+    centres: [f64; NUMBERS],
+    terms: [[f64; 2]; NUMBERS],
+    rests: [f64; NUMBERS],
+) -> [AffineForm; NUMBERS] {
     std::array::from_fn(|i| {
         let mut form = AffineForm::constant(Interval::point(centres[i]));
         form.replace_terms(0, terms[i].into_iter(), rests[i]);
@@ -19,7 +23,12 @@ fn network_bounds(
     columns: [[f64; NUMBERS]; NUMBERS + 2],
     rho: [f64; NUMBERS],
 ) -> NetworkBounds {
-    NetworkBounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
+    NetworkBounds {
+        columns: columns.concat(),
+        centre: centre.to_vec(),
+        rho: rho.to_vec(),
+        excess: Vec::new(),
+    }
 }
 
 fn abs_sum(numbers: &[f64]) -> f64 {
@@ -108,33 +117,63 @@ proptest! {
 fn a_wide_layer_rounds_more_than_in_proportion() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
     let inputs: Vec<AffineForm> = (0..wide)
-        .map(|i| AffineForm::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap()))
+        .map(|i| {
+            AffineForm::symbol(
+                i % 7,
+                Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap(),
+            )
+        })
         .collect();
-    let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
-    let layer = LinearLayer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
+    let weights: Vec<f64> = (0..wide)
+        .map(|i| if i % 3 == 0 { -0.5 } else { 0.25 })
+        .collect();
+    let layer = LinearLayer {
+        inputs: wide,
+        outputs: 1,
+        weights: weights.clone(),
+        biases: vec![3.0],
+    };
     let mut bounds = NetworkBounds::from_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
-    bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
+    bounds
+        .columns
+        .extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
     let found = bounds.apply_linear(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
     let of = |i: usize| {
-        let own = [(5, 0.125), (8, 0.25)].into_iter().find(|(at, _)| *at == i).map_or(0.0, |(_, own)| own);
+        let own = [(5, 0.125), (8, 0.25)]
+            .into_iter()
+            .find(|(at, _)| *at == i)
+            .map_or(0.0, |(_, own)| own);
         let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + own;
         weights[i].abs() * (1e-3 + gamma * size)
     };
     let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
-    assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
+    assert!(
+        is_near(found.rho[0], expected, 1e-11),
+        "{} {expected}",
+        found.rho[0]
+    );
     assert!(found.rho[0] > expected * (1.0 + 0.9 * SUM_REL_ERROR));
-    let centre = 3.0 + inputs.iter().zip(&weights).map(|(input, weight)| input.centre() * weight).sum::<f64>();
+    let centre = 3.0
+        + inputs
+            .iter()
+            .zip(&weights)
+            .map(|(input, weight)| input.centre() * weight)
+            .sum::<f64>();
     assert!(is_near(found.centre[0], centre, 1e-12));
     assert_eq!(found.columns.last(), Some(&(weights[5] * 0.125)));
 }
 
 #[test]
 fn functions_may_follow_each_other() {
-    let inputs = input_forms([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
+    let inputs = input_forms(
+        [0.0, 1.0, 2.0],
+        [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]],
+        [0.0, 0.125, 0.0],
+    );
     let known = InputForms::new(&inputs);
     let mut found = NetworkBounds::from_inputs(&inputs);
     found.apply_activation(&Activation::Relu, &known);
@@ -143,20 +182,36 @@ fn functions_may_follow_each_other() {
     assert!(found.excess.is_empty() && found.column_count() == NUMBERS + 2);
     let form = found.into_form(0, &inputs).unwrap();
     // From [-1, 1]: half of it and 1/4 on either side, twice.
-    assert!(is_near(form.rest(), 0.5, 1e-6) && is_near(form.centre(), 0.5, 1e-6) && form.terms()[0] == 1.0);
+    assert!(
+        is_near(form.rest(), 0.5, 1e-6)
+            && is_near(form.centre(), 0.5, 1e-6)
+            && form.terms()[0] == 1.0
+    );
     assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
     let mut alone = NetworkBounds::from_inputs(&inputs);
     alone.apply_activation(&Activation::Relu, &known);
     let rho = alone.rho[0];
     let form = alone.into_form(0, &inputs).unwrap();
     let rest = (0.25 + rho) * (1.0 + 0.9 * SUM_REL_ERROR);
-    assert!(form.rest() >= rest && is_near(form.rest(), rest, 1e-11), "{form:?}");
+    assert!(
+        form.rest() >= rest && is_near(form.rest(), rest, 1e-11),
+        "{form:?}"
+    );
 }
 
 #[test]
 fn a_layer_costs_its_number_of_products() {
-    let layer = LinearLayer { inputs: 3, outputs: 5, weights: vec![0.0; 15], biases: vec![0.0; 5] };
-    let mut some = network_bounds([1.0, 0.0, 2.0], [[1.0; NUMBERS]; NUMBERS + 2], [0.0; NUMBERS]);
+    let layer = LinearLayer {
+        inputs: 3,
+        outputs: 5,
+        weights: vec![0.0; 15],
+        biases: vec![0.0; 5],
+    };
+    let mut some = network_bounds(
+        [1.0, 0.0, 2.0],
+        [[1.0; NUMBERS]; NUMBERS + 2],
+        [0.0; NUMBERS],
+    );
     assert_eq!(some.operations(&layer), 2 * 5 * (5 + 2) + 1000);
     some.excess.push((0, 1.0));
     assert_eq!(some.operations(&layer), 2 * 5 * (6 + 2) + 1000);

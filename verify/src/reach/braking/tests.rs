@@ -8,7 +8,13 @@ const STEP_S: f64 = 0.1;
 fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> BrakingVehicle {
     let form = |symbol, [low, high]: [f64; 2]| symbol_form(symbol, low, high);
     let onset_range = interval(onsets[0], onsets[1]);
-    BrakingVehicle::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))
+    BrakingVehicle::new(
+        form(0, speeds),
+        form(1, rates),
+        form(2, onsets),
+        onset_range,
+        Interval::point(STEP_S),
+    )
 }
 
 proptest! {
@@ -49,7 +55,14 @@ proptest! {
 fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
     let step = Interval::point(STEP_S);
     let braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.0]);
-    assert_eq!(braking.state_at(6, step).acceleration, braking.rate.scaled(Interval::point(-1.0)));
-    assert_bounds(braking.state_at(5, step).acceleration.range(), [-6.0, 0.0], 1e-10);
+    assert_eq!(
+        braking.state_at(6, step).acceleration,
+        braking.rate.scaled(Interval::point(-1.0))
+    );
+    assert_bounds(
+        braking.state_at(5, step).acceleration.range(),
+        [-6.0, 0.0],
+        1e-10,
+    );
     assert!(braking.state_at(2, step).acceleration.is_zero());
 }

@@ -7,9 +7,18 @@ use super::*;
 fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
     let forms: Vec<&AffineForm> = members.forms().collect();
     let term = |symbol: usize| {
-        forms.iter().zip(along).map(|(form, w)| form.terms().get(symbol).unwrap_or(&0.0) * w).sum::<f64>().abs()
+        forms
+            .iter()
+            .zip(along)
+            .map(|(form, w)| form.terms().get(symbol).unwrap_or(&0.0) * w)
+            .sum::<f64>()
+            .abs()
     };
-    let rests = forms.iter().zip(along).map(|(form, w)| form.rest() * w.abs()).sum::<f64>();
+    let rests = forms
+        .iter()
+        .zip(along)
+        .map(|(form, w)| form.rest() * w.abs())
+        .sum::<f64>();
     (0..members.next_symbol).map(term).sum::<f64>() + rests
 }
 
@@ -58,7 +67,11 @@ fn relu_range([low, high]: [f64; 2], floor: f64) -> [f64; 2] {
     if least >= 0.0 {
         return [low, high];
     }
-    if high <= 0.0 { [0.0; 2] } else { [low * high / (high - least), high] }
+    if high <= 0.0 {
+        [0.0; 2]
+    } else {
+        [low * high / (high - least), high]
+    }
 }
 
 fn egos_at_speed(speed: AffineForm) -> EgoSet {
@@ -171,7 +184,8 @@ proptest! {
 #[test]
 fn a_standing_vehicle_stays_or_restarts() {
     let step = Interval::point(0.1);
-    let after = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).after_decision(wanted, step, 3);
+    let after =
+        |wanted: &AffineForm| egos_at_speed(AffineForm::default()).after_decision(wanted, step, 3);
     let [stands, none] = after(&symbol_form(1, -2.0, -1.0));
     let stands = stands.unwrap();
     assert!(
@@ -185,10 +199,15 @@ fn a_standing_vehicle_stays_or_restarts() {
     assert!(none.is_none() && starts.mode == MotionMode::Restarted);
     assert_bounds(starts.ego.distance.range(), [0.045, 0.09], 1e-12);
     assert_bounds(starts.ego.speed.range(), [0.3, 0.6], 1e-12);
-    let moved = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).ego_after(wanted, step, 2);
+    let moved =
+        |wanted: &AffineForm| egos_at_speed(AffineForm::default()).ego_after(wanted, step, 2);
     let stays = moved(&symbol_form(1, -2.0, -1.0));
     assert!(stays.distance.is_zero() && stays.speed.is_zero() && stays.acceleration.is_zero());
-    assert_bounds(moved(&symbol_form(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
+    assert_bounds(
+        moved(&symbol_form(1, 1.0, 2.0)).distance.range(),
+        [0.02, 0.04],
+        1e-12,
+    );
 }
 
 #[test]
@@ -196,31 +215,54 @@ fn nothing_has_moved_at_the_decision() {
     let mut members = egos_at_speed(symbol_form(0, 3.0, 4.0));
     members.ego.acceleration = point_form(2.0);
     let seen = members.ego_after(&point_form(-1.0), Interval::point(0.1), 0);
-    assert!(seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed);
+    assert!(
+        seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed
+    );
 }
 
 #[test]
 fn a_set_that_has_stopped_is_no_set_that_moves() {
     let step = Interval::point(0.1);
     let kinds = |speed: AffineForm, wanted: AffineForm| {
-        egos_at_speed(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.mode))
+        egos_at_speed(speed)
+            .after_decision(&wanted, step, 3)
+            .map(|set| set.map(|set| set.mode))
     };
-    assert_eq!(kinds(point_form(0.1), point_form(-2.0)), [None, Some(MotionMode::Standing)]);
-    assert_eq!(kinds(point_form(0.5), point_form(-2.0)), [Some(MotionMode::Moving), None]);
+    assert_eq!(
+        kinds(point_form(0.1), point_form(-2.0)),
+        [None, Some(MotionMode::Standing)]
+    );
+    assert_eq!(
+        kinds(point_form(0.5), point_form(-2.0)),
+        [Some(MotionMode::Moving), None]
+    );
     // Bounds that hold only reversing members.
-    assert_eq!(kinds(symbol_form(0, -1.0, -0.5), AffineForm::default()), [None, Some(MotionMode::Standing)]);
+    assert_eq!(
+        kinds(symbol_form(0, -1.0, -0.5), AffineForm::default()),
+        [None, Some(MotionMode::Standing)]
+    );
 }
 
 #[test]
 fn symbols_become_fewer_once_they_are_too_many() {
-    for (count, expected) in [(MAX_SYMBOLS, MAX_SYMBOLS), (MAX_SYMBOLS + 1, REDUCED_SYMBOLS)] {
+    for (count, expected) in [
+        (MAX_SYMBOLS, MAX_SYMBOLS),
+        (MAX_SYMBOLS + 1, REDUCED_SYMBOLS),
+    ] {
         let mut speed = point_form(10.0);
         speed.replace_terms(SHARED_SYMBOLS, (0..count).map(|i| 1.0 + i as f64), 0.0);
         let mut members = egos_at_speed(point_form(10.0));
         members.next_symbol = SHARED_SYMBOLS + count;
-        let next = members.with_ego_in_mode(MotionMode::Restarted, VehicleState { speed, ..VehicleState::default() });
+        let next = members.with_ego_in_mode(
+            MotionMode::Restarted,
+            VehicleState {
+                speed,
+                ..VehicleState::default()
+            },
+        );
         assert!(
-            next.mode == MotionMode::Restarted && next.next_symbol.abs_diff(SHARED_SYMBOLS + expected) <= 1,
+            next.mode == MotionMode::Restarted
+                && next.next_symbol.abs_diff(SHARED_SYMBOLS + expected) <= 1,
             "{}",
             next.next_symbol
         );

@@ -24,18 +24,33 @@ const ACC: AccAebLaw = AccAebLaw {
 };
 
 fn any_idm() -> impl Strategy<Value = IdmLaw> {
-    (10.0..40.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.3..3.0_f64, 0.3..5.0_f64, 0.0..4.0_f64).prop_map(
-        |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
-            IdmLaw {
+    (
+        10.0..40.0_f64,
+        0.0..3.0_f64,
+        0.0..5.0_f64,
+        0.3..3.0_f64,
+        0.3..5.0_f64,
+        0.0..4.0_f64,
+    )
+        .prop_map(
+            |(
                 desired_speed_mps,
                 time_headway_s,
                 standstill_gap_m,
                 accel_mps2,
                 comfortable_brake_mps2,
                 max_accel_mps2,
-            }
-        },
-    )
+            )| {
+                IdmLaw {
+                    desired_speed_mps,
+                    time_headway_s,
+                    standstill_gap_m,
+                    accel_mps2,
+                    comfortable_brake_mps2,
+                    max_accel_mps2,
+                }
+            },
+        )
 }
 
 fn any_acc() -> impl Strategy<Value = AccAebLaw> {
@@ -51,7 +66,16 @@ fn any_acc() -> impl Strategy<Value = AccAebLaw> {
         set_speed,
     )
         .prop_map(
-            |(ttc_s, time_headway_s, standstill_gap_m, [gap_gain, speed_gain], brake, accel, most, set_speed)| {
+            |(
+                ttc_s,
+                time_headway_s,
+                standstill_gap_m,
+                [gap_gain, speed_gain],
+                brake,
+                accel,
+                most,
+                set_speed,
+            )| {
                 AccAebLaw {
                     set_speed_mps: set_speed,
                     ttc_s,
@@ -69,11 +93,15 @@ fn any_acc() -> impl Strategy<Value = AccAebLaw> {
 
 /// Returns the `idm` command, and the magnitude of its terms.
 fn idm_acceleration(law: &IdmLaw, [gap, v, w]: [f64; 3]) -> (f64, f64) {
-    let dynamic = v * law.time_headway_s + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
+    let dynamic = v * law.time_headway_s
+        + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
     let share = (law.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
     let fourth = (v / law.desired_speed_mps).powi(4);
     let size = 1.0 + fourth + (share + v * (v + w) / gap.max(0.01)).powi(2);
-    (law.accel_mps2 * (1.0 - fourth - share * share), law.accel_mps2 * size)
+    (
+        law.accel_mps2 * (1.0 - fourth - share * share),
+        law.accel_mps2 * size,
+    )
 }
 
 fn acc_acceleration(law: &AccAebLaw, [gap, v, w]: [f64; 3]) -> f64 {
@@ -84,12 +112,18 @@ fn acc_acceleration(law: &AccAebLaw, [gap, v, w]: [f64; 3]) -> f64 {
         None => 0.0,
     };
     let wanted = limit.min(follow + law.speed_gain_per_s * (w - v));
-    wanted.max(-law.comfort_brake_mps2).min(law.comfort_accel_mps2)
+    wanted
+        .max(-law.comfort_brake_mps2)
+        .min(law.comfort_accel_mps2)
 }
 
 fn law_input(gap: AffineForm, speed: AffineForm, ahead: &AffineForm) -> LawInput {
     let closing = speed.clone().minus(ahead);
-    LawInput { gap, speed, closing }
+    LawInput {
+        gap,
+        speed,
+        closing,
+    }
 }
 
 fn point([gap, v, w]: [f64; 3]) -> LawInput {
@@ -98,12 +132,25 @@ fn point([gap, v, w]: [f64; 3]) -> LawInput {
 
 const BRAKE: [f64; 2] = [7.0, 9.0];
 
-fn law_follower<'a>(law: &'a FollowerLaw, brake: AffineForm, start_gap: &'a AffineForm) -> LawFollower<'a> {
-    LawFollower { law, brake, start_gap, step: Interval::point(0.1) }
+fn law_follower<'a>(
+    law: &'a FollowerLaw,
+    brake: AffineForm,
+    start_gap: &'a AffineForm,
+) -> LawFollower<'a> {
+    LawFollower {
+        law,
+        brake,
+        start_gap,
+        step: Interval::point(0.1),
+    }
 }
 
 fn plain_of(law: &IdmLaw, seen: &LawInput) -> Interval {
-    law.desired_acceleration_interval(seen.gap.range(), seen.speed.range().max(Interval::ZERO), seen.closing.range())
+    law.desired_acceleration_interval(
+        seen.gap.range(),
+        seen.speed.range().max(Interval::ZERO),
+        seen.closing.range(),
+    )
 }
 
 proptest! {
@@ -185,25 +232,50 @@ proptest! {
 fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
     let brake = symbol_form(6, BRAKE[0], BRAKE[1]);
     for low in [-1.0, 0.0, 0.01] {
-        let seen = law_input(symbol_form(0, low, 30.0), point_form(10.0), &point_form(10.0));
-        assert_bounds(IDM.desired_acceleration(&seen, &brake).range(), [-BRAKE[1], IDM.accel_mps2], 1e-10);
+        let seen = law_input(
+            symbol_form(0, low, 30.0),
+            point_form(10.0),
+            &point_form(10.0),
+        );
+        assert_bounds(
+            IDM.desired_acceleration(&seen, &brake).range(),
+            [-BRAKE[1], IDM.accel_mps2],
+            1e-10,
+        );
     }
 }
 
 /// If the emergency brake may fire, the range is from full braking to the command without it.
 #[test]
 fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
-    let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
+    let (law, start_gap) = (
+        FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }),
+        AffineForm::default(),
+    );
     let behind = law_follower(&law, symbol_form(6, BRAKE[0], BRAKE[1]), &start_gap);
     // Closing at 1 m/s, it fires below 5 m.
     let at = |low: f64, high: f64| {
-        behind.acceleration(&law_input(symbol_form(0, low, high), point_form(20.0), &point_form(19.0))).range()
+        behind
+            .acceleration(&law_input(
+                symbol_form(0, low, high),
+                point_form(20.0),
+                &point_form(19.0),
+            ))
+            .range()
     };
-    assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, [30.0, 20.0, 19.0])], 1e-9);
+    assert_bounds(
+        at(4.0, 30.0),
+        [-BRAKE[1], acc_acceleration(&ACC, [30.0, 20.0, 19.0])],
+        1e-9,
+    );
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
     let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
-    let stands = LawInput { gap: AffineForm::default(), speed: AffineForm::default(), closing: AffineForm::default() };
+    let stands = LawInput {
+        gap: AffineForm::default(),
+        speed: AffineForm::default(),
+        closing: AffineForm::default(),
+    };
     let expected = acc_acceleration(&ACC, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
@@ -212,20 +284,46 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
 #[test]
 fn an_observed_acceleration_is_one_that_may_be_held() {
     let step = Interval::point(0.1);
-    let at = |speed: AffineForm| VehicleState { speed, ..VehicleState::default() };
-    let (moves, may_stand, stands) =
-        (at(symbol_form(0, 5.0, 6.0)), at(symbol_form(0, 0.0, 6.0)), at(AffineForm::default()));
-    let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| symbol_form(1, low, high));
+    let at = |speed: AffineForm| VehicleState {
+        speed,
+        ..VehicleState::default()
+    };
+    let (moves, may_stand, stands) = (
+        at(symbol_form(0, 5.0, 6.0)),
+        at(symbol_form(0, 0.0, 6.0)),
+        at(AffineForm::default()),
+    );
+    let [brakes, either, starts] =
+        [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| symbol_form(1, low, high));
     for wanted in [&brakes, &either, &starts] {
         assert_eq!(step_follower(&moves, wanted, step).acceleration, *wanted);
     }
-    assert_eq!(step_follower(&may_stand, &starts, step).acceleration, starts);
-    assert_bounds(step_follower(&may_stand, &brakes, step).acceleration.range(), [-2.0, 0.0], 1e-10);
-    assert_bounds(step_follower(&may_stand, &either, step).acceleration.range(), [-2.0, 1.0], 1e-10);
+    assert_eq!(
+        step_follower(&may_stand, &starts, step).acceleration,
+        starts
+    );
+    assert_bounds(
+        step_follower(&may_stand, &brakes, step)
+            .acceleration
+            .range(),
+        [-2.0, 0.0],
+        1e-10,
+    );
+    assert_bounds(
+        step_follower(&may_stand, &either, step)
+            .acceleration
+            .range(),
+        [-2.0, 1.0],
+        1e-10,
+    );
     assert!(step_follower(&stands, &brakes, step).acceleration.is_zero());
     assert_eq!(step_follower(&stands, &starts, step).acceleration, starts);
     // The chord of max(0, u) from -2 to 1 has the slope 1/3.
-    assert_bounds(step_follower(&stands, &either, step).acceleration.range(), [-2.0 / 3.0, 1.0], 1e-10);
+    assert_bounds(
+        step_follower(&stands, &either, step).acceleration.range(),
+        [-2.0 / 3.0, 1.0],
+        1e-10,
+    );
 }
 
 #[test]
@@ -247,21 +345,33 @@ fn a_step_of_a_modelled_follower_is_the_closed_form() {
 
 #[test]
 fn follower_models_with_invalid_numbers_are_refused() {
-    assert!(FollowerLaw::Idm(IDM).validate().is_ok() && FollowerLaw::AccAeb(ACC).validate().is_ok());
+    assert!(
+        FollowerLaw::Idm(IDM).validate().is_ok() && FollowerLaw::AccAeb(ACC).validate().is_ok()
+    );
     let idm = |change: fn(&mut IdmLaw, f64), number| {
         let mut law = IDM;
         change(&mut law, number);
         FollowerLaw::Idm(law).validate().is_ok()
     };
-    let divisors: [fn(&mut IdmLaw, f64); 3] =
-        [|law, x| law.desired_speed_mps = x, |law, x| law.accel_mps2 = x, |law, x| law.comfortable_brake_mps2 = x];
-    let others: [fn(&mut IdmLaw, f64); 3] =
-        [|law, x| law.time_headway_s = x, |law, x| law.standstill_gap_m = x, |law, x| law.max_accel_mps2 = x];
+    let divisors: [fn(&mut IdmLaw, f64); 3] = [
+        |law, x| law.desired_speed_mps = x,
+        |law, x| law.accel_mps2 = x,
+        |law, x| law.comfortable_brake_mps2 = x,
+    ];
+    let others: [fn(&mut IdmLaw, f64); 3] = [
+        |law, x| law.time_headway_s = x,
+        |law, x| law.standstill_gap_m = x,
+        |law, x| law.max_accel_mps2 = x,
+    ];
     for (changes, zero_is_fit) in [(divisors, false), (others, true)] {
         for change in changes {
             assert!([1e-3, 7.0].into_iter().all(|number| idm(change, number)));
             assert_eq!(idm(change, 0.0), zero_is_fit);
-            assert!(![-1.0, f64::INFINITY, f64::NAN].into_iter().any(|number| idm(change, number)));
+            assert!(
+                ![-1.0, f64::INFINITY, f64::NAN]
+                    .into_iter()
+                    .any(|number| idm(change, number))
+            );
         }
     }
     let acc = |change: fn(&mut AccAebLaw, f64), number| {
@@ -282,13 +392,20 @@ fn follower_models_with_invalid_numbers_are_refused() {
     ];
     for change in all {
         assert!([0.0, 7.0].into_iter().all(|number| acc(change, number)));
-        assert!(![-1.0, f64::INFINITY, f64::NAN].into_iter().any(|number| acc(change, number)));
+        assert!(
+            ![-1.0, f64::INFINITY, f64::NAN]
+                .into_iter()
+                .any(|number| acc(change, number))
+        );
     }
 }
 
 #[test]
 fn a_follower_model_bounds_the_acceleration() {
-    assert_eq!([FollowerLaw::Idm(IDM), FollowerLaw::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
+    assert_eq!(
+        [FollowerLaw::Idm(IDM), FollowerLaw::AccAeb(ACC)].map(|law| law.max_accel_mps2()),
+        [3.0, 2.5]
+    );
 }
 
 #[test]
@@ -322,13 +439,23 @@ fn a_follower_model_is_printed_with_all_numbers() {
     };
     let without = of_acc("no acceleration while it is more than 2 m/s faster than its leader");
     assert_eq!(FollowerLaw::AccAeb(acc).to_string(), without);
-    let with = AccAebLaw { set_speed_mps: Some(12.5), ..acc };
-    assert_eq!(FollowerLaw::AccAeb(with).to_string(), of_acc("a set speed of 12.5 m/s"));
+    let with = AccAebLaw {
+        set_speed_mps: Some(12.5),
+        ..acc
+    };
+    assert_eq!(
+        FollowerLaw::AccAeb(with).to_string(),
+        of_acc("a set speed of 12.5 m/s")
+    );
 }
 
 #[test]
 fn on_an_open_road_only_the_fourth_power_remains() {
     let seen = LawInput::new(point_form(1e9), point_form(6.0), point_form(6.0));
     let wanted = IDM.desired_acceleration(&seen, &point_form(8.0)).range();
-    assert_bounds(wanted, [IDM.accel_mps2 * (1.0 - (6.0 / IDM.desired_speed_mps).powi(4)); 2], 1e-6);
+    assert_bounds(
+        wanted,
+        [IDM.accel_mps2 * (1.0 - (6.0 / IDM.desired_speed_mps).powi(4)); 2],
+        1e-6,
+    );
 }

@@ -1,7 +1,9 @@
 use proptest::prelude::*;
 
 use super::super::BoxDimension;
-use super::super::fixtures::{assert_bounds, constant_controller, default_problem, interval, point_box, symbol_form};
+use super::super::fixtures::{
+    assert_bounds, constant_controller, default_problem, interval, point_box, symbol_form,
+};
 use super::super::propagate::ReachProblem;
 use super::*;
 
@@ -18,16 +20,31 @@ fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) ->
         decision_steps,
         ..default_problem(&controller, ranges)
     };
-    let speed = AffineForm::symbol(BoxDimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
-    LeaderModel::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))
+    let speed = AffineForm::symbol(
+        BoxDimension::LeaderSpeedMps as usize,
+        ranges.leader_speed_mps,
+    );
+    LeaderModel::new(
+        &scene,
+        [speed, AffineForm::default(), AffineForm::default()],
+        Interval::point(STEP_S),
+    )
 }
 
 fn relu_range([low, high]: [f64; 2]) -> [f64; 2] {
-    if low >= 0.0 { [low, high] } else { [low * high / (high - low), high.max(0.0)] }
+    if low >= 0.0 {
+        [low, high]
+    } else {
+        [low * high / (high - low), high.max(0.0)]
+    }
 }
 
 fn braking_motion(v: f64, b: f64, t: f64) -> (f64, f64) {
-    if b * t <= v { (v * t - 0.5 * b * t * t, v - b * t) } else { (v * v / (2.0 * b), 0.0) }
+    if b * t <= v {
+        (v * t - 0.5 * b * t * t, v - b * t)
+    } else {
+        (v * v / (2.0 * b), 0.0)
+    }
 }
 
 proptest! {
@@ -81,7 +98,11 @@ fn then_coast((covered, speed): (f64, f64), t: f64) -> (f64, f64) {
 fn a_leader_that_stands_stays() {
     let leader = leader([0.0, 0.0], 6.0, 20, 2);
     for k in [0, 1, 2, 7, 20] {
-        let VehicleState { distance, speed, acceleration } = leader.state_at(k, Interval::point(STEP_S));
+        let VehicleState {
+            distance,
+            speed,
+            acceleration,
+        } = leader.state_at(k, Interval::point(STEP_S));
         assert!(distance.is_zero() && acceleration.is_zero() && speed.range().contains(0.0));
         assert!(leader.has_stood(k, Interval::point(STEP_S)));
     }
@@ -91,7 +112,10 @@ fn a_leader_that_stands_stays() {
 #[test]
 fn many_decisions_share_symbols() {
     for (decisions, blocks) in [(200, 200), (201, 101), (400, 200), (401, 134)] {
-        assert_eq!(leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbol_count(), 2 * blocks);
+        assert_eq!(
+            leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbol_count(),
+            2 * blocks
+        );
     }
     assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbol_count(), 0);
 }

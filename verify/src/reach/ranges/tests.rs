@@ -15,9 +15,18 @@ fn a_range_is_cut_at_a_number_in_between_or_not_at_all() {
         }
         *ranges.get_mut(dimension) = interval(1.0, 4.0);
         let [lower, upper] = ranges.bisect(dimension).unwrap();
-        assert_eq!([lower.get(dimension), upper.get(dimension)], [interval(1.0, 2.5), interval(2.5, 4.0)]);
-        for other in BoxDimension::ALL.into_iter().filter(|&other| other != dimension) {
-            assert_eq!([lower.get(other), upper.get(other)], [Interval::point(7.0); 2]);
+        assert_eq!(
+            [lower.get(dimension), upper.get(dimension)],
+            [interval(1.0, 2.5), interval(2.5, 4.0)]
+        );
+        for other in BoxDimension::ALL
+            .into_iter()
+            .filter(|&other| other != dimension)
+        {
+            assert_eq!(
+                [lower.get(other), upper.get(other)],
+                [Interval::point(7.0); 2]
+            );
         }
     }
 }

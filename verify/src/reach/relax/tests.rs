@@ -27,7 +27,9 @@ fn extremes(f: impl Fn(f64) -> f64, slope: f64, [low, high]: [f64; 2], places: &
     inside
         .chain([low, high])
         .map(|x| f(x) - slope * x)
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], off| [least.min(off), most.max(off)])
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], off| {
+            [least.min(off), most.max(off)]
+        })
 }
 
 fn any_magnitude() -> impl Strategy<Value = f64> {
@@ -134,7 +136,9 @@ fn far_out_a_function_is_its_limit() {
         assert_eq!((tanh(z), tanh(-z)), (one, -one));
     }
     assert!(tanh(20.0).high() >= 1.0 && tanh(20.0) != one);
-    assert!(exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high());
+    assert!(
+        exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high()
+    );
     let everything = (0.0, Interval::ENTIRE);
     assert_eq!(elu_relaxation(0.5, -1.0, f64::INFINITY), everything);
     assert_eq!(elu_relaxation(0.5, f64::NEG_INFINITY, 1.0), everything);

@@ -58,12 +58,28 @@ proptest! {
 /// With one number in between, the middle is exact; with two, it is not.
 #[test]
 fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
-    let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up())).take(4).collect();
-    assert_eq!(part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[2])), 0.5);
-    let third = part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[3]));
+    let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up()))
+        .take(4)
+        .collect();
+    assert_eq!(
+        part_share(
+            1.0,
+            interval(numbers[0], numbers[1]),
+            interval(numbers[0], numbers[2])
+        ),
+        0.5
+    );
+    let third = part_share(
+        1.0,
+        interval(numbers[0], numbers[1]),
+        interval(numbers[0], numbers[3]),
+    );
     assert!(third <= 1.0 / 3.0 && third > 1.0 / 3.0 - 1e-14);
     // Neither width is a floating-point number, but their ratio is 1/2.
     let (low, high) = (-1.0_f64.next_down(), 1.0_f64.next_up());
     let middle = 0.5 * low + 0.5 * high;
-    assert_eq!(part_share(0.7, interval(low, middle), interval(low, high)), 0.35);
+    assert_eq!(
+        part_share(0.7, interval(low, middle), interval(low, high)),
+        0.35
+    );
 }

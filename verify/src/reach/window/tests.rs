@@ -13,7 +13,8 @@ fn egos_of_mode(mode: MotionMode) -> EgoSet {
 
 fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
     let mut window = FiringWindow::new(k);
-    fire.iter().for_each(|&mode| window.record_firing(mode, [f64::from(k), f64::from(k + every - 1)]));
+    fire.iter()
+        .for_each(|&mode| window.record_firing(mode, [f64::from(k), f64::from(k + every - 1)]));
     window.members = MotionMode::ALL.map(|mode| Some(egos_of_mode(mode)));
     window
 }
@@ -21,10 +22,18 @@ fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
 /// Returns the first decision and the first and last instant of each merged window.
 fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
     let controller = constant_controller(0.0);
-    let scene =
-        ReachProblem { step_s, decision_steps: every, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
-    let windows = ks.map(|k| firing_window(k, every, &[MotionMode::Moving])).collect();
-    merge_windows(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
+    let scene = ReachProblem {
+        step_s,
+        decision_steps: every,
+        ..default_problem(&controller, point_box(DEFAULT_POINT))
+    };
+    let windows = ks
+        .map(|k| firing_window(k, every, &[MotionMode::Moving]))
+        .collect();
+    merge_windows(windows, &scene)
+        .iter()
+        .map(|window| (window.k, window.instants))
+        .collect()
 }
 
 /// Checks the length of merged windows of D steps, at most a tenth of a second.
@@ -50,7 +59,12 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
         let end = 7 + count * every;
         let expected: Vec<(u32, [f64; 2])> = (7..end)
             .step_by(length)
-            .map(|k| (k, [f64::from(k), f64::from((k + length as u32).min(end) - 1)]))
+            .map(|k| {
+                (
+                    k,
+                    [f64::from(k), f64::from((k + length as u32).min(end) - 1)],
+                )
+            })
             .collect();
         assert_eq!(found, expected, "{step_s} {every} {count}");
     }
@@ -60,7 +74,10 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
 #[test]
 fn a_pause_ends_a_window_if_it_is_long() {
     let ks = [0, 1, 4, 5, 6, 7, 20, 22, 23, 24, 25].into_iter();
-    let found: Vec<u32> = merged_spans(0.01, 1, ks).into_iter().map(|(k, _)| k).collect();
+    let found: Vec<u32> = merged_spans(0.01, 1, ks)
+        .into_iter()
+        .map(|(k, _)| k)
+        .collect();
     assert_eq!(found, [0, 4, 6, 20, 22, 24]);
 }
 
@@ -87,7 +104,10 @@ proptest! {
 #[test]
 fn modes_of_later_firing_include_possible_earlier_modes() {
     let controller = constant_controller(0.0);
-    let scene = ReachProblem { step_s: 0.01, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
+    let scene = ReachProblem {
+        step_s: 0.01,
+        ..default_problem(&controller, point_box(DEFAULT_POINT))
+    };
     for (later, expected) in [
         (&[MotionMode::Moving][..], [true, false, false]),
         (&[MotionMode::Standing], [true; 3]),
@@ -95,11 +115,16 @@ fn modes_of_later_firing_include_possible_earlier_modes() {
         (&[MotionMode::Moving, MotionMode::Standing], [true; 3]),
     ] {
         // Eleven windows, so that pairs merge; the first one to fire moves.
-        let windows =
-            (0..11).map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] })).collect();
+        let windows = (0..11)
+            .map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] }))
+            .collect();
         let first = merge_windows(windows, &scene).remove(0);
         assert!(first.may_fire() && first.instants == [0.0, 1.0]);
-        assert_eq!(first.into_firing_sets().map(|members| members.is_some()), expected, "{later:?}");
+        assert_eq!(
+            first.into_firing_sets().map(|members| members.is_some()),
+            expected,
+            "{later:?}"
+        );
     }
     assert!(!FiringWindow::new(3).may_fire());
 }

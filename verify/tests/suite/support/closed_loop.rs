@@ -1,8 +1,8 @@
 //! A short simulation of the closed loop that shares only the description of the network with the crate.
 
 use crumple_verify::reach::{
-    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
-    ReachProblem,
+    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer,
+    NeuralController, ReachProblem,
 };
 use num_traits::Float;
 
@@ -13,15 +13,27 @@ pub type ReachPoint = [f64; 8];
 /// the engine fuses them: bounds cover either.
 pub fn controller_output(controller: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &ControllerInput| {
-        let sum =
-            input.coefficients.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
+        let sum = input
+            .coefficients
+            .iter()
+            .zip(seen)
+            .map(|(factor, number)| factor * number)
+            .sum::<f64>()
+            + input.constant;
         let value = input.absent_value.filter(|_| !is_followed).unwrap_or(sum);
         ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
     };
-    let answers = network_outputs(&controller.layers, controller.inputs.iter().map(input).collect::<Vec<f32>>());
-    let wanted = controller.offset_mps2 + controller.scale_mps2 * f64::from(answers[controller.output_index]);
+    let answers = network_outputs(
+        &controller.layers,
+        controller.inputs.iter().map(input).collect::<Vec<f32>>(),
+    );
+    let wanted = controller.offset_mps2
+        + controller.scale_mps2 * f64::from(answers[controller.output_index]);
     if controller.is_clipped {
-        wanted.clamp(controller.action_bounds_mps2[0], controller.action_bounds_mps2[1])
+        wanted.clamp(
+            controller.action_bounds_mps2[0],
+            controller.action_bounds_mps2[1],
+        )
     } else {
         wanted
     }
@@ -35,7 +47,12 @@ pub fn network_outputs<T: Float>(layers: &[NetworkLayer], inputs: Vec<T>) -> Vec
 fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
     let of = |number: f64| T::from(number).unwrap();
     let each = match step {
-        NetworkLayer::Linear(LinearLayer { outputs, weights, biases, .. }) => {
+        NetworkLayer::Linear(LinearLayer {
+            outputs,
+            weights,
+            biases,
+            ..
+        }) => {
             let mut sums: Vec<T> = biases.iter().map(|&bias| of(bias)).collect();
             for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
                 for (sum, &weight) in sums.iter_mut().zip(row) {
@@ -65,7 +82,11 @@ fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
 
 fn advance(v: f64, a: f64, h: f64) -> (f64, f64) {
     let end = v + a * h;
-    if end < 0.0 { (v * v / (-2.0 * a), 0.0) } else { (v * h + 0.5 * a * h * h, end) }
+    if end < 0.0 {
+        (v * v / (-2.0 * a), 0.0)
+    } else {
+        (v * h + 0.5 * a * h * h, end)
+    }
 }
 
 fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
@@ -80,7 +101,9 @@ fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
 fn law_acceleration(law: &FollowerLaw, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
         FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
-        FollowerLaw::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => {
+            (f64::NEG_INFINITY, acc.max_accel_mps2)
+        }
         FollowerLaw::AccAeb(acc) => {
             let limit = match acc.set_speed_mps {
                 Some(set_speed) => acc.speed_gain_per_s * (set_speed - v),
@@ -88,7 +111,10 @@ fn law_acceleration(law: &FollowerLaw, brake: f64, [gap, v, ahead]: [f64; 3]) ->
             };
             let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
             let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);
-            let comfortable = limit.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2);
+            let comfortable = limit
+                .min(follow)
+                .max(-acc.comfort_brake_mps2)
+                .min(acc.comfort_accel_mps2);
             (comfortable, acc.max_accel_mps2)
         }
     };
@@ -121,8 +147,24 @@ pub fn simulate_with_errors(
     brake_l: impl Fn(u32) -> f64,
     error: impl Fn(u32) -> [f64; 8],
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
-    let ReachProblem { controller, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
-    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
+    let ReachProblem {
+        controller,
+        follower,
+        steps,
+        decision_steps: every,
+        step_s: h,
+        ..
+    } = *scene;
+    let [
+        mut ahead,
+        mut behind,
+        mut v_l,
+        mut v_e,
+        mut v_r,
+        _,
+        brake_r,
+        _,
+    ] = start;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
@@ -133,7 +175,11 @@ pub fn simulate_with_errors(
         if k % every == 0 {
             trace.push(seen);
             let error = error(k / every);
-            answer = controller_output(controller, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
+            answer = controller_output(
+                controller,
+                std::array::from_fn(|i| seen[i] + error[i]),
+                follower.is_some(),
+            );
         }
         let wanted_r = match follower {
             Some(FollowerModel::Latched { ttc_s }) => {
@@ -154,7 +200,14 @@ pub fn simulate_with_errors(
         ahead += moved_l - moved_e;
         behind += moved_e - moved_r;
         if k < steps {
-            least = [least[0].min(ahead), if follower.is_some() { least[1].min(behind) } else { least[1] }];
+            least = [
+                least[0].min(ahead),
+                if follower.is_some() {
+                    least[1].min(behind)
+                } else {
+                    least[1]
+                },
+            ];
         }
     }
     (trace, least)
@@ -166,7 +219,8 @@ pub struct XorShiftRng(pub u64);
 impl XorShiftRng {
     /// Creates an independent generator for an index.
     pub fn for_index(seed: u64, place: u32) -> Self {
-        let mut numbers = Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
+        let mut numbers =
+            Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
         numbers.next_unit();
         numbers
     }

@@ -7,8 +7,8 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
 use crumple_verify::reach::{
-    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
-    ReachProblem,
+    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer,
+    NeuralController, ReachProblem,
 };
 use num_bigint::BigInt;
 
@@ -31,21 +31,35 @@ impl From<f64> for FixedPointInterval {
         assert!(number.is_finite());
         let bits = number.to_bits();
         let (exponent, fraction) = ((bits >> 52 & 0x7ff) as i64, bits & ((1 << 52) - 1));
-        let mantissa = BigInt::from(if exponent == 0 { fraction } else { fraction | 1 << 52 });
+        let mantissa = BigInt::from(if exponent == 0 {
+            fraction
+        } else {
+            fraction | 1 << 52
+        });
         let shift = exponent.max(1) - 1075 + BITS as i64;
         let signed = if number < 0.0 { -mantissa } else { mantissa };
         let places = shift.unsigned_abs();
-        if shift >= 0 { Self::point(signed << places) } else { Self::point(signed).shift_right(places as usize) }
+        if shift >= 0 {
+            Self::point(signed << places)
+        } else {
+            Self::point(signed).shift_right(places as usize)
+        }
     }
 }
 
 impl FixedPointInterval {
     fn point(scaled: BigInt) -> Self {
-        Self { low: scaled.clone(), high: scaled }
+        Self {
+            low: scaled.clone(),
+            high: scaled,
+        }
     }
 
     fn shift_right(self, places: usize) -> Self {
-        Self { low: self.low >> places, high: -(-self.high >> places) }
+        Self {
+            low: self.low >> places,
+            high: -(-self.high >> places),
+        }
     }
 
     pub fn zero() -> Self {
@@ -53,15 +67,24 @@ impl FixedPointInterval {
     }
 
     pub fn hull(&self, other: &Self) -> Self {
-        Self { low: (&self.low).min(&other.low).clone(), high: (&self.high).max(&other.high).clone() }
+        Self {
+            low: (&self.low).min(&other.low).clone(),
+            high: (&self.high).max(&other.high).clone(),
+        }
     }
 
     pub fn min(&self, other: &Self) -> Self {
-        Self { low: (&self.low).min(&other.low).clone(), high: (&self.high).min(&other.high).clone() }
+        Self {
+            low: (&self.low).min(&other.low).clone(),
+            high: (&self.high).min(&other.high).clone(),
+        }
     }
 
     fn max(&self, other: &Self) -> Self {
-        Self { low: (&self.low).max(&other.low).clone(), high: (&self.high).max(&other.high).clone() }
+        Self {
+            low: (&self.low).max(&other.low).clone(),
+            high: (&self.high).max(&other.high).clone(),
+        }
     }
 
     fn clamp(&self, low: f64, high: f64) -> Self {
@@ -76,17 +99,28 @@ impl FixedPointInterval {
         let down = |n: &BigInt, d: &BigInt| {
             let (n, zero) = (n << BITS, BigInt::ZERO);
             let whole = &n / d;
-            if n < zero && &whole * d != n { whole - 1 } else { whole }
+            if n < zero && &whole * d != n {
+                whole - 1
+            } else {
+                whole
+            }
         };
-        let ends = |f: &dyn Fn(&BigInt, &BigInt) -> BigInt, n: &BigInt| [f(n, &by.low), f(n, &by.high)];
+        let ends =
+            |f: &dyn Fn(&BigInt, &BigInt) -> BigInt, n: &BigInt| [f(n, &by.low), f(n, &by.high)];
         let [a, b] = ends(&down, &self.low);
         let [c, d] = ends(&|n, d| -down(&-n, d), &self.high);
-        Self { low: a.min(b), high: c.max(d) }
+        Self {
+            low: a.min(b),
+            high: c.max(d),
+        }
     }
 
     fn sqrt(&self) -> Self {
         let root = |scaled: &BigInt| (scaled << BITS).sqrt();
-        Self { low: root(&self.low), high: root(&self.high) + 1 }
+        Self {
+            low: root(&self.low),
+            high: root(&self.high) + 1,
+        }
     }
 
     pub fn is_below(&self, other: &Self) -> Result<bool, TooClose> {
@@ -131,7 +165,10 @@ impl FixedPointInterval {
                 sum += &term;
             }
             let off = BigInt::from(300);
-            let power = Self { low: &sum - &off, high: sum + off };
+            let power = Self {
+                low: &sum - &off,
+                high: sum + off,
+            };
             (0..halvings).fold(power, |power, _| power.clone() * power)
         };
         self.map_monotone(at)
@@ -139,7 +176,11 @@ impl FixedPointInterval {
 
     fn map_monotone(&self, at: impl Fn(&BigInt) -> Self) -> Self {
         let low = at(&self.low);
-        if self.low == self.high { low } else { low.hull(&at(&self.high)) }
+        if self.low == self.high {
+            low
+        } else {
+            low.hull(&at(&self.high))
+        }
     }
 
     fn tanh(&self) -> Self {
@@ -160,14 +201,20 @@ impl FixedPointInterval {
 impl Add for FixedPointInterval {
     type Output = Self;
     fn add(self, other: Self) -> Self {
-        Self { low: self.low + other.low, high: self.high + other.high }
+        Self {
+            low: self.low + other.low,
+            high: self.high + other.high,
+        }
     }
 }
 
 impl Neg for FixedPointInterval {
     type Output = Self;
     fn neg(self) -> Self {
-        Self { low: -self.high, high: -self.low }
+        Self {
+            low: -self.high,
+            high: -self.low,
+        }
     }
 }
 
@@ -181,8 +228,12 @@ impl Sub for FixedPointInterval {
 impl Mul for FixedPointInterval {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
-        let mut products =
-            [&self.low * &other.low, &self.low * &other.high, &self.high * &other.low, &self.high * &other.high];
+        let mut products = [
+            &self.low * &other.low,
+            &self.low * &other.high,
+            &self.high * &other.low,
+            &self.high * &other.high,
+        ];
         products.sort();
         let [low, .., high] = products;
         Self { low, high }.shift_right(BITS)
@@ -198,32 +249,45 @@ fn controller_output(
     let input = |input: &ControllerInput| {
         let number = match input.absent_value.filter(|_| !is_followed) {
             Some(absent) => absent.into(),
-            None => input
-                .coefficients
-                .iter()
-                .zip(seen)
-                .fold(input.constant.into(), |sum: FixedPointInterval, (&factor, number)| {
-                    sum + number.clone() * factor.into()
-                }),
+            None => input.coefficients.iter().zip(seen).fold(
+                input.constant.into(),
+                |sum: FixedPointInterval, (&factor, number)| sum + number.clone() * factor.into(),
+            ),
         };
-        (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
+        (number - input.offset.into())
+            .over(&input.scale.into())
+            .clamp(input.low, input.high)
     };
-    let answers = controller.layers.iter().fold(controller.inputs.iter().map(input).collect::<Vec<_>>(), apply_layer);
-    let wanted =
-        answers[controller.output_index].clone() * controller.scale_mps2.into() + controller.offset_mps2.into();
+    let answers = controller.layers.iter().fold(
+        controller.inputs.iter().map(input).collect::<Vec<_>>(),
+        apply_layer,
+    );
+    let wanted = answers[controller.output_index].clone() * controller.scale_mps2.into()
+        + controller.offset_mps2.into();
     let [low, high] = controller.action_bounds_mps2;
-    if controller.is_clipped { wanted.clamp(low, high) } else { wanted }
+    if controller.is_clipped {
+        wanted.clamp(low, high)
+    } else {
+        wanted
+    }
 }
 
 fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPointInterval> {
     let each = match step {
-        NetworkLayer::Linear(LinearLayer { outputs, weights, biases, .. }) => {
+        NetworkLayer::Linear(LinearLayer {
+            outputs,
+            weights,
+            biases,
+            ..
+        }) => {
             let of = |o: usize| {
                 let column = weights.iter().skip(o).step_by(*outputs);
                 h.iter()
                     .zip(column)
                     .filter(|(h, _)| !h.is_zero())
-                    .fold(biases[o].into(), |sum: FixedPointInterval, (h, &weight)| sum + h.clone() * weight.into())
+                    .fold(biases[o].into(), |sum: FixedPointInterval, (h, &weight)| {
+                        sum + h.clone() * weight.into()
+                    })
             };
             return (0..*outputs).map(of).collect();
         }
@@ -260,7 +324,8 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> 
     let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let mean = (of(law.accel_mps2) * of(law.comfortable_brake_mps2)).sqrt();
-    let dynamic = v.clone() * of(law.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
+    let dynamic =
+        v.clone() * of(law.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
     let gap_wanted = of(law.standstill_gap_m) + dynamic.max(&FixedPointInterval::zero());
     let share = gap_wanted.over(&gap.max(&of(0.01)));
     let part = v.over(&of(law.desired_speed_mps));
@@ -285,11 +350,16 @@ fn law_acceleration(
             let gain = of(acc.speed_gain_per_s);
             let limit = match acc.set_speed_mps {
                 Some(set_speed) => gain.clone() * (of(set_speed) - v.clone()),
-                None => (gain.clone() * (of(2.0) - closing.clone())).max(&FixedPointInterval::zero()),
+                None => {
+                    (gain.clone() * (of(2.0) - closing.clone())).max(&FixedPointInterval::zero())
+                }
             };
-            let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
+            let spacing =
+                gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
             let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;
-            let comfortable = limit.min(&follow).clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
+            let comfortable = limit
+                .min(&follow)
+                .clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
             (comfortable, acc.max_accel_mps2)
         }
     };
@@ -308,7 +378,11 @@ fn advance(
     step: &FixedPointInterval,
 ) -> Result<StepMotion, TooClose> {
     let is_idle = speed.is_zero() && !FixedPointInterval::zero().is_below(wanted)?;
-    let held = if is_idle { FixedPointInterval::zero() } else { wanted.clone() };
+    let held = if is_idle {
+        FixedPointInterval::zero()
+    } else {
+        wanted.clone()
+    };
     let after = |time: FixedPointInterval| {
         let end = speed.clone() + held.clone() * time.clone();
         // A vehicle that stops in time covers v²/(2b).
@@ -318,11 +392,22 @@ fn advance(
         } else {
             (speed.clone() + end.clone()) * time * 0.5.into()
         };
-        Ok((covered, if stops { FixedPointInterval::zero() } else { end }))
+        Ok((
+            covered,
+            if stops {
+                FixedPointInterval::zero()
+            } else {
+                end
+            },
+        ))
     };
     let (half, _) = after(step.clone() * 0.5.into())?;
     let (covered, speed_mps) = after(step.clone())?;
-    Ok(StepMotion { covered_m: [half, covered], speed_mps, held_mps2: held })
+    Ok(StepMotion {
+        covered_m: [half, covered],
+        speed_mps,
+        held_mps2: held,
+    })
 }
 
 /// Returns the true state at each decision, the last instant included, and the smallest gaps at any half step. Fails
@@ -334,16 +419,33 @@ pub fn simulate_exactly(
     error: impl Fn(usize) -> [f64; 8],
     brake: Option<&dyn Fn(u32) -> f64>,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
-    let ReachProblem { controller, follower, steps, decision_steps: every, .. } = *scene;
-    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] =
-        start.map(FixedPointInterval::from);
+    let ReachProblem {
+        controller,
+        follower,
+        steps,
+        decision_steps: every,
+        ..
+    } = *scene;
+    let [
+        mut ahead,
+        mut behind,
+        mut v_l,
+        mut v_e,
+        mut v_r,
+        brake_l,
+        brake_r,
+        onset,
+    ] = start.map(FixedPointInterval::from);
     let step = FixedPointInterval::from(scene.step_s);
     let zero = FixedPointInterval::zero;
-    let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
+    let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) =
+        (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
     for k in 0..=steps {
         let seen = match follower {
-            Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(FixedPointInterval::clone),
+            Some(_) => {
+                [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(FixedPointInterval::clone)
+            }
             None => [
                 ahead.clone(),
                 controller.empty_gap_m.into(),
@@ -369,7 +471,9 @@ pub fn simulate_exactly(
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
                 if fired { -brake_r.clone() } else { zero() }
             }
-            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &brake_r, [&behind, &v_r, &v_e])?,
+            Some(FollowerModel::ByLaw(law)) => {
+                law_acceleration(&law, &brake_r, [&behind, &v_r, &v_e])?
+            }
             None => zero(),
         };
         let brakes = match brake {
@@ -377,7 +481,9 @@ pub fn simulate_exactly(
             // The mean over the step of the onset.
             None => {
                 brake_l.clone()
-                    * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero())
+                    * (FixedPointInterval::from(f64::from(k) + 1.0)
+                        - onset.max(&f64::from(k).into()))
+                    .max(&zero())
             }
         };
         let leader = advance(&v_l, &-brakes, &step)?;
@@ -385,12 +491,14 @@ pub fn simulate_exactly(
         let behind_it = advance(&v_r, &wants_r, &step)?;
         if k < steps {
             for place in [0, 1] {
-                let [l, e, r] = [&leader, &ego, &behind_it].map(|moved| moved.covered_m[place].clone());
+                let [l, e, r] =
+                    [&leader, &ego, &behind_it].map(|moved| moved.covered_m[place].clone());
                 let gaps = [ahead.clone() + l - e.clone(), behind.clone() + e - r];
                 least = std::array::from_fn(|pair| least[pair].min(&gaps[pair]));
             }
         }
-        let [covered_l, covered_e, covered_r] = [&leader, &ego, &behind_it].map(|moved| moved.covered_m[1].clone());
+        let [covered_l, covered_e, covered_r] =
+            [&leader, &ego, &behind_it].map(|moved| moved.covered_m[1].clone());
         ahead = ahead + covered_l - covered_e.clone();
         behind = behind + covered_e - covered_r;
         (v_l, v_e, v_r) = (leader.speed_mps, ego.speed_mps, behind_it.speed_mps);

@@ -21,11 +21,18 @@ pub fn contains(interval: Interval, value: &BigRational) -> bool {
 }
 
 pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }
 
 pub fn policy_bytes(name: &str) -> Vec<u8> {
-    std::fs::read(format!("{}/../corpora/policy/{name}.safetensors", env!("CARGO_MANIFEST_DIR"))).unwrap()
+    std::fs::read(format!(
+        "{}/../corpora/policy/{name}.safetensors",
+        env!("CARGO_MANIFEST_DIR")
+    ))
+    .unwrap()
 }
 
 /// Returns a scene in which a leader of 2 m holds its speed, `gap_m` ahead of the only ego vehicle.
@@ -68,7 +75,10 @@ pub fn follower_at(position_m: f64, speed_mps: f64) -> SceneFollower {
 
 pub fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
     let of = |profile: &Vec<ConstantPiece<f64>>| {
-        profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
+        profile
+            .iter()
+            .flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS])
+            .collect()
     };
     witness.iter().map(of).collect()
 }
@@ -99,8 +109,15 @@ pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember 
             .flat_map(|&ConstantPiece(steps, a)| std::iter::repeat_n(a, steps as usize))
             .map(&mut of)
             .collect(),
-        egos: scene.egos.iter().map(|ego| [of(ego.position_m), of(ego.speed_mps)]).collect(),
-        follower: scene.follower.as_ref().map(|f| [of(f.position_m), of(f.speed_mps), of(f.brake_mps2)]),
+        egos: scene
+            .egos
+            .iter()
+            .map(|ego| [of(ego.position_m), of(ego.speed_mps)])
+            .collect(),
+        follower: scene
+            .follower
+            .as_ref()
+            .map(|f| [of(f.position_m), of(f.speed_mps), of(f.brake_mps2)]),
     }
 }
 
@@ -119,7 +136,11 @@ pub struct SimulatedRun {
 /// Returns position and speed after `dt`, without reversing.
 pub fn advance([x, v]: [f64; 2], a: f64, dt: f64) -> [f64; 2] {
     let end = v + a * dt;
-    if end < 0.0 { [x - v * v / (2.0 * a), 0.0] } else { [x + v * dt + 0.5 * a * dt * dt, end] }
+    if end < 0.0 {
+        [x - v * v / (2.0 * a), 0.0]
+    } else {
+        [x + v * dt + 0.5 * a * dt * dt, end]
+    }
 }
 
 pub fn simulate_scene(scene: &Scene, member: &SceneMember, profiles: &[Vec<f64>]) -> SimulatedRun {
@@ -145,7 +166,9 @@ pub fn simulate_scene(scene: &Scene, member: &SceneMember, profiles: &[Vec<f64>]
     };
     for k in 0..scene.steps {
         let mut rear_mps2 = 0.0;
-        if let (Some(follower), Some(rear), Some([_, _, brake])) = (&scene.follower, rear, member.follower) {
+        if let (Some(follower), Some(rear), Some([_, _, brake])) =
+            (&scene.follower, rear, member.follower)
+        {
             let ego = egos.last().unwrap();
             let guard = ego[0] - last_length_m - rear[0] - follower.ttc_s * (rear[1] - ego[1]);
             if guard < 0.0 && seen.fired == scene.steps {
@@ -185,20 +208,33 @@ pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
             .egos
             .iter()
             .enumerate()
-            .map(|(i, ego)| (0..substeps).map(|j| level(ego, i * blocks + j * blocks / substeps)).collect())
+            .map(|(i, ego)| {
+                (0..substeps)
+                    .map(|j| level(ego, i * blocks + j * blocks / substeps))
+                    .collect()
+            })
             .collect();
         simulate_scene(scene, member, &profiles).min_gap_m > 0.0
     })
 }
 
 /// Returns the rows of a branch as `(multiplier, value, is_collision_row)` for one run of one member.
-pub fn row_values(scene: &Scene, member: &SceneMember, run: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
+pub fn row_values(
+    scene: &Scene,
+    member: &SceneMember,
+    run: &SimulatedRun,
+    branch: &Branch,
+) -> Vec<(f64, f64, bool)> {
     let h = scene.step_s;
     let (first_ego, last_ego) = (&run.egos[0], run.egos.last().unwrap());
     let length_m = scene.egos.last().unwrap().length_m;
     let mut rows = Vec::new();
     for &(k, y) in &branch.front {
-        rows.push((y, first_ego[k as usize][0] - run.leader_rear_m[k as usize], true));
+        rows.push((
+            y,
+            first_ego[k as usize][0] - run.leader_rear_m[k as usize],
+            true,
+        ));
     }
     for (i, list) in branch.between.iter().enumerate() {
         for &(k, y) in list {
@@ -207,7 +243,10 @@ pub fn row_values(scene: &Scene, member: &SceneMember, run: &SimulatedRun, branc
         }
     }
     for (i, list) in branch.speed.iter().enumerate() {
-        rows.extend(list.iter().map(|&(k, y)| (y, -run.egos[i][k as usize][1], false)));
+        rows.extend(
+            list.iter()
+                .map(|&(k, y)| (y, -run.egos[i][k as usize][1], false)),
+        );
     }
     if let (Some(follower), Some([r0, vr, brake])) = (&scene.follower, member.follower) {
         for &(k, y) in &branch.rear {
@@ -265,7 +304,10 @@ prop_compose! {
 pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
     let egos = scene.egos.clone();
     let substeps = scene.steps as usize * SUBSTEPS;
-    let levels = prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64], egos.len() * substeps);
+    let levels = prop::collection::vec(
+        prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64],
+        egos.len() * substeps,
+    );
     (levels, prop::sample::select(vec![1, 3, SUBSTEPS, 1000])).prop_map(move |(levels, held)| {
         let at = |i: usize, j: usize| levels[i * substeps + j / held * held];
         let of = |(i, ego): (usize, &SceneEgo)| {
@@ -281,42 +323,70 @@ pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
 /// Generates sparse multipliers for the instants below `end`.
 fn multiplier_lists(end: u32) -> impl Strategy<Value = Vec<(u32, f64)>> {
     let value = prop_oneof![3 => Just(0.0), 1 => Just(1.0), 1 => 0.0..2.0_f64];
-    prop::collection::vec(value, end as usize)
-        .prop_map(|values| (0..).zip(values).filter(|row| row.1 > 0.0).collect::<Vec<_>>())
+    prop::collection::vec(value, end as usize).prop_map(|values| {
+        (0..)
+            .zip(values)
+            .filter(|row| row.1 > 0.0)
+            .collect::<Vec<_>>()
+    })
 }
 
 pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
     let (n, egos, has_follower) = (scene.steps, scene.egos.len(), scene.follower.is_some());
-    let ends = if has_follower { (0..=n, 0..=n).boxed() } else { Just((0, n)).boxed() };
+    let ends = if has_follower {
+        (0..=n, 0..=n).boxed()
+    } else {
+        Just((0, n)).boxed()
+    };
     ends.prop_flat_map(move |(a, b)| {
         let (first, last) = (a.min(b), a.max(b));
         let with_follower = move |end: u32| if has_follower { end } else { 0 };
-        let fired = if has_follower && first == last && first < n { 0.0..1.0_f64 } else { 0.0..f64::MIN_POSITIVE };
+        let fired = if has_follower && first == last && first < n {
+            0.0..1.0_f64
+        } else {
+            0.0..f64::MIN_POSITIVE
+        };
         (
             multiplier_lists(n + 1),
             prop::collection::vec(multiplier_lists(n + 1), egos - 1),
             multiplier_lists(with_follower(n + 1)),
             prop::collection::vec(multiplier_lists(n + 1), egos),
             multiplier_lists(with_follower(first)),
-            fired.prop_map(|fired| if fired < f64::MIN_POSITIVE { 0.0 } else { fired }),
+            fired.prop_map(|fired| {
+                if fired < f64::MIN_POSITIVE {
+                    0.0
+                } else {
+                    fired
+                }
+            }),
         )
-            .prop_map(move |(front, between, rear, speed, unfired, fired)| Branch {
-                first,
-                last,
-                front,
-                between,
-                rear,
-                speed,
-                unfired,
-                fired,
-            })
+            .prop_map(
+                move |(front, between, rear, speed, unfired, fired)| Branch {
+                    first,
+                    last,
+                    front,
+                    between,
+                    rear,
+                    speed,
+                    unfired,
+                    fired,
+                },
+            )
     })
 }
 
 pub fn certificate(statement: Statement) -> Certificate {
-    let provenance =
-        CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
-    Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
+    let provenance = CertificateProvenance {
+        crumple: "0".into(),
+        scenario: "a test".into(),
+        ..CertificateProvenance::default()
+    };
+    Certificate {
+        version: 1,
+        provenance,
+        assumptions: statement.assumptions(),
+        statement,
+    }
 }
 
 pub fn reach_certificate(claim: reach::ReachClaim) -> Certificate {
@@ -325,7 +395,13 @@ pub fn reach_certificate(claim: reach::ReachClaim) -> Certificate {
 
 /// Generates scenes with multipliers that often prove them unavoidable: the best of many guesses per firing instant.
 pub fn proofs(egos: usize) -> impl Strategy<Value = (Scene, Vec<Branch>)> {
-    let guess = (any::<[prop::sample::Index; 4]>(), any::<[bool; 4]>(), 0.2..3.0_f64, 0.0..2.0_f64, 0.0..2.0_f64);
+    let guess = (
+        any::<[prop::sample::Index; 4]>(),
+        any::<[bool; 4]>(),
+        0.2..3.0_f64,
+        0.0..2.0_f64,
+        0.0..2.0_f64,
+    );
     (scenes(egos), prop::collection::vec(guess, 60)).prop_map(|(scene, guesses)| {
         let n = scene.steps;
         let ends = if scene.follower.is_some() { n } else { 0 };
@@ -333,14 +409,20 @@ pub fn proofs(egos: usize) -> impl Strategy<Value = (Scene, Vec<Branch>)> {
             let last = if ends == 0 { n } else { first };
             let guessed = guesses.iter().map(|(at, with, rear, unfired, fired)| {
                 let k = |i: usize| at[i].index(n as usize + 1) as u32;
-                let list = |is_there: bool, row: (u32, f64)| if is_there { vec![row] } else { Vec::new() };
+                let list =
+                    |is_there: bool, row: (u32, f64)| if is_there { vec![row] } else { Vec::new() };
                 Branch {
                     first,
                     last,
                     front: list(with[0] || ends == 0, (k(0), 1.0)),
-                    between: (1..scene.egos.len()).map(|_| list(true, (k(1), 1.0))).collect(),
+                    between: (1..scene.egos.len())
+                        .map(|_| list(true, (k(1), 1.0)))
+                        .collect(),
                     rear: list(ends > 0 && with[1], (k(2), *rear)),
-                    unfired: list(with[2] && first > 0, (at[3].index(first.max(1) as usize) as u32, *unfired)),
+                    unfired: list(
+                        with[2] && first > 0,
+                        (at[3].index(first.max(1) as usize) as u32, *unfired),
+                    ),
                     fired: if with[3] && first < ends { *fired } else { 0.0 },
                     ..Branch::default()
                 }
@@ -350,7 +432,9 @@ pub fn proofs(egos: usize) -> impl Strategy<Value = (Scene, Vec<Branch>)> {
                 Err(Rejection::Unproved { sum_m, .. }) => sum_m.min(0.0),
                 Err(other) => panic!("{other}"),
             };
-            guessed.max_by(|a, b| proved_m(a).total_cmp(&proved_m(b))).expect("some guess")
+            guessed
+                .max_by(|a, b| proved_m(a).total_cmp(&proved_m(b)))
+                .expect("some guess")
         });
         let branches = branches.collect();
         (scene, branches)

@@ -22,19 +22,29 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
                     ("zero", 0.0),
                     ("huge", 1e300),
                 ] {
-                    let changed = if number.is_u64() && changed >= 0.0 && changed.fract() == 0.0 && changed < 1e9 {
+                    let changed = if number.is_u64()
+                        && changed >= 0.0
+                        && changed.fract() == 0.0
+                        && changed < 1e9
+                    {
                         json!(changed as u64)
                     } else {
                         json!(changed)
                     };
                     if changed != *value {
-                        changes.push((what.to_owned(), Box::new(move |value| *value = changed.clone())));
+                        changes.push((
+                            what.to_owned(),
+                            Box::new(move |value| *value = changed.clone()),
+                        ));
                     }
                 }
             }
             Value::Array(list) => {
                 for i in 0..list.len() {
-                    changes.push((format!("without entry {i}"), Box::new(move |value| drop(array(value).remove(i)))));
+                    changes.push((
+                        format!("without entry {i}"),
+                        Box::new(move |value| drop(array(value).remove(i))),
+                    ));
                     let doubled = move |value: &mut Value| {
                         let entry = array(value)[i].clone();
                         array(value).insert(i, entry);
@@ -42,16 +52,23 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
                     changes.push((format!("with entry {i} twice"), Box::new(doubled)));
                     if i > 0 && list[i - 1] != list[i] {
                         let swap = move |value: &mut Value| array(value).swap(i - 1, i);
-                        changes.push((format!("with entry {i} before its predecessor"), Box::new(swap)));
+                        changes.push((
+                            format!("with entry {i} before its predecessor"),
+                            Box::new(swap),
+                        ));
                     }
                 }
             }
             Value::Object(fields) => {
                 for name in fields.keys() {
-                    let remove = move |value: &mut Value| drop(value.as_object_mut().map(|fields| fields.remove(name)));
+                    let remove = move |value: &mut Value| {
+                        drop(value.as_object_mut().map(|fields| fields.remove(name)))
+                    };
                     changes.push(("without a field".to_owned(), Box::new(remove)));
                 }
-                if let (Some(low), Some(high)) = (fields.get("low").cloned(), fields.get("high").cloned()) {
+                if let (Some(low), Some(high)) =
+                    (fields.get("low").cloned(), fields.get("high").cloned())
+                {
                     let swap = move |value: &mut Value| *value = json!({"low": high, "high": low});
                     changes.push(("turned around".to_owned(), Box::new(swap)));
                 }
@@ -81,10 +98,14 @@ fn array(value: &mut Value) -> &mut Vec<Value> {
 fn collect_pointers(value: &Value, place: String, places: &mut Vec<String>) {
     match value {
         Value::Array(list) => {
-            list.iter().enumerate().for_each(|(i, entry)| collect_pointers(entry, format!("{place}/{i}"), places));
+            list.iter()
+                .enumerate()
+                .for_each(|(i, entry)| collect_pointers(entry, format!("{place}/{i}"), places));
         }
         Value::Object(fields) => {
-            fields.iter().for_each(|(name, field)| collect_pointers(field, format!("{place}/{name}"), places));
+            fields.iter().for_each(|(name, field)| {
+                collect_pointers(field, format!("{place}/{name}"), places)
+            });
         }
         _ => {}
     }

@@ -29,7 +29,10 @@ impl BoundarySearch<'_> {
             let [mut low_m, mut high_m] = [table.node_height(node), self.highest_m];
             while high_m - low_m > SIMULATED_WIDTH_M {
                 let gap_m = 0.5 * (low_m + high_m);
-                if ACCELERATES_S.iter().any(|&time_s| self.collides(gap_m, state, time_s)) {
+                if ACCELERATES_S
+                    .iter()
+                    .any(|&time_s| self.collides(gap_m, state, time_s))
+                {
                     low_m = gap_m;
                 } else {
                     high_m = gap_m;
@@ -48,7 +51,11 @@ impl BoundarySearch<'_> {
         let is_relative = claim.motion == MotionModel::Relative;
         let mut acceleration = 0.0;
         for step in 0..MAX_SIMULATED_STEPS {
-            let leads = if f64::from(step) * claim.step_s < accelerates_s { accelerates } else { brakes };
+            let leads = if f64::from(step) * claim.step_s < accelerates_s {
+                accelerates
+            } else {
+                brakes
+            };
             if step % claim.decision_steps == 0 {
                 let [low, high] = self.commands(gap_m, &[own, leader]);
                 acceleration = (0.5 * (low + high)).clamp(claim.own_mps2[0], claim.own_mps2[1]);
@@ -59,13 +66,22 @@ impl BoundarySearch<'_> {
                 own += of_closing * claim.step_s;
             } else {
                 let leads = leads.min((fastest - leader) / claim.step_s);
-                let [[own_m, own_end], [leader_m, leader_end]] =
-                    [advance(own, acceleration, claim.step_s), advance(leader, leads, claim.step_s)];
+                let [[own_m, own_end], [leader_m, leader_end]] = [
+                    advance(own, acceleration, claim.step_s),
+                    advance(leader, leads, claim.step_s),
+                ];
                 gap_m += leader_m - own_m;
                 (own, leader) = (own_end, leader_end);
             }
-            let is_over = if is_relative { own <= 0.0 } else { own == 0.0 && leader == 0.0 };
-            let is_over = is_over || claim.ends_beyond_gap_m.is_some_and(|limit_m| gap_m > limit_m);
+            let is_over = if is_relative {
+                own <= 0.0
+            } else {
+                own == 0.0 && leader == 0.0
+            };
+            let is_over = is_over
+                || claim
+                    .ends_beyond_gap_m
+                    .is_some_and(|limit_m| gap_m > limit_m);
             if gap_m <= 0.0 || is_over {
                 return gap_m <= 0.0;
             }

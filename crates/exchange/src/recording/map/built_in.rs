@@ -32,7 +32,8 @@ impl RecordingMap {
         if let (Some(dbc), Some(folder)) = (&mut spec.dbc, path.parent()) {
             *dbc = folder.join(&*dbc);
         }
-        Self::new(spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))
+        Self::new(spec)
+            .map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))
     }
 
     /// Checks a map. The error is the first invalid field, with its problem.
@@ -57,20 +58,28 @@ impl RecordingMap {
     }
 
     /// Returns the name of the built-in map whose columns are all among `names`.
-    pub(in crate::recording) fn recognise<'n>(names: impl Iterator<Item = &'n str> + Clone) -> Option<&'static str> {
+    pub(in crate::recording) fn recognise<'n>(
+        names: impl Iterator<Item = &'n str> + Clone,
+    ) -> Option<&'static str> {
         let is_for = |text: &str| {
             let map = Self::from_toml(text, Path::new(""));
             let has = |column: &str| names.clone().any(|name| is_same_name(name, column));
             map.is_ok_and(|map| map.spec.columns().iter().all(|(_, column)| has(column)))
         };
-        BUILT_IN_MAPS.iter().find(|(_, text)| is_for(text)).map(|(name, _)| *name)
+        BUILT_IN_MAPS
+            .iter()
+            .find(|(_, text)| is_for(text))
+            .map(|(name, _)| *name)
     }
 }
 
 /// Name and text of every built-in map.
 pub const BUILT_IN_MAPS: [(&str, &str); 5] = [
     ("openacc", include_str!("../built_in/openacc.toml")),
-    ("car-following", include_str!("../built_in/car-following.toml")),
+    (
+        "car-following",
+        include_str!("../built_in/car-following.toml"),
+    ),
     ("highd", include_str!("../built_in/highd.toml")),
     ("ngsim", include_str!("../built_in/ngsim.toml")),
     ("sumo-fcd", include_str!("../built_in/sumo-fcd.toml")),

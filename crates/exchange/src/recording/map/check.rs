@@ -2,7 +2,9 @@
 
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
-use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec};
+use super::{
+    LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec,
+};
 
 pub(super) const MAP_VERSION: u32 = 1;
 const MAX_TEXT_LENGTH: usize = 200;
@@ -16,26 +18,48 @@ const MAX_LANE_BLIP_S: f64 = 5.0;
 pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     let wrong = |field: &str, problem: String| Err((field.to_owned(), problem));
     if spec.version != MAP_VERSION {
-        return wrong("version", format!("version {} is not supported: this release reads version 1", spec.version));
+        return wrong(
+            "version",
+            format!(
+                "version {} is not supported: this release reads version 1",
+                spec.version
+            ),
+        );
     }
     let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
     if spec.name.is_empty() || spec.name.len() > 40 || !spec.name.chars().all(is_plain) {
-        return wrong("name", "must be 1 to 40 lower-case letters, digits and hyphens".to_owned());
+        return wrong(
+            "name",
+            "must be 1 to 40 lower-case letters, digits and hyphens".to_owned(),
+        );
     }
     if spec.lines_before_names > MAX_LINES_BEFORE_NAMES {
         let found = spec.lines_before_names;
-        return wrong("lines_before_names", format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"));
+        return wrong(
+            "lines_before_names",
+            format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"),
+        );
     }
-    for (field, is_stated) in
-        [("bus_channel", spec.bus_channel.is_some()), ("source_address", spec.source_address.is_some())]
-    {
+    for (field, is_stated) in [
+        ("bus_channel", spec.bus_channel.is_some()),
+        ("source_address", spec.source_address.is_some()),
+    ] {
         if is_stated && spec.dbc.is_none() {
-            return wrong(field, "applies only to raw CAN frames, which need a DBC file (`dbc`)".to_owned());
+            return wrong(
+                field,
+                "applies only to raw CAN frames, which need a DBC file (`dbc`)".to_owned(),
+            );
         }
     }
-    check_range("interpolate_s", spec.interpolate_s, [0.0, MAX_INTERPOLATION_S])?;
+    check_range(
+        "interpolate_s",
+        spec.interpolate_s,
+        [0.0, MAX_INTERPOLATION_S],
+    )?;
     let columns = spec.columns();
-    columns.iter().try_for_each(|(field, column)| check_name(field, column))?;
+    columns
+        .iter()
+        .try_for_each(|(field, column)| check_name(field, column))?;
     if let TimeSpec::Frames(frames) = &spec.time {
         check_range("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
     }
@@ -43,16 +67,29 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
         LayoutSpec::Platoon(platoon) => check_platoon(platoon),
         LayoutSpec::Pairs(pairs) => check_pairs(pairs),
         LayoutSpec::Tracks(tracks) => {
-            check_range("layout.tracks.lane_blip_s", tracks.lane_blip_s, [0.0, MAX_LANE_BLIP_S])?;
+            check_range(
+                "layout.tracks.lane_blip_s",
+                tracks.lane_blip_s,
+                [0.0, MAX_LANE_BLIP_S],
+            )?;
             match tracks.length {
                 LengthSpec::Column(_) => Ok(()),
-                LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", metres, [0.1, 100.0]),
+                LengthSpec::Metres(metres) => {
+                    check_range("layout.tracks.length.metres", metres, [0.1, 100.0])
+                }
             }
         }
     }?;
     for (index, (field, column)) in columns.iter().enumerate() {
-        if let Some((other, _)) = columns.iter().take(index).find(|(_, known)| known == column) {
-            return wrong(field, format!("`{column}` is already the column of `{other}`"));
+        if let Some((other, _)) = columns
+            .iter()
+            .take(index)
+            .find(|(_, known)| known == column)
+        {
+            return wrong(
+                field,
+                format!("`{column}` is already the column of `{other}`"),
+            );
         }
     }
     Ok(())
@@ -79,18 +116,26 @@ impl RecordingMapSpec {
     /// Returns whether the map names a column of a table, except for capital letters.
     #[cfg(feature = "parquet")]
     pub(in crate::recording) fn has_column(&self, name: &str) -> bool {
-        let is_named = |column: &str| is_same_name(column, name) || column_number(name, column).is_some();
-        self.columns().into_iter().any(|(_, column)| is_named(column))
+        let is_named =
+            |column: &str| is_same_name(column, name) || column_number(name, column).is_some();
+        self.columns()
+            .into_iter()
+            .any(|(_, column)| is_named(column))
     }
 
     /// Returns the role of a column; `None` if the map does not name it.
     #[cfg(feature = "mdf")]
     pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
         let is_named = |column: &str| column == name || column_number(name, column).is_some();
-        let (field, _) = self.columns().into_iter().find(|(_, column)| is_named(column))?;
+        let (field, _) = self
+            .columns()
+            .into_iter()
+            .find(|(_, column)| is_named(column))?;
         Some(ColumnRole {
             is_clock: field == "time.clock.column",
-            is_id: field.ends_with(".event") || field.ends_with(".vehicle") || field.ends_with(".lane"),
+            is_id: field.ends_with(".event")
+                || field.ends_with(".vehicle")
+                || field.ends_with(".lane"),
             is_spacing: field.ends_with("spacing.column") || field.ends_with("position.column"),
         })
     }
@@ -104,23 +149,47 @@ impl RecordingMapSpec {
         let of_layout = match &self.layout {
             LayoutSpec::Platoon(platoon) => vec![
                 ("layout.platoon.speed.column", Some(&platoon.speed.column)),
-                ("layout.platoon.spacing.column", Some(&platoon.spacing.column)),
+                (
+                    "layout.platoon.spacing.column",
+                    Some(&platoon.spacing.column),
+                ),
             ],
             LayoutSpec::Pairs(pairs) => vec![
                 ("layout.pairs.event", pairs.event.as_ref()),
                 ("layout.pairs.spacing.column", Some(&pairs.spacing.column)),
-                ("layout.pairs.follower_speed.column", pairs.follower_speed.as_ref().map(|speed| &speed.column)),
-                ("layout.pairs.follower_speed.acceleration.column", acceleration(pairs.follower_speed.as_ref())),
-                ("layout.pairs.leader_speed.acceleration.column", acceleration(pairs.leader_speed.as_ref())),
-                ("layout.pairs.leader_speed.column", pairs.leader_speed.as_ref().map(|speed| &speed.column)),
-                ("layout.pairs.relative_speed.column", pairs.relative_speed.as_ref().map(|speed| &speed.column)),
+                (
+                    "layout.pairs.follower_speed.column",
+                    pairs.follower_speed.as_ref().map(|speed| &speed.column),
+                ),
+                (
+                    "layout.pairs.follower_speed.acceleration.column",
+                    acceleration(pairs.follower_speed.as_ref()),
+                ),
+                (
+                    "layout.pairs.leader_speed.acceleration.column",
+                    acceleration(pairs.leader_speed.as_ref()),
+                ),
+                (
+                    "layout.pairs.leader_speed.column",
+                    pairs.leader_speed.as_ref().map(|speed| &speed.column),
+                ),
+                (
+                    "layout.pairs.relative_speed.column",
+                    pairs.relative_speed.as_ref().map(|speed| &speed.column),
+                ),
             ],
             LayoutSpec::Tracks(tracks) => vec![
                 ("layout.tracks.vehicle", Some(&tracks.vehicle)),
                 ("layout.tracks.lane", tracks.lane.as_ref()),
-                ("layout.tracks.position.column", Some(&tracks.position.column)),
+                (
+                    "layout.tracks.position.column",
+                    Some(&tracks.position.column),
+                ),
                 ("layout.tracks.speed.column", Some(&tracks.speed.column)),
-                ("layout.tracks.speed.acceleration.column", acceleration(Some(&tracks.speed))),
+                (
+                    "layout.tracks.speed.acceleration.column",
+                    acceleration(Some(&tracks.speed)),
+                ),
                 (
                     "layout.tracks.length.column.name",
                     match &tracks.length {
@@ -131,19 +200,28 @@ impl RecordingMapSpec {
             ],
         };
         let all = std::iter::once(time).chain(of_layout);
-        all.filter_map(|(field, column)| Some((field, column?.as_str()))).collect()
+        all.filter_map(|(field, column)| Some((field, column?.as_str())))
+            .collect()
     }
 }
 
 fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
-    for (field, column) in [("speed", &spec.speed.column), ("spacing", &spec.spacing.column)] {
+    for (field, column) in [
+        ("speed", &spec.speed.column),
+        ("spacing", &spec.spacing.column),
+    ] {
         if column.matches("{}").count() != 1 {
             let problem = "must hold `{}` once, where the vehicle's number stands";
             return Err((format!("layout.platoon.{field}.column"), problem.to_owned()));
         }
     }
-    for (field, line) in [("names_line", &spec.names_line), ("count_line", &spec.count_line)] {
-        line.as_ref().map_or(Ok(()), |line| check_name(&format!("layout.platoon.{field}"), line))?;
+    for (field, line) in [
+        ("names_line", &spec.names_line),
+        ("count_line", &spec.count_line),
+    ] {
+        line.as_ref().map_or(Ok(()), |line| {
+            check_name(&format!("layout.platoon.{field}"), line)
+        })?;
     }
     if spec.speed.acceleration.is_some() {
         let problem = "acceleration: is not used for platoons: remove it";
@@ -153,7 +231,11 @@ fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
 }
 
 fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
-    let speeds = [spec.follower_speed.is_some(), spec.leader_speed.is_some(), spec.relative_speed.is_some()];
+    let speeds = [
+        spec.follower_speed.is_some(),
+        spec.leader_speed.is_some(),
+        spec.relative_speed.is_some(),
+    ];
     if speeds.into_iter().filter(|is_given| *is_given).count() < 2 {
         let problem = "needs two of follower_speed, leader_speed and relative_speed";
         return Err(("layout.pairs".to_owned(), problem.to_owned()));
@@ -162,15 +244,21 @@ fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
 }
 
 /// Requires a length exactly where spacings are from front to front.
-fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<(), (String, String)> {
+fn check_length(
+    layout: &str,
+    from: Spacing,
+    length_m: Option<f64>,
+) -> Result<(), (String, String)> {
     let field = format!("{layout}.length_m");
     match (from, length_m) {
-        (Spacing::FrontToFront, None) => {
-            Err((layout.to_owned(), "length_m: is needed for spacings from front to front".to_owned()))
-        }
-        (Spacing::BumperToBumper, Some(_)) => {
-            Err((field, "is not used for spacings from bumper to bumper: remove it".to_owned()))
-        }
+        (Spacing::FrontToFront, None) => Err((
+            layout.to_owned(),
+            "length_m: is needed for spacings from front to front".to_owned(),
+        )),
+        (Spacing::BumperToBumper, Some(_)) => Err((
+            field,
+            "is not used for spacings from bumper to bumper: remove it".to_owned(),
+        )),
         (Spacing::FrontToFront, Some(length_m)) => check_range(&field, length_m, [0.1, 100.0]),
         (Spacing::BumperToBumper, None) => Ok(()),
     }
@@ -179,7 +267,9 @@ fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<()
 fn check_name(field: &str, name: &str) -> Result<(), (String, String)> {
     let letters = name.chars().count();
     if name.trim() != name || !(1..=MAX_TEXT_LENGTH).contains(&letters) {
-        let problem = format!("must be 1 to {MAX_TEXT_LENGTH} letters without blanks around them, found {letters}");
+        let problem = format!(
+            "must be 1 to {MAX_TEXT_LENGTH} letters without blanks around them, found {letters}"
+        );
         return Err((field.to_owned(), problem));
     }
     Ok(())
@@ -189,7 +279,10 @@ fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (Str
     if (min..=max).contains(&found) {
         Ok(())
     } else {
-        Err((field.to_owned(), format!("must be from {min} to {max}, found {found}")))
+        Err((
+            field.to_owned(),
+            format!("must be from {min} to {max}, found {found}"),
+        ))
     }
 }
 

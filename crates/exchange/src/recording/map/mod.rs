@@ -10,16 +10,23 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 pub(in crate::recording) use check::is_same_name;
-pub(in crate::recording) use units::{ColumnUnit, factor_by_name, other_unit_in_name, unit_in_name, words};
+pub(in crate::recording) use units::{
+    ColumnUnit, factor_by_name, other_unit_in_name, unit_in_name, words,
+};
 
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};
 pub use units::{
-    AccelerationUnit, DecimalMark, Delimiter, LengthUnit, ReferencePoint, Sign, Spacing, SpeedUnit, TimeUnit,
+    AccelerationUnit, DecimalMark, Delimiter, LengthUnit, ReferencePoint, Sign, Spacing, SpeedUnit,
+    TimeUnit,
 };
 
 /// Content of a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "crumple map of a recording, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    derive(schemars::JsonSchema),
+    schemars(title = "crumple map of a recording, version 1")
+)]
 #[serde(deny_unknown_fields, expecting = "a map: a table of fields")]
 pub struct RecordingMapSpec {
     /// Version of the format: 1.
@@ -90,7 +97,10 @@ impl RecordingMapSpec {
 /// Frames of some messages, by a number of their bus or sender.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(untagged, expecting = "must be a number from 0 to 255, or a table of such numbers by the names of messages")]
+#[serde(
+    untagged,
+    expecting = "must be a number from 0 to 255, or a table of such numbers by the names of messages"
+)]
 pub enum FrameChoice {
     /// One number for all messages.
     All(u8),

@@ -98,28 +98,41 @@ pub(in crate::recording) enum ColumnUnit {
     /// Frames of this duration in seconds.
     Frames(f64),
     /// One of the units of a quantity, if the map states one.
-    Quantity { units: &'static [NamedUnit], stated: Option<NamedUnit> },
+    Quantity {
+        units: &'static [NamedUnit],
+        stated: Option<NamedUnit>,
+    },
 }
 
 /// Units in brackets that crumple recognises, but does not convert.
-const OTHER_UNITS: [&str; 12] = ["kn", "kt", "knots", "cm/s", "mm/s", "km", "mm", "dm", "yd", "mi", "in", "min"];
+const OTHER_UNITS: [&str; 12] = [
+    "kn", "kt", "knots", "cm/s", "mm/s", "km", "mm", "dm", "yd", "mi", "in", "min",
+];
 
 /// Returns the unit of a quantity that the name of a column states, such as `v [km/h]` or `v_kmh`.
 pub(in crate::recording) fn unit_in_name(units: &[NamedUnit], name: &str) -> Option<NamedUnit> {
     let words = words(name);
     let is_named = |(unit, _): &&NamedUnit| {
         let joined = unit.replace('/', "");
-        words.iter().any(|word| *word == joined || plain_unit(word) == *unit)
+        words
+            .iter()
+            .any(|word| *word == joined || plain_unit(word) == *unit)
     };
     // Longer units contain shorter ones.
-    units.iter().filter(is_named).max_by_key(|(unit, _)| unit.len()).copied()
+    units
+        .iter()
+        .filter(is_named)
+        .max_by_key(|(unit, _)| unit.len())
+        .copied()
 }
 
 /// Returns the unit in brackets at the end of a name, if crumple does not convert it.
 pub(in crate::recording) fn other_unit_in_name(name: &str) -> Option<&'static str> {
     let inner = name.trim_end().strip_suffix([']', ')'])?;
     let (_, unit) = inner.rsplit_once(['[', '('])?;
-    OTHER_UNITS.into_iter().find(|other| other.eq_ignore_ascii_case(unit.trim()))
+    OTHER_UNITS
+        .into_iter()
+        .find(|other| other.eq_ignore_ascii_case(unit.trim()))
 }
 
 /// Splits a name into words in lower case, at punctuation and where capitals begin; also the words joined in pairs.
@@ -135,7 +148,11 @@ pub(in crate::recording) fn words(name: &str) -> Vec<String> {
                 words.push(String::new());
             }
             is_open = true;
-            words.iter_mut().last().into_iter().for_each(|word| word.extend(letter.to_lowercase()));
+            words
+                .iter_mut()
+                .last()
+                .into_iter()
+                .for_each(|word| word.extend(letter.to_lowercase()));
         }
         was_lower = letter.is_lowercase();
     }
@@ -146,9 +163,16 @@ pub(in crate::recording) fn words(name: &str) -> Vec<String> {
 
 /// Returns the size of a unit of speed, length or acceleration, by its name in a file.
 pub(in crate::recording) fn factor_by_name(name: &str) -> Option<f64> {
-    let plain = name.trim().to_lowercase().replace('²', "2").replace('^', "");
-    let mut all = [SpeedUnit::ALL, LengthUnit::ALL, AccelerationUnit::ALL].into_iter().flatten();
-    all.find(|(unit, _)| *unit == plain_unit(&plain)).map(|(_, factor)| *factor)
+    let plain = name
+        .trim()
+        .to_lowercase()
+        .replace('²', "2")
+        .replace('^', "");
+    let mut all = [SpeedUnit::ALL, LengthUnit::ALL, AccelerationUnit::ALL]
+        .into_iter()
+        .flatten();
+    all.find(|(unit, _)| *unit == plain_unit(&plain))
+        .map(|(_, factor)| *factor)
 }
 
 /// Returns the name of a unit in maps, for another name of it in lower case.

@@ -60,7 +60,9 @@ impl Blocks {
         let identification = blocks.bytes(0, 64)?;
         let version = little_endian(&identification, 28, 2).unwrap_or(0);
         if !(400..500).contains(&version) {
-            return Err(MdfError::Unsupported("a version of MDF other than 4".to_owned()));
+            return Err(MdfError::Unsupported(
+                "a version of MDF other than 4".to_owned(),
+            ));
         }
         if identification.starts_with(b"UnFinMF") {
             return Err(MdfError::Unsupported(
@@ -88,21 +90,38 @@ impl Blocks {
     fn header(&mut self, at: u64) -> Result<Header, MdfError> {
         self.use_metadata(at, HEADER_BYTES)?;
         let header = self.bytes(at, HEADER_BYTES)?;
-        let [b'#', b'#', first, second, ..] = header[..] else { return Err(damaged(at, "no block begins here")) };
-        let (bytes, links) = (little_endian(&header, 8, 8).unwrap_or(0), little_endian(&header, 16, 8).unwrap_or(0));
+        let [b'#', b'#', first, second, ..] = header[..] else {
+            return Err(damaged(at, "no block begins here"));
+        };
+        let (bytes, links) = (
+            little_endian(&header, 8, 8).unwrap_or(0),
+            little_endian(&header, 16, 8).unwrap_or(0),
+        );
         if bytes < HEADER_BYTES || links > (bytes - HEADER_BYTES) / 8 {
             return Err(damaged(at, "the length of the block is wrong"));
         }
-        Ok(Header { kind: [first, second], bytes, links })
+        Ok(Header {
+            kind: [first, second],
+            bytes,
+            links,
+        })
     }
 
     /// Returns a block of a known type; `None` for an empty link.
     pub(super) fn find(&mut self, at: u64, kind: &BlockType) -> Result<Option<Block>, MdfError> {
-        if at == 0 { Ok(None) } else { self.read(at, kind).map(Some) }
+        if at == 0 {
+            Ok(None)
+        } else {
+            self.read(at, kind).map(Some)
+        }
     }
 
     /// Returns a block that only one link may name.
-    pub(super) fn find_once(&mut self, at: u64, kind: &BlockType) -> Result<Option<Block>, MdfError> {
+    pub(super) fn find_once(
+        &mut self,
+        at: u64,
+        kind: &BlockType,
+    ) -> Result<Option<Block>, MdfError> {
         if at != 0 {
             self.visit(at)?;
         }
@@ -111,7 +130,10 @@ impl Blocks {
 
     fn use_metadata(&mut self, at: u64, bytes: u64) -> Result<(), MdfError> {
         let problem = "the links name the same blocks too often";
-        self.metadata_left = self.metadata_left.checked_sub(bytes).ok_or(damaged(at, problem))?;
+        self.metadata_left = self
+            .metadata_left
+            .checked_sub(bytes)
+            .ok_or(damaged(at, problem))?;
         Ok(())
     }
 
@@ -128,8 +150,15 @@ impl Blocks {
         self.use_metadata(at, header.bytes)?;
         let content = self.bytes(at + HEADER_BYTES, header.bytes - HEADER_BYTES)?;
         let (links, data) = content.split_at(8 * header.links as usize);
-        let links = links.chunks_exact(8).map(|link| little_endian(link, 0, 8).unwrap_or(0)).collect();
-        Ok(Block { at, links, data: data.to_vec() })
+        let links = links
+            .chunks_exact(8)
+            .map(|link| little_endian(link, 0, 8).unwrap_or(0))
+            .collect();
+        Ok(Block {
+            at,
+            links,
+            data: data.to_vec(),
+        })
     }
 
     /// Returns the text of a text block, or of the first `TX` element of a metadata block; empty for an empty link.
@@ -144,13 +173,19 @@ impl Blocks {
         let block = self.read(at, &kind)?;
         let text = String::from_utf8_lossy(&block.data);
         let text = text.split('\0').next().unwrap_or_default();
-        let element = text.split_once("<TX>").and_then(|(_, rest)| rest.split_once("</TX>"));
+        let element = text
+            .split_once("<TX>")
+            .and_then(|(_, rest)| rest.split_once("</TX>"));
         Ok(element.map_or(text, |(inner, _)| inner).trim().to_owned())
     }
 
     /// Marks a block that only one link may name.
     fn visit(&mut self, at: u64) -> Result<(), MdfError> {
-        if self.visited.insert(at) { Ok(()) } else { Err(damaged(at, "two links name the block")) }
+        if self.visited.insert(at) {
+            Ok(())
+        } else {
+            Err(damaged(at, "two links name the block"))
+        }
     }
 
     /// Returns the offsets of the data blocks behind a link, in order.
@@ -172,7 +207,9 @@ impl Blocks {
                     }
                     at = list.link(0);
                 }
-                b"LD" | b"DV" => return Err(MdfError::Unsupported("samples stored by column".to_owned())),
+                b"LD" | b"DV" => {
+                    return Err(MdfError::Unsupported("samples stored by column".to_owned()));
+                }
                 _ => return Err(damaged(at, "the block holds no samples")),
             }
         }
@@ -182,24 +219,34 @@ impl Blocks {
     fn decompress(&mut self, at: u64) -> Result<Vec<u8>, MdfError> {
         let fields = self.bytes(at + HEADER_BYTES, 24)?;
         let number = |from, count| little_endian(&fields, from, count).unwrap_or(0);
-        let (kind, columns, original, compressed) = (number(2, 1), number(4, 4), number(8, 8), number(16, 8));
+        let (kind, columns, original, compressed) =
+            (number(2, 1), number(4, 4), number(8, 8), number(16, 8));
         if kind > 1 {
-            return Err(MdfError::Unsupported("a compression other than deflate".to_owned()));
+            return Err(MdfError::Unsupported(
+                "a compression other than deflate".to_owned(),
+            ));
         }
         if original.max(compressed) > MAX_COMPRESSED_BYTES {
             return Err(damaged(at, "the compressed block is too long"));
         }
         let limit = limits::max_decompressed_bytes(self.length);
         let what = "bytes after decompression";
-        self.decompressed_left =
-            self.decompressed_left.checked_sub(original).ok_or(MdfError::TooLarge { limit, what })?;
+        self.decompressed_left = self
+            .decompressed_left
+            .checked_sub(original)
+            .ok_or(MdfError::TooLarge { limit, what })?;
         let packed = self.bytes(at + HEADER_BYTES + 24, compressed)?;
         let mut plain = Vec::with_capacity(original as usize);
-        let unpacked = ZlibDecoder::new(&packed[..]).take(original).read_to_end(&mut plain);
+        let unpacked = ZlibDecoder::new(&packed[..])
+            .take(original)
+            .read_to_end(&mut plain);
         if unpacked.is_err() || plain.len() as u64 != original {
             return Err(damaged(at, "the compressed block cannot be decompressed"));
         }
-        let (columns, rows) = (columns as usize, plain.len().checked_div(columns as usize).unwrap_or(0));
+        let (columns, rows) = (
+            columns as usize,
+            plain.len().checked_div(columns as usize).unwrap_or(0),
+        );
         if kind == 1 && columns > 1 && rows > 1 {
             return Ok(transpose(plain, columns, rows));
         }
@@ -212,7 +259,10 @@ fn transpose(plain: Vec<u8>, columns: usize, rows: usize) -> Vec<u8> {
     // A number of rows whose bytes stay in the cache.
     const BLOCK_ROWS: usize = 64;
     let mut rows_first = plain.clone();
-    let (Some(by_column), Some(by_row)) = (plain.get(..columns * rows), rows_first.get_mut(..columns * rows)) else {
+    let (Some(by_column), Some(by_row)) = (
+        plain.get(..columns * rows),
+        rows_first.get_mut(..columns * rows),
+    ) else {
         return plain;
     };
     for (block, target) in by_row.chunks_mut(BLOCK_ROWS * columns).enumerate() {
@@ -235,22 +285,36 @@ pub(super) struct DataCursor {
 
 impl DataCursor {
     pub(super) fn new(offsets: Vec<u64>) -> Self {
-        Self { offsets: offsets.into_iter(), rest: 0..0 }
+        Self {
+            offsets: offsets.into_iter(),
+            rest: 0..0,
+        }
     }
 
     pub(super) fn next_chunk(&mut self, blocks: &mut Blocks) -> Result<Option<Vec<u8>>, MdfError> {
         while self.rest.is_empty() {
-            let Some(at) = self.offsets.next() else { return Ok(None) };
+            let Some(at) = self.offsets.next() else {
+                return Ok(None);
+            };
             let header = blocks.header(at)?;
             let shared = damaged(at, "two blocks with samples share bytes");
-            blocks.samples_left = blocks.samples_left.checked_sub(header.bytes).ok_or(shared)?;
+            blocks.samples_left = blocks
+                .samples_left
+                .checked_sub(header.bytes)
+                .ok_or(shared)?;
             match &header.kind {
-                b"DT" => self.rest = at + HEADER_BYTES + 8 * header.links..at.saturating_add(header.bytes),
+                b"DT" => {
+                    self.rest =
+                        at + HEADER_BYTES + 8 * header.links..at.saturating_add(header.bytes)
+                }
                 b"DZ" => return blocks.decompress(at).map(Some),
                 _ => return Err(damaged(at, "the block holds no samples")),
             }
         }
-        let (from, count) = (self.rest.start, CHUNK_BYTES.min(self.rest.end - self.rest.start));
+        let (from, count) = (
+            self.rest.start,
+            CHUNK_BYTES.min(self.rest.end - self.rest.start),
+        );
         self.rest.start += count;
         blocks.bytes(from, count).map(Some)
     }
@@ -263,13 +327,17 @@ impl Block {
 
     /// Returns an unsigned number of the data.
     pub(super) fn number(&self, from: usize, count: usize) -> Result<u64, MdfError> {
-        little_endian(&self.data, from, count).ok_or_else(|| damaged(self.at, "the block is too short"))
+        little_endian(&self.data, from, count)
+            .ok_or_else(|| damaged(self.at, "the block is too short"))
     }
 
     /// Returns all 64-bit floating point numbers of the data from an offset on.
     pub(super) fn floats(&self, from: usize) -> Vec<f64> {
         let bytes = self.data.get(from..).unwrap_or_default();
-        bytes.chunks_exact(8).map(|eight| f64::from_bits(little_endian(eight, 0, 8).unwrap_or(0))).collect()
+        bytes
+            .chunks_exact(8)
+            .map(|eight| f64::from_bits(little_endian(eight, 0, 8).unwrap_or(0)))
+            .collect()
     }
 
     pub(super) fn damaged(&self, problem: &'static str) -> MdfError {
@@ -284,7 +352,9 @@ fn damaged(offset: u64, problem: &'static str) -> MdfError {
 /// Returns an unsigned number of up to 8 bytes.
 pub(super) fn little_endian(bytes: &[u8], from: usize, count: usize) -> Option<u64> {
     let mut padded = [0; 8];
-    padded.get_mut(..count)?.copy_from_slice(bytes.get(from..from.checked_add(count)?)?);
+    padded
+        .get_mut(..count)?
+        .copy_from_slice(bytes.get(from..from.checked_add(count)?)?);
     Some(u64::from_le_bytes(padded))
 }
 

@@ -73,7 +73,11 @@ pub(super) struct BitPlace {
 pub(super) fn parameter_group(id: u32) -> u32 {
     const BROADCAST_FORMAT: u32 = 240;
     let group = id >> 8 & 0x3_ffff;
-    if group >> 8 & 0xff < BROADCAST_FORMAT { group & 0x3_ff00 } else { group }
+    if group >> 8 & 0xff < BROADCAST_FORMAT {
+        group & 0x3_ff00
+    } else {
+        group
+    }
 }
 
 impl FrameDecoder {
@@ -87,13 +91,17 @@ impl FrameDecoder {
 
     /// Adds a message of J1939 from any sender. Returns false if there is one of its group.
     pub(super) fn insert_group(&mut self, id: u32, message: FrameMessage) -> bool {
-        self.by_parameter_group.insert(parameter_group(id), message).is_none()
+        self.by_parameter_group
+            .insert(parameter_group(id), message)
+            .is_none()
     }
 
     /// Reserves an id for a message without wanted signals, if another message would otherwise decode its frames.
     pub(super) fn reserve(&mut self, id: MessageId) {
         if let MessageId::Extended(number) = id
-            && self.by_parameter_group.contains_key(&parameter_group(number))
+            && self
+                .by_parameter_group
+                .contains_key(&parameter_group(number))
         {
             self.by_id.entry(id).or_default();
         }
@@ -102,13 +110,24 @@ impl FrameDecoder {
     /// Rejects a signal that no frame contained.
     pub(super) fn check_frames(&self) -> Result<(), MdfError> {
         let messages = self.by_id.values().chain(self.by_parameter_group.values());
-        let absent = messages.flat_map(|message| message.signals.iter().map(move |signal| (message, signal)));
+        let absent = messages
+            .flat_map(|message| message.signals.iter().map(move |signal| (message, signal)));
         let absent = absent.filter(|(_, signal)| signal.origin.is_none());
-        let Some((message, signal)) = absent.min_by_key(|(_, signal)| signal.index) else { return Ok(()) };
-        let chosen = [("on the bus channel", message.bus_channel), ("from the source address", message.source_address)];
-        let chosen = chosen.into_iter().filter_map(|(what, number)| Some(format!(" {what} {}", number?)));
+        let Some((message, signal)) = absent.min_by_key(|(_, signal)| signal.index) else {
+            return Ok(());
+        };
+        let chosen = [
+            ("on the bus channel", message.bus_channel),
+            ("from the source address", message.source_address),
+        ];
+        let chosen = chosen
+            .into_iter()
+            .filter_map(|(what, number)| Some(format!(" {what} {}", number?)));
         let message = format!("{}{}", message.label, chosen.collect::<String>());
-        Err(MdfError::NoFrame { signal: signal.name.clone(), message })
+        Err(MdfError::NoFrame {
+            signal: signal.name.clone(),
+            message,
+        })
     }
 
     /// Passes on the index and the value of each signal of a frame.
@@ -123,7 +142,9 @@ impl FrameDecoder {
         if let Some(message) = self.by_id.get_mut(&frame.id) {
             return message.decode(frame, None, add);
         }
-        let MessageId::Extended(id) = frame.id else { return Ok(()) };
+        let MessageId::Extended(id) = frame.id else {
+            return Ok(());
+        };
         match self.by_parameter_group.get_mut(&parameter_group(id)) {
             Some(message) => message.decode(frame, Some(u64::from(id & 0xff)), add),
             None => Ok(()),
@@ -138,8 +159,12 @@ impl FrameMessage {
         source_address: Option<u64>,
         add: &mut dyn FnMut(usize, f64) -> Result<(), MdfError>,
     ) -> Result<(), MdfError> {
-        let is_other = |found: Option<u64>, chosen: Option<u64>| found.zip(chosen).is_some_and(|(a, b)| a != b);
-        if is_other(frame.bus_channel, self.bus_channel) || is_other(source_address, self.source_address) {
+        let is_other = |found: Option<u64>, chosen: Option<u64>| {
+            found.zip(chosen).is_some_and(|(a, b)| a != b)
+        };
+        if is_other(frame.bus_channel, self.bus_channel)
+            || is_other(source_address, self.source_address)
+        {
             return Ok(());
         }
         for signal in &mut self.signals {
@@ -155,7 +180,11 @@ impl FrameMessage {
 impl FrameSignal {
     /// Returns the value of the signal, NaN if missing; `None` if the frame does not contain it.
     fn decode(&self, frame: &[u8]) -> Option<f64> {
-        if !self.selectors.iter().all(|selector| selector.selects(frame)) {
+        if !self
+            .selectors
+            .iter()
+            .all(|selector| selector.selects(frame))
+        {
             return None;
         }
         let raw = self.place.raw(frame)?;
@@ -171,10 +200,20 @@ impl FrameSignal {
         if known == found {
             return Ok(());
         }
-        let kinds = [("bus channels", "bus_channel"), ("source addresses", "source_address")];
+        let kinds = [
+            ("bus channels", "bus_channel"),
+            ("source addresses", "source_address"),
+        ];
         for ((known, found), (origin, key)) in known.into_iter().zip(found).zip(kinds) {
-            if let Some((first, second)) = known.zip(found).filter(|(known, found)| known != found) {
-                return Err(MdfError::Ambiguous { signal: self.name.clone(), origin, first, second, key });
+            if let Some((first, second)) = known.zip(found).filter(|(known, found)| known != found)
+            {
+                return Err(MdfError::Ambiguous {
+                    signal: self.name.clone(),
+                    origin,
+                    first,
+                    second,
+                    key,
+                });
             }
         }
         Ok(())
@@ -196,7 +235,9 @@ impl Selector {
     }
 
     fn selects(&self, frame: &[u8]) -> bool {
-        let Some(raw) = self.place.raw(frame) else { return false };
+        let Some(raw) = self.place.raw(frame) else {
+            return false;
+        };
         let place = self.ranges.partition_point(|[_, high]| *high < raw);
         self.ranges.get(place).is_some_and(|[low, _]| *low <= raw)
     }
@@ -208,13 +249,21 @@ impl BitPlace {
         if !(1..=64).contains(&self.size) {
             return None;
         }
-        let bit = |at: u64| Some(u64::from(frame.get(usize::try_from(at / 8).ok()?)? >> (at % 8) & 1));
+        let bit = |at: u64| {
+            Some(u64::from(
+                frame.get(usize::try_from(at / 8).ok()?)? >> (at % 8) & 1,
+            ))
+        };
         let (mut at, mut raw) = (self.start, 0);
         for index in 0..u64::from(self.size) {
             if self.is_big_endian {
                 raw = raw << 1 | bit(at)?;
                 // Bits count from the least significant one of each byte.
-                at = if at % 8 == 0 { at.checked_add(15)? } else { at - 1 };
+                at = if at % 8 == 0 {
+                    at.checked_add(15)?
+                } else {
+                    at - 1
+                };
             } else {
                 raw |= bit(self.start.checked_add(index)?)? << index;
             }
@@ -234,7 +283,8 @@ impl BitPlace {
     /// Returns the first raw value that J1939 reserves, for whole numbers without sign (SAE J1939-71: from 0xFB in the
     /// first byte on; the last two values of fewer bits).
     pub(super) fn reserved_from(&self) -> Option<u64> {
-        let is_integer = matches!(self.kind, SignalExtendedValueType::SignedOrUnsignedInteger) && !self.is_signed;
+        let is_integer = matches!(self.kind, SignalExtendedValueType::SignedOrUnsignedInteger)
+            && !self.is_signed;
         match self.size {
             2..=64 if !is_integer => None,
             size @ (8 | 16 | 24 | 32 | 40 | 48 | 56 | 64) => Some(0xfb << (size - 8)),

@@ -46,7 +46,11 @@ impl Channel {
     ) -> Result<Option<Self>, MdfError> {
         let kind = block.number(0, 1)?;
         let data_type = block.number(2, 1)?;
-        let (bit_offset, byte_offset, bit_count) = (block.number(3, 1)?, block.number(4, 4)?, block.number(8, 4)?);
+        let (bit_offset, byte_offset, bit_count) = (
+            block.number(3, 1)?,
+            block.number(4, 4)?,
+            block.number(8, 4)?,
+        );
         let flags = block.number(12, 4)?;
         let value = match (kind, data_type) {
             (3 | 6, _) => RawValueKind::Index,
@@ -71,7 +75,13 @@ impl Channel {
         }
         let is_big_endian = matches!(data_type, 1 | 3 | 5);
         let (byte, bytes) = (byte_offset as usize, bytes as usize);
-        let bits = BitField { byte, bytes, shift: bit_offset as u32, count: bit_count as u32, is_big_endian };
+        let bits = BitField {
+            byte,
+            bytes,
+            shift: bit_offset as u32,
+            count: bit_count as u32,
+            is_big_endian,
+        };
         let invalid_bit = match flags & 3 {
             0 => None,
             2 => Some(8 * record_bytes as usize + block.number(16, 4)? as usize),
@@ -88,13 +98,23 @@ impl Channel {
             }
             None => ChannelConversion::Identity,
         };
-        Ok(Some(Self { name, unit, bits, kind: value, conversion, invalid_bit }))
+        Ok(Some(Self {
+            name,
+            unit,
+            bits,
+            kind: value,
+            conversion,
+            invalid_bit,
+        }))
     }
 
     /// Returns the value in a record, the `index`-th of its group; NaN for an invalid one.
     pub(super) fn value(&self, record: &[u8], index: usize) -> f64 {
-        let is_invalid =
-            self.invalid_bit.is_some_and(|bit| record.get(bit / 8).is_none_or(|byte| byte >> (bit % 8) & 1 == 1));
+        let is_invalid = self.invalid_bit.is_some_and(|bit| {
+            record
+                .get(bit / 8)
+                .is_none_or(|byte| byte >> (bit % 8) & 1 == 1)
+        });
         if is_invalid {
             return f64::NAN;
         }
@@ -102,7 +122,9 @@ impl Channel {
             RawValueKind::Index => index as f64,
             RawValueKind::Unsigned => self.bits.get(record) as f64,
             RawValueKind::Signed => self.bits.get_signed(record) as f64,
-            RawValueKind::Float if self.bits.count == 32 => f64::from(f32::from_bits(self.bits.get(record) as u32)),
+            RawValueKind::Float if self.bits.count == 32 => {
+                f64::from(f32::from_bits(self.bits.get(record) as u32))
+            }
             RawValueKind::Float => f64::from_bits(self.bits.get(record)),
         };
         self.conversion.apply(raw)
@@ -117,13 +139,18 @@ impl Channel {
 impl BitField {
     #[inline]
     fn get(&self, record: &[u8]) -> u64 {
-        let Some(bytes) = record.get(self.byte..self.byte + self.bytes) else { return 0 };
+        let Some(bytes) = record.get(self.byte..self.byte + self.bytes) else {
+            return 0;
+        };
         if let (&[a, b, c, d, e, f, g, h], 64, false) = (bytes, self.count, self.is_big_endian) {
             return u64::from_le_bytes([a, b, c, d, e, f, g, h]);
         }
         let join = |all: u128, byte: &u8| all << 8 | u128::from(*byte);
-        let joined = if self.is_big_endian { bytes.iter().fold(0, join) } else { bytes.iter().rev().fold(0, join) }
-            >> self.shift;
+        let joined = if self.is_big_endian {
+            bytes.iter().fold(0, join)
+        } else {
+            bytes.iter().rev().fold(0, join)
+        } >> self.shift;
         (joined & (u128::MAX >> (128 - self.count))) as u64
     }
 

@@ -63,7 +63,12 @@ impl ChannelConversion {
         }
     }
 
-    fn read_nested(blocks: &mut Blocks, block: &Block, is_float: bool, depth: usize) -> Result<Self, MdfError> {
+    fn read_nested(
+        blocks: &mut Blocks,
+        block: &Block,
+        is_float: bool,
+        depth: usize,
+    ) -> Result<Self, MdfError> {
         let kind = block.number(0, 1)?;
         if matches!(kind, 7 | 8) {
             return Self::read_partial(blocks, block, (kind == 8, is_float), depth);
@@ -74,16 +79,30 @@ impl ChannelConversion {
             (0 | 9 | 10, _) => Self::Identity,
             (1, &[offset, factor, ..]) => Self::Linear { offset, factor },
             (2, &[a, b, c, d, e, f, ..]) => Self::Rational([a, b, c, d, e, f]),
-            (3, _) => return Err(MdfError::Unsupported("a conversion by an algebraic formula".to_owned())),
+            (3, _) => {
+                return Err(MdfError::Unsupported(
+                    "a conversion by an algebraic formula".to_owned(),
+                ));
+            }
             (kind @ (4 | 5), points) if points.len() >= 2 => {
-                let points = points.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect();
-                Self::Table { points, is_interpolated: kind == 4 }
+                let points = points
+                    .chunks_exact(2)
+                    .map(|pair| [pair[0], pair[1]])
+                    .collect();
+                Self::Table {
+                    points,
+                    is_interpolated: kind == 4,
+                }
             }
             (6, ranges) if !ranges.is_empty() => {
                 let otherwise = ranges.last().copied().unwrap_or(f64::NAN);
                 let bounds = ranges.chunks_exact(3).map(|one| [one[0], one[1]]);
                 let values = ranges.chunks_exact(3).map(|one| one[2]).collect();
-                Self::Ranges { ranges: Ranges::new(block, bounds, !is_float)?, values, otherwise }
+                Self::Ranges {
+                    ranges: Ranges::new(block, bounds, !is_float)?,
+                    values,
+                    otherwise,
+                }
             }
             _ => return Err(block.damaged("the conversion lacks values")),
         })
@@ -99,7 +118,11 @@ impl ChannelConversion {
         if depth >= MAX_DEPTH {
             return Err(block.damaged("the conversions are nested too deep"));
         }
-        let keys: Vec<f64> = block.floats(24).into_iter().take(block.number(6, 2)? as usize).collect();
+        let keys: Vec<f64> = block
+            .floats(24)
+            .into_iter()
+            .take(block.number(6, 2)? as usize)
+            .collect();
         let bounds: Vec<[f64; 2]> = match has_ranges {
             true => keys.chunks_exact(2).map(|one| [one[0], one[1]]).collect(),
             false => keys.iter().map(|key| [*key; 2]).collect(),
@@ -121,12 +144,18 @@ impl ChannelConversion {
         // Without a default, a table that only names special values leaves all others as they are. Beside conversions,
         // other values have none.
         let otherwise = match conversions.pop() {
-            Some(Self::Identity) if converts && block.link(FIRST_REFERENCE + bounds.len()) == 0 => Self::Missing,
+            Some(Self::Identity) if converts && block.link(FIRST_REFERENCE + bounds.len()) == 0 => {
+                Self::Missing
+            }
             Some(otherwise) => otherwise,
             None => Self::Missing,
         };
         let ranges = Ranges::new(block, bounds, !has_ranges || !is_float)?;
-        Ok(Self::Partial { ranges, conversions, otherwise: Box::new(otherwise) })
+        Ok(Self::Partial {
+            ranges,
+            conversions,
+            otherwise: Box::new(otherwise),
+        })
     }
 
     pub(super) fn apply(&self, raw: f64) -> f64 {
@@ -134,24 +163,49 @@ impl ChannelConversion {
             Self::Identity => raw,
             Self::Missing => f64::NAN,
             // Adding 0 would change the sign of a negative 0.
-            Self::Linear { offset: 0.0, factor } => raw * factor,
+            Self::Linear {
+                offset: 0.0,
+                factor,
+            } => raw * factor,
             Self::Linear { offset, factor } => raw * factor + offset,
             Self::Rational([0.0, b, 0.0, 0.0, 0.0, f]) => raw * (b / f),
-            Self::Rational([a, b, c, d, e, f]) => (a * raw * raw + b * raw + c) / (d * raw * raw + e * raw + f),
-            Self::Table { points, is_interpolated } => look_up(points, *is_interpolated, raw),
-            Self::Ranges { ranges, values, otherwise } => {
-                ranges.find(raw).and_then(|index| values.get(index)).copied().unwrap_or(*otherwise)
+            Self::Rational([a, b, c, d, e, f]) => {
+                (a * raw * raw + b * raw + c) / (d * raw * raw + e * raw + f)
             }
-            Self::Partial { ranges, conversions, otherwise } => {
-                ranges.find(raw).and_then(|index| conversions.get(index)).unwrap_or(otherwise).apply(raw)
-            }
+            Self::Table {
+                points,
+                is_interpolated,
+            } => look_up(points, *is_interpolated, raw),
+            Self::Ranges {
+                ranges,
+                values,
+                otherwise,
+            } => ranges
+                .find(raw)
+                .and_then(|index| values.get(index))
+                .copied()
+                .unwrap_or(*otherwise),
+            Self::Partial {
+                ranges,
+                conversions,
+                otherwise,
+            } => ranges
+                .find(raw)
+                .and_then(|index| conversions.get(index))
+                .unwrap_or(otherwise)
+                .apply(raw),
         }
     }
 }
 
 fn look_up(points: &[[f64; 2]], is_interpolated: bool, raw: f64) -> f64 {
     let after = points.partition_point(|[key, _]| *key <= raw);
-    let point = |index: usize| points.get(index.min(points.len() - 1)).copied().unwrap_or([f64::NAN; 2]);
+    let point = |index: usize| {
+        points
+            .get(index.min(points.len() - 1))
+            .copied()
+            .unwrap_or([f64::NAN; 2])
+    };
     let ([low, first], [high, second]) = (point(after.saturating_sub(1)), point(after));
     match high > low {
         true if is_interpolated => first + (second - first) / (high - low) * (raw - low),
@@ -161,29 +215,51 @@ fn look_up(points: &[[f64; 2]], is_interpolated: bool, raw: f64) -> f64 {
 }
 
 impl Ranges {
-    fn new(block: &Block, bounds: impl IntoIterator<Item = [f64; 2]>, includes_end: bool) -> Result<Self, MdfError> {
+    fn new(
+        block: &Block,
+        bounds: impl IntoIterator<Item = [f64; 2]>,
+        includes_end: bool,
+    ) -> Result<Self, MdfError> {
         let unsorted: Vec<([f64; 2], usize)> = bounds.into_iter().zip(0..).collect();
         let mut sorted = unsorted.clone();
         sorted.sort_by(|([a, _], _), ([b, _], _)| a.total_cmp(b));
         let is_apart = |pair: &[([f64; 2], usize)]| matches!(pair, [([_, high], _), ([low, _], _)] if high <= low);
         let is_range = |([low, high], _): &([f64; 2], usize)| low <= high;
         if sorted.iter().all(is_range) && sorted.windows(2).all(is_apart) {
-            return Ok(Self { bounds: sorted, includes_end, overlap: false });
+            return Ok(Self {
+                bounds: sorted,
+                includes_end,
+                overlap: false,
+            });
         }
         if unsorted.len() > MAX_OVERLAPPING {
             return Err(block.damaged("the ranges of the conversion overlap"));
         }
-        Ok(Self { bounds: unsorted, includes_end, overlap: true })
+        Ok(Self {
+            bounds: unsorted,
+            includes_end,
+            overlap: true,
+        })
     }
 
     /// Returns the index of the first range that contains a number.
     fn find(&self, raw: f64) -> Option<usize> {
-        let contains = |[low, high]: [f64; 2]| low <= raw && (raw < high || self.includes_end && raw == high);
+        let contains =
+            |[low, high]: [f64; 2]| low <= raw && (raw < high || self.includes_end && raw == high);
         if self.overlap {
-            return self.bounds.iter().find(|(bounds, _)| contains(*bounds)).map(|(_, index)| *index);
+            return self
+                .bounds
+                .iter()
+                .find(|(bounds, _)| contains(*bounds))
+                .map(|(_, index)| *index);
         }
         let is_below = |high: f64| high < raw || !self.includes_end && high == raw;
-        let place = self.bounds.partition_point(|([_, high], _)| is_below(*high));
-        self.bounds.get(place).filter(|(bounds, _)| contains(*bounds)).map(|(_, index)| *index)
+        let place = self
+            .bounds
+            .partition_point(|([_, high], _)| is_below(*high));
+        self.bounds
+            .get(place)
+            .filter(|(bounds, _)| contains(*bounds))
+            .map(|(_, index)| *index)
     }
 }

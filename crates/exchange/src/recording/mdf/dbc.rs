@@ -4,8 +4,12 @@ use std::collections::{HashMap, HashSet};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use can_dbc::{AttributeDefinition, AttributeValue, AttributeValueType, ByteOrder, Dbc, ExtendedMultiplex};
-use can_dbc::{Message, MessageId, MultiplexIndicator, Signal as DbcSignal, SignalExtendedValueType, ValueType};
+use can_dbc::{
+    AttributeDefinition, AttributeValue, AttributeValueType, ByteOrder, Dbc, ExtendedMultiplex,
+};
+use can_dbc::{
+    Message, MessageId, MultiplexIndicator, Signal as DbcSignal, SignalExtendedValueType, ValueType,
+};
 
 use super::can::{BitPlace, FrameDecoder, FrameMessage, FrameSignal, Selector, parameter_group};
 use super::{MdfError, SignalSet, SignalUse};
@@ -42,10 +46,17 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] for a file that cannot be read, is too long, or is no DBC file.
     pub fn load(path: &Path) -> Result<Self, MdfError> {
-        let error = |problem: String| MdfError::Dbc { path: path.to_owned(), line: None, problem };
+        let error = |problem: String| MdfError::Dbc {
+            path: path.to_owned(),
+            line: None,
+            problem,
+        };
         let mut bytes = Vec::new();
-        let file = crumple_core::regular_file::open(path).map_err(|source| error(source.to_string()))?;
-        file.take(MAX_DBC_BYTES + 1).read_to_end(&mut bytes).map_err(|source| error(source.to_string()))?;
+        let file =
+            crumple_core::regular_file::open(path).map_err(|source| error(source.to_string()))?;
+        file.take(MAX_DBC_BYTES + 1)
+            .read_to_end(&mut bytes)
+            .map_err(|source| error(source.to_string()))?;
         Self::parse(&bytes, path)
     }
 
@@ -54,7 +65,11 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] if the text is no DBC file, or exceeds a limit.
     pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, MdfError> {
-        let error = |line, problem| MdfError::Dbc { path: path.to_owned(), line, problem };
+        let error = |line, problem| MdfError::Dbc {
+            path: path.to_owned(),
+            line,
+            problem,
+        };
         if bytes.len() as u64 > MAX_DBC_BYTES {
             return Err(error(None, format!("has more than {MAX_DBC_BYTES} bytes")));
         }
@@ -62,34 +77,65 @@ impl DbcFile {
         let text = std::str::from_utf8(bytes).unwrap_or(&text);
         let words = count_words(text);
         if words > MAX_DBC_WORDS {
-            return Err(error(None, format!("has {words} words, numbers and separators, more than {MAX_DBC_WORDS}")));
+            return Err(error(
+                None,
+                format!("has {words} words, numbers and separators, more than {MAX_DBC_WORDS}"),
+            ));
         }
         let dbc = Dbc::try_from(text).map_err(|problem| {
             // A syntax error contains ` --> line:column` and the names of grammar rules.
             let problem = problem.to_string();
-            let line = problem.split_once("--> ").and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
+            let line = problem
+                .split_once("--> ")
+                .and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
             match line {
                 Some(line) => error(Some(line), "this is no valid line of a DBC file".to_owned()),
-                None => error(None, problem.split_whitespace().collect::<Vec<_>>().join(" ")),
+                None => error(
+                    None,
+                    problem.split_whitespace().collect::<Vec<_>>().join(" "),
+                ),
             }
         })?;
-        Ok(Self { dbc, path: path.to_owned(), text: text.to_owned(), bus_channel: None, source_address: None })
+        Ok(Self {
+            dbc,
+            path: path.to_owned(),
+            text: text.to_owned(),
+            bus_channel: None,
+            source_address: None,
+        })
     }
 
     /// Restricts messages to the bus channels and source addresses that a map chooses.
     ///
     /// # Errors
     /// [`MdfError::Dbc`] if the map names a message that the file lacks.
-    pub(in crate::recording) fn with_frames_of(mut self, map: &RecordingMapSpec) -> Result<Self, MdfError> {
-        for (key, choice) in [("bus_channel", &map.bus_channel), ("source_address", &map.source_address)] {
-            let Some(FrameChoice::ByMessage(numbers)) = choice else { continue };
-            let is_known = |name: &str| self.dbc.messages.iter().any(|message| message.name == name);
+    pub(in crate::recording) fn with_frames_of(
+        mut self,
+        map: &RecordingMapSpec,
+    ) -> Result<Self, MdfError> {
+        for (key, choice) in [
+            ("bus_channel", &map.bus_channel),
+            ("source_address", &map.source_address),
+        ] {
+            let Some(FrameChoice::ByMessage(numbers)) = choice else {
+                continue;
+            };
+            let is_known =
+                |name: &str| self.dbc.messages.iter().any(|message| message.name == name);
             if let Some(name) = numbers.keys().find(|name| !is_known(name)) {
-                let problem = format!("has no message {}, which `{key}` of the map names", excerpt(name));
-                return Err(MdfError::Dbc { path: self.path, line: None, problem });
+                let problem = format!(
+                    "has no message {}, which `{key}` of the map names",
+                    excerpt(name)
+                );
+                return Err(MdfError::Dbc {
+                    path: self.path,
+                    line: None,
+                    problem,
+                });
             }
         }
-        (self.bus_channel, self.source_address) = (map.bus_channel.clone(), map.source_address.clone());
+        (self.bus_channel, self.source_address) =
+            (map.bus_channel.clone(), map.source_address.clone());
         Ok(self)
     }
 
@@ -101,7 +147,12 @@ impl DbcFile {
             words.into_iter().all(|word| found.next() == Some(word))
         };
         let id = message.id.raw().to_string();
-        let begin = self.text.lines().enumerate().filter(|(_, line)| starts(line, ["BO_", &id])).last();
+        let begin = self
+            .text
+            .lines()
+            .enumerate()
+            .filter(|(_, line)| starts(line, ["BO_", &id]))
+            .last();
         let line = begin.and_then(|(from, _)| match signal {
             None => Some(from),
             Some(signal) => (from..)
@@ -109,7 +160,11 @@ impl DbcFile {
                 .find(|(_, line)| starts(line, ["SG_", signal]))
                 .map(|(at, _)| at),
         });
-        MdfError::Dbc { path: self.path.clone(), line: line.map(|line| line + 1), problem }
+        MdfError::Dbc {
+            path: self.path.clone(),
+            line: line.map(|line| line + 1),
+            problem,
+        }
     }
 
     /// Adds the wanted signals and returns their decoder. The error is a message that is defined twice, or a signal
@@ -122,7 +177,9 @@ impl DbcFile {
         let mut decoder = FrameDecoder::default();
         let mut multiplexers = Multiplexers::new();
         for one in &self.dbc.extended_multiplex {
-            multiplexers.entry((one.message_id, one.signal_name.as_str())).or_insert(one);
+            multiplexers
+                .entry((one.message_id, one.signal_name.as_str()))
+                .or_insert(one);
         }
         let mut defined = HashSet::new();
         for message in &self.dbc.messages {
@@ -134,22 +191,39 @@ impl DbcFile {
             if !defined.insert(id) {
                 return Err(self.error(message, None, format!("message {id} is defined twice")));
             }
-            let choice = |choice: &Option<FrameChoice>| choice.as_ref().and_then(|one| one.of_message(&message.name));
-            let (bus_channel, source_address) = (choice(&self.bus_channel), choice(&self.source_address));
+            let choice = |choice: &Option<FrameChoice>| {
+                choice
+                    .as_ref()
+                    .and_then(|one| one.of_message(&message.name))
+            };
+            let (bus_channel, source_address) =
+                (choice(&self.bus_channel), choice(&self.source_address));
             let is_j1939 = self.is_j1939(message);
             let label = label(message, is_j1939);
-            let mut found = FrameMessage { label, signals: Vec::new(), bus_channel, source_address };
+            let mut found = FrameMessage {
+                label,
+                signals: Vec::new(),
+                bus_channel,
+                source_address,
+            };
             for (signal, name) in wanted {
                 self.check_signal(message, signal)?;
                 // Frames without the signal, by a multiplexer, have no place in its clock.
                 let clock = signals.add_clock();
                 let index = signals.add(name, signal.unit.clone(), clock);
-                found.signals.push(self.frame_signal(message, signal, &multiplexers, (index, is_j1939))?);
+                found.signals.push(self.frame_signal(
+                    message,
+                    signal,
+                    &multiplexers,
+                    (index, is_j1939),
+                )?);
             }
             match message.id {
                 MessageId::Extended(id) if is_j1939 && id & 0xff == ANY_SOURCE => {
                     if !decoder.insert_group(id, found) {
-                        let problem = "two messages from any sender have this parameter group number".to_owned();
+                        let problem =
+                            "two messages from any sender have this parameter group number"
+                                .to_owned();
                         return Err(self.error(message, None, problem));
                     }
                 }
@@ -169,15 +243,23 @@ impl DbcFile {
         wanted: &dyn Fn(&str) -> Option<SignalUse>,
     ) -> Result<Vec<(&'m DbcSignal, String)>, MdfError> {
         let lengths = message.signals.iter().map(|signal| signal.name.len());
-        if message.name.len() > MAX_NAME_BYTES || lengths.max().is_some_and(|length| length > MAX_NAME_BYTES) {
+        if message.name.len() > MAX_NAME_BYTES
+            || lengths.max().is_some_and(|length| length > MAX_NAME_BYTES)
+        {
             let problem = format!("a name of this message has more than {MAX_NAME_BYTES} bytes");
             return Err(self.error(message, None, problem));
         }
         let name = |signal: &DbcSignal| {
             let qualified = format!("{}.{}", message.name, signal.name);
-            [qualified, signal.name.clone()].into_iter().find(|name| wanted(name).is_some())
+            [qualified, signal.name.clone()]
+                .into_iter()
+                .find(|name| wanted(name).is_some())
         };
-        Ok(message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))).collect())
+        Ok(message
+            .signals
+            .iter()
+            .filter_map(|signal| Some((signal, name(signal)?)))
+            .collect())
     }
 
     fn check_signal(&self, message: &Message, signal: &DbcSignal) -> Result<(), MdfError> {
@@ -188,7 +270,10 @@ impl DbcFile {
         };
         let name = &signal.name;
         let problem = if start.saturating_add(signal.size) > message.size.saturating_mul(8) {
-            format!("signal {name} goes beyond the {} bytes of its message", message.size)
+            format!(
+                "signal {name} goes beyond the {} bytes of its message",
+                message.size
+            )
         } else if signal.factor == 0.0 {
             format!("signal {name} has the factor 0")
         } else {
@@ -201,14 +286,22 @@ impl DbcFile {
     /// may send it.
     fn is_j1939(&self, message: &Message) -> bool {
         const FORMAT: &str = "VFrameFormat";
-        let MessageId::Extended(id) = message.id else { return false };
+        let MessageId::Extended(id) = message.id else {
+            return false;
+        };
         if let Some(format) = self.dbc.message_attribute(message.id, FORMAT) {
-            return self.attribute_text(FORMAT, format).is_some_and(|format| format.contains("J1939"));
+            return self
+                .attribute_text(FORMAT, format)
+                .is_some_and(|format| format.contains("J1939"));
         }
         let is_protocol = |name: &str, value: &AttributeValue| {
-            name == "ProtocolType" && matches!(value, AttributeValue::String(text) if text.contains("J1939"))
+            name == "ProtocolType"
+                && matches!(value, AttributeValue::String(text) if text.contains("J1939"))
         };
-        self.dbc.attribute_values_database.iter().any(|one| is_protocol(&one.name, &one.value))
+        self.dbc
+            .attribute_values_database
+            .iter()
+            .any(|one| is_protocol(&one.name, &one.value))
             || id & 0xff == ANY_SOURCE
     }
 
@@ -221,7 +314,11 @@ impl DbcFile {
             AttributeValue::Double(_) => return None,
         };
         let texts = |definition: &'d AttributeDefinition| match definition {
-            AttributeDefinition::Message(known, AttributeValueType::Enum(texts)) if known == name => Some(texts),
+            AttributeDefinition::Message(known, AttributeValueType::Enum(texts))
+                if known == name =>
+            {
+                Some(texts)
+            }
             _ => None,
         };
         let texts = self.dbc.attribute_definitions.iter().find_map(texts)?;
@@ -240,8 +337,10 @@ impl DbcFile {
         // Multiplexers may be multiplexed themselves.
         while let Some((by, values)) = multiplexer(message, current, multiplexers) {
             if selectors.len() >= MAX_SELECTORS {
-                let problem =
-                    format!("more than {MAX_SELECTORS} multiplexers select signal {}, or each other", signal.name);
+                let problem = format!(
+                    "more than {MAX_SELECTORS} multiplexers select signal {}, or each other",
+                    signal.name
+                );
                 return Err(self.error(message, Some(&signal.name), problem));
             }
             selectors.push(Selector::new(self.place(message, by), values));
@@ -261,7 +360,10 @@ impl DbcFile {
     }
 
     fn place(&self, message: &Message, signal: &DbcSignal) -> BitPlace {
-        let kind = self.dbc.extended_value_type_for_signal(message.id, &signal.name).copied();
+        let kind = self
+            .dbc
+            .extended_value_type_for_signal(message.id, &signal.name)
+            .copied();
         BitPlace {
             start: signal.start_bit,
             size: u32::try_from(signal.size).unwrap_or(0),
@@ -277,7 +379,10 @@ fn label(message: &Message, is_j1939: bool) -> String {
     let name = excerpt(&message.name);
     match message.id {
         MessageId::Extended(id) if is_j1939 && id & 0xff == ANY_SOURCE => {
-            format!("{name} (id {id:#x}, parameter group {})", parameter_group(id))
+            format!(
+                "{name} (id {id:#x}, parameter group {})",
+                parameter_group(id)
+            )
         }
         MessageId::Extended(id) => format!("{name} (id {id:#x}, extended)"),
         MessageId::Standard(id) => format!("{name} (id {id:#x})"),
@@ -291,7 +396,13 @@ fn count_words(text: &str) -> usize {
     let kind = |byte: &u8| (is_blank(byte), is_mark(byte));
     let marks = text.as_bytes().iter().filter(|byte| is_mark(byte)).count();
     let runs = text.as_bytes().chunk_by(|a, b| kind(a) == kind(b));
-    marks + runs.filter(|run| run.first().is_some_and(|first| kind(first) == (false, false))).count()
+    marks
+        + runs
+            .filter(|run| {
+                run.first()
+                    .is_some_and(|first| kind(first) == (false, false))
+            })
+            .count()
 }
 
 /// Returns the multiplexer of a signal, and the ranges of its values that select the signal.
@@ -301,15 +412,27 @@ fn multiplexer<'m>(
     multiplexers: &Multiplexers<'_>,
 ) -> Option<(&'m DbcSignal, Vec<[u64; 2]>)> {
     if let Some(found) = multiplexers.get(&(message.id, signal.name.as_str())) {
-        let by = message.signals.iter().find(|one| one.name == found.multiplexor_signal_name)?;
-        return Some((by, found.mappings.iter().map(|range| [range.min_value, range.max_value]).collect()));
+        let by = message
+            .signals
+            .iter()
+            .find(|one| one.name == found.multiplexor_signal_name)?;
+        return Some((
+            by,
+            found
+                .mappings
+                .iter()
+                .map(|range| [range.min_value, range.max_value])
+                .collect(),
+        ));
     }
     let value = match signal.multiplexer_indicator {
-        MultiplexIndicator::MultiplexedSignal(value) | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value) => {
-            value
-        }
+        MultiplexIndicator::MultiplexedSignal(value)
+        | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value) => value,
         _ => return None,
     };
-    let by = message.signals.iter().find(|one| one.multiplexer_indicator == MultiplexIndicator::Multiplexor)?;
+    let by = message
+        .signals
+        .iter()
+        .find(|one| one.multiplexer_indicator == MultiplexIndicator::Multiplexor)?;
     Some((by, vec![[value, value]]))
 }

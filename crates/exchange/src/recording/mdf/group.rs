@@ -78,12 +78,25 @@ impl DataGroup {
             return Err(block.damaged("several groups have no record ids"));
         }
         let is_needed = groups.iter().any(Group::is_needed);
-        let offsets = if is_needed { blocks.data_blocks(block.link(2))? } else { Vec::new() };
+        let offsets = if is_needed {
+            blocks.data_blocks(block.link(2))?
+        } else {
+            Vec::new()
+        };
         let data = DataCursor::new(offsets);
-        let mut index_by_id: Vec<(u64, usize)> = groups.iter().map(|group| group.id).zip(0..).collect();
+        let mut index_by_id: Vec<(u64, usize)> =
+            groups.iter().map(|group| group.id).zip(0..).collect();
         index_by_id.sort_unstable();
         let (rest, newest_s) = (Vec::new(), f64::NEG_INFINITY);
-        Ok(Self { id_bytes, groups, index_by_id, rest, data, at: block.at, newest_s })
+        Ok(Self {
+            id_bytes,
+            groups,
+            index_by_id,
+            rest,
+            data,
+            at: block.at,
+            newest_s,
+        })
     }
 
     pub(super) fn is_needed(&self) -> bool {
@@ -98,8 +111,15 @@ impl DataGroup {
         signals: &mut SignalSet,
     ) -> Result<bool, MdfError> {
         let Some(chunk) = self.data.next_chunk(blocks)? else {
-            let damaged = MdfError::Damaged { offset: self.at, problem: "the samples end inside a record" };
-            return if self.rest.is_empty() { Ok(false) } else { Err(damaged) };
+            let damaged = MdfError::Damaged {
+                offset: self.at,
+                problem: "the samples end inside a record",
+            };
+            return if self.rest.is_empty() {
+                Ok(false)
+            } else {
+                Err(damaged)
+            };
         };
         // Records are contiguous, except for one at the border of two chunks.
         let is_continued = !self.rest.is_empty();
@@ -126,18 +146,36 @@ impl DataGroup {
     /// Returns the index of the group of the first record, and the place of its content, which is empty for a value of
     /// variable length; `None` if the record is incomplete.
     fn next_record(&self, bytes: &[u8]) -> Result<Option<(usize, Range<usize>)>, MdfError> {
-        let Some(id) = little_endian(bytes, 0, self.id_bytes).filter(|_| !bytes.is_empty()) else { return Ok(None) };
-        let place = if self.id_bytes == 0 { 0 } else { self.index_by_id.partition_point(|(known, _)| *known < id) };
-        let found = self.index_by_id.get(place).filter(|(known, _)| self.id_bytes == 0 || *known == id);
-        let unknown = MdfError::Damaged { offset: 0, problem: "a record has an unknown id" };
+        let Some(id) = little_endian(bytes, 0, self.id_bytes).filter(|_| !bytes.is_empty()) else {
+            return Ok(None);
+        };
+        let place = if self.id_bytes == 0 {
+            0
+        } else {
+            self.index_by_id.partition_point(|(known, _)| *known < id)
+        };
+        let found = self
+            .index_by_id
+            .get(place)
+            .filter(|(known, _)| self.id_bytes == 0 || *known == id);
+        let unknown = MdfError::Damaged {
+            offset: 0,
+            problem: "a record has an unknown id",
+        };
         let index = found.ok_or(unknown)?.1;
         let group = &self.groups[index];
         if group.has_variable_length {
-            let length = little_endian(bytes, self.id_bytes, 4).map(|length| self.id_bytes + 4 + length as usize);
+            let length = little_endian(bytes, self.id_bytes, 4)
+                .map(|length| self.id_bytes + 4 + length as usize);
             if length.is_some_and(|length| length > MAX_RECORD_BYTES) {
-                return Err(MdfError::Damaged { offset: 0, problem: "the length of a record is wrong" });
+                return Err(MdfError::Damaged {
+                    offset: 0,
+                    problem: "the length of a record is wrong",
+                });
             }
-            return Ok(length.filter(|length| *length <= bytes.len()).map(|length| (index, length..length)));
+            return Ok(length
+                .filter(|length| *length <= bytes.len())
+                .map(|length| (index, length..length)));
         }
         let end = self.id_bytes + group.record_bytes;
         Ok((end <= bytes.len()).then_some((index, self.id_bytes..end)))
@@ -155,8 +193,15 @@ impl Group {
         let (data_bytes, invalid_bytes) = (block.number(24, 4)?, block.number(28, 4)?);
         let has_variable_length = flags & FLAG_VARIABLE_LENGTH != 0;
         let record_bytes = (data_bytes + invalid_bytes) as usize;
-        let mut group =
-            Self { id, record_bytes, has_variable_length, clock: None, channels: Vec::new(), frames: None, rows: 0 };
+        let mut group = Self {
+            id,
+            record_bytes,
+            has_variable_length,
+            clock: None,
+            channels: Vec::new(),
+            frames: None,
+            rows: 0,
+        };
         if has_variable_length {
             return Ok(group);
         }
@@ -170,7 +215,9 @@ impl Group {
         let mut pending = vec![block.link(1)];
         let mut channels = 0;
         while let Some(at) = pending.pop() {
-            let Some(channel) = blocks.find_once(at, b"CN")? else { continue };
+            let Some(channel) = blocks.find_once(at, b"CN")? else {
+                continue;
+            };
             channels += 1;
             if channels > MAX_CHANNELS {
                 return Err(channel.damaged("the group has too many channels"));
@@ -183,11 +230,16 @@ impl Group {
             let name = blocks.text(channel.link(2))?;
             let kind = channel.number(0, 1)?;
             let is_clock = matches!(kind, MASTER | VIRTUAL_MASTER) && channel.number(1, 1)? == 1;
-            let part = name.strip_prefix("CAN_DataFrame.").filter(|_| !decoder.is_empty());
+            let part = name
+                .strip_prefix("CAN_DataFrame.")
+                .filter(|_| !decoder.is_empty());
             if part == Some("DataBytes") {
-                let place = [channel.number(4, 4)?, channel.number(8, 4)? / 8].map(|number| number as usize);
+                let place = [channel.number(4, 4)?, channel.number(8, 4)? / 8]
+                    .map(|number| number as usize);
                 if kind == 1 || channel.number(2, 1)? != BYTE_ARRAY {
-                    return Err(MdfError::Unsupported("CAN frames whose data is stored elsewhere".to_owned()));
+                    return Err(MdfError::Unsupported(
+                        "CAN frames whose data is stored elsewhere".to_owned(),
+                    ));
                 }
                 data = Some(place);
             }
@@ -196,7 +248,9 @@ impl Group {
                 continue;
             }
             let use_of = use_of.unwrap_or(SignalUse::Number);
-            let Some(read) = Channel::read(blocks, &channel, data_bytes, use_of)? else { continue };
+            let Some(read) = Channel::read(blocks, &channel, data_bytes, use_of)? else {
+                continue;
+            };
             match part {
                 _ if is_clock => group.clock = Some((clock, read)),
                 Some("ID") => frame_id = Some(read),
@@ -204,18 +258,34 @@ impl Group {
                 Some("DataLength") => length = Some(read),
                 Some("BusChannel") => bus_channel = Some(read),
                 Some(_) => {}
-                None => group.channels.push((signals.add(read.name.clone(), read.unit.clone(), clock), read)),
+                None => group.channels.push((
+                    signals.add(read.name.clone(), read.unit.clone(), clock),
+                    read,
+                )),
             }
         }
         if let (Some(id), Some(data)) = (frame_id, data) {
-            let bus_of_group = if bus_channel.is_none() { bus_of_group(blocks, block)? } else { None };
-            group.frames = Some(FrameLayout { id, is_extended, length, bus_channel, bus_of_group, data });
+            let bus_of_group = if bus_channel.is_none() {
+                bus_of_group(blocks, block)?
+            } else {
+                None
+            };
+            group.frames = Some(FrameLayout {
+                id,
+                is_extended,
+                length,
+                bus_channel,
+                bus_of_group,
+                data,
+            });
         }
         if group.is_needed() {
             signals.add_clock();
         }
         if group.is_needed() && (group.clock.is_none() || flags & FLAG_REMOTE_MASTER != 0) {
-            return Err(MdfError::Unsupported("signals without a clock in their group".to_owned()));
+            return Err(MdfError::Unsupported(
+                "signals without a clock in their group".to_owned(),
+            ));
         }
         Ok(group)
     }
@@ -231,12 +301,16 @@ impl Group {
         decoder: &mut FrameDecoder,
         signals: &mut SignalSet,
     ) -> Result<Option<f64>, MdfError> {
-        let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(None) };
+        let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else {
+            return Ok(None);
+        };
         let time_s = master.value(record, self.rows);
         if !self.channels.is_empty() {
             signals.add_time(*clock, time_s, self.channels.len())?;
             for (signal, channel) in &self.channels {
-                signals.signals[*signal].values.push(channel.value(record, self.rows));
+                signals.signals[*signal]
+                    .values
+                    .push(channel.value(record, self.rows));
             }
         }
         if let Some(layout) = &self.frames {
@@ -268,11 +342,25 @@ impl FrameLayout {
             true => MessageId::Extended((id & 0x1fff_ffff) as u32),
             false => MessageId::Standard((id & 0x7ff) as u16),
         };
-        let bus_channel = self.bus_channel.as_ref().map(|channel| channel.raw(record)).or(self.bus_of_group);
+        let bus_channel = self
+            .bus_channel
+            .as_ref()
+            .map(|channel| channel.raw(record))
+            .or(self.bus_of_group);
         let [from, count] = self.data;
-        let count = self.length.as_ref().map_or(count, |length| count.min(length.raw(record) as usize));
+        let count = self
+            .length
+            .as_ref()
+            .map_or(count, |length| count.min(length.raw(record) as usize));
         let frame = record.get(from..from + count).unwrap_or_default();
-        decoder.decode(&Frame { id, bus_channel, bytes: frame }, add)
+        decoder.decode(
+            &Frame {
+                id,
+                bus_channel,
+                bytes: frame,
+            },
+            add,
+        )
     }
 }
 
@@ -284,7 +372,11 @@ fn bus_of_group(blocks: &mut Blocks, group: &Block) -> Result<Option<u64>, MdfEr
     }
     let number = |name: &String| {
         let (bus, number) = name.split_at_checked(3)?;
-        number.trim_matches([' ', '-', '_']).parse().ok().filter(|_| bus.eq_ignore_ascii_case("can"))
+        number
+            .trim_matches([' ', '-', '_'])
+            .parse()
+            .ok()
+            .filter(|_| bus.eq_ignore_ascii_case("can"))
     };
     Ok(names.iter().find_map(number))
 }

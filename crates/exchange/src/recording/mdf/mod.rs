@@ -158,8 +158,14 @@ impl SignalStream {
         wanted: &dyn Fn(&str) -> Option<SignalUse>,
     ) -> Result<Self, MdfError> {
         let mut blocks = Blocks::new(Box::new(source))?;
-        let mut set = SignalSet { max_read: limits::max_values(blocks.file_bytes()), ..SignalSet::default() };
-        let decoder = dbc.map(|dbc| dbc.decoder(wanted, &mut set)).transpose()?.unwrap_or_default();
+        let mut set = SignalSet {
+            max_read: limits::max_values(blocks.file_bytes()),
+            ..SignalSet::default()
+        };
+        let decoder = dbc
+            .map(|dbc| dbc.decoder(wanted, &mut set))
+            .transpose()?
+            .unwrap_or_default();
         let mut groups = Vec::new();
         let mut at = blocks.read(64, b"HD")?.link(0);
         while let Some(block) = blocks.find_once(at, b"DG")? {
@@ -172,7 +178,13 @@ impl SignalStream {
             at = block.link(0);
         }
         let read_until_s = groups.first().map(|_| f64::NEG_INFINITY);
-        Ok(Self { blocks, decoder, groups, read_until_s, set })
+        Ok(Self {
+            blocks,
+            decoder,
+            groups,
+            read_until_s,
+            set,
+        })
     }
 
     /// Returns the size of the file.
@@ -197,13 +209,28 @@ impl SignalStream {
 
     /// Reads a chunk of the group whose values end first. Returns false at the end of the file.
     pub(super) fn advance(&mut self) -> Result<bool, MdfError> {
-        let Self { blocks, decoder, groups, set, .. } = self;
-        let lagging = groups.iter().enumerate().min_by(|(_, a), (_, b)| a.newest_s.total_cmp(&b.newest_s));
-        let Some(index) = lagging.map(|(index, _)| index) else { return Ok(false) };
+        let Self {
+            blocks,
+            decoder,
+            groups,
+            set,
+            ..
+        } = self;
+        let lagging = groups
+            .iter()
+            .enumerate()
+            .min_by(|(_, a), (_, b)| a.newest_s.total_cmp(&b.newest_s));
+        let Some(index) = lagging.map(|(index, _)| index) else {
+            return Ok(false);
+        };
         if !groups[index].advance(blocks, decoder, set)? {
             groups.remove(index);
         }
-        self.read_until_s = self.groups.iter().map(|group| group.newest_s).min_by(f64::total_cmp);
+        self.read_until_s = self
+            .groups
+            .iter()
+            .map(|group| group.newest_s)
+            .min_by(f64::total_cmp);
         Ok(true)
     }
 }
@@ -218,15 +245,25 @@ impl SignalSet {
         dbc: Option<&DbcFile>,
         wanted: &dyn Fn(&str) -> bool,
     ) -> Result<Self, MdfError> {
-        let mut stream = SignalStream::open(source, dbc, &|name| wanted(name).then_some(SignalUse::Number))?;
+        let mut stream = SignalStream::open(source, dbc, &|name| {
+            wanted(name).then_some(SignalUse::Number)
+        })?;
         while stream.advance()? {}
         Ok(stream.set)
     }
 
     /// Removes the first `counts` values of each clock and its signals; later values must be from a time on.
     pub(super) fn forget(&mut self, counts: &[usize], from_s: Option<f64>) {
-        let Self { signals, clocks_s, values, .. } = self;
-        let lists = clocks_s.iter_mut().zip(0..).chain(signals.iter_mut().map(|one| (&mut one.values, one.clock)));
+        let Self {
+            signals,
+            clocks_s,
+            values,
+            ..
+        } = self;
+        let lists = clocks_s
+            .iter_mut()
+            .zip(0..)
+            .chain(signals.iter_mut().map(|one| (&mut one.values, one.clock)));
         for (list, clock) in lists {
             let count = counts.get(clock).copied().unwrap_or(0).min(list.len());
             list.drain(..count);
@@ -251,7 +288,10 @@ impl SignalSet {
             });
         }
         if self.read > self.max_read {
-            return Err(MdfError::TooLarge { limit: self.max_read, what: "values of the signals of the map" });
+            return Err(MdfError::TooLarge {
+                limit: self.max_read,
+                what: "values of the signals of the map",
+            });
         }
         Ok(())
     }
@@ -262,7 +302,12 @@ impl SignalSet {
     }
 
     fn add(&mut self, name: String, unit: String, clock: usize) -> usize {
-        self.signals.push(Signal { name, unit, clock, values: Vec::new() });
+        self.signals.push(Signal {
+            name,
+            unit,
+            clock,
+            values: Vec::new(),
+        });
         self.signals.len() - 1
     }
 }

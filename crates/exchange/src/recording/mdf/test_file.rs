@@ -22,8 +22,12 @@ impl TestFile {
     pub(super) fn add(&mut self, kind: &[u8; 2], links: &[u64], data: &[u8]) -> u64 {
         let at = self.bytes.len() as u64;
         let length = (24 + 8 * links.len() + data.len()) as u64;
-        self.bytes.extend([&b"##"[..], kind, &[0; 4], &length.to_le_bytes()].concat());
-        [links.len() as u64].iter().chain(links).for_each(|number| self.bytes.extend(number.to_le_bytes()));
+        self.bytes
+            .extend([&b"##"[..], kind, &[0; 4], &length.to_le_bytes()].concat());
+        [links.len() as u64]
+            .iter()
+            .chain(links)
+            .for_each(|number| self.bytes.extend(number.to_le_bytes()));
         self.bytes.extend(data);
         self.bytes.resize(self.bytes.len().div_ceil(8) * 8, 0);
         at
@@ -47,10 +51,16 @@ impl TestFile {
     pub(super) fn group(&mut self, channels: &[TestChannel<'_>], record_bytes: u32, samples: u64) {
         let mut next = 0;
         let clock = ("time", 0, 64, 4, 0);
-        for (name, byte, bits, data_type, conversion) in channels.iter().copied().rev().chain([clock]) {
+        for (name, byte, bits, data_type, conversion) in
+            channels.iter().copied().rev().chain([clock])
+        {
             let name_at = self.text(name);
             let mut data = [0; 72];
-            (data[0], data[1], data[2]) = (if name == "time" { 2 } else { 0 }, u8::from(name == "time"), data_type);
+            (data[0], data[1], data[2]) = (
+                if name == "time" { 2 } else { 0 },
+                u8::from(name == "time"),
+                data_type,
+            );
             data[4..8].copy_from_slice(&byte.to_le_bytes());
             data[8..12].copy_from_slice(&bits.to_le_bytes());
             next = self.add(b"CN", &[next, 0, name_at, 0, conversion, 0, 0, 0], &data);
@@ -66,8 +76,10 @@ impl TestFile {
     /// Adds samples: a time each 0.1 s with the other bytes of the record.
     pub(super) fn samples(&mut self, records: &[Vec<u8>]) -> u64 {
         let times = (0..records.len()).map(|index| index as f64 / 10.0);
-        let data: Vec<u8> =
-            times.zip(records).flat_map(|(at_s, rest)| [&at_s.to_le_bytes()[..], rest].concat()).collect();
+        let data: Vec<u8> = times
+            .zip(records)
+            .flat_map(|(at_s, rest)| [&at_s.to_le_bytes()[..], rest].concat())
+            .collect();
         self.add(b"DT", &[], &data)
     }
 }
@@ -80,7 +92,13 @@ pub(super) fn frames_file(frames: &[TestFrame]) -> Vec<u8> {
     let mut file = TestFile::new();
     let record = |(channel, id, bytes): &TestFrame| {
         let plain = id & 0x1fff_ffff;
-        [&[*channel][..], &plain.to_le_bytes(), &[u8::from(id >> 31 == 1), 8], bytes].concat()
+        [
+            &[*channel][..],
+            &plain.to_le_bytes(),
+            &[u8::from(id >> 31 == 1), 8],
+            bytes,
+        ]
+        .concat()
     };
     let samples = file.samples(&frames.iter().map(record).collect::<Vec<_>>());
     let channels = [

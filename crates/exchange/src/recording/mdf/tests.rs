@@ -11,34 +11,56 @@ use super::{DbcFile, MdfError, SignalSet};
 fn files() -> Vec<PathBuf> {
     let corpus = concat!(env!("CARGO_MANIFEST_DIR"), "/../../corpora/recordings/mdf");
     let folder = std::env::var("MDF_FILES").unwrap_or_else(|_| corpus.to_owned());
-    let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let mut files: Vec<_> = paths.filter(|path| path.extension().is_some_and(|extension| extension == "mf4")).collect();
+    let paths = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = paths
+        .filter(|path| path.extension().is_some_and(|extension| extension == "mf4"))
+        .collect();
     files.sort();
     files
 }
 
 fn read(bytes: Vec<u8>, path: &Path) -> Result<SignalSet, MdfError> {
-    let dbc = Some(path.with_extension("dbc")).filter(|dbc| dbc.exists()).map(|dbc| DbcFile::load(&dbc)).transpose()?;
-    SignalSet::read(Cursor::new(bytes), dbc.as_ref(), &|name| name != "t" && !name.contains('.'))
+    let dbc = Some(path.with_extension("dbc"))
+        .filter(|dbc| dbc.exists())
+        .map(|dbc| DbcFile::load(&dbc))
+        .transpose()?;
+    SignalSet::read(Cursor::new(bytes), dbc.as_ref(), &|name| {
+        name != "t" && !name.contains('.')
+    })
 }
 
 #[test]
 fn signals_equal_those_of_asammdf_and_cantools_bit_by_bit() {
     for path in files() {
-        let found = read(fs::read(&path).unwrap(), &path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        let Value::Object(expected) = serde_json::from_slice(&fs::read(path.with_extension("json")).unwrap()).unwrap()
+        let found = read(fs::read(&path).unwrap(), &path)
+            .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let Value::Object(expected) =
+            serde_json::from_slice(&fs::read(path.with_extension("json")).unwrap()).unwrap()
         else {
             panic!("{}: no table", path.display())
         };
         for (name, expected) in expected {
             let place = || format!("{}: {name}", path.display());
-            let signal =
-                found.signals.iter().find(|signal| signal.name == name).unwrap_or_else(|| panic!("{}", place()));
-            for (found, key) in [(&signal.values, "values"), (&found.clocks_s[signal.clock], "times")] {
+            let signal = found
+                .signals
+                .iter()
+                .find(|signal| signal.name == name)
+                .unwrap_or_else(|| panic!("{}", place()));
+            for (found, key) in [
+                (&signal.values, "values"),
+                (&found.clocks_s[signal.clock], "times"),
+            ] {
                 let expected = expected[key].as_array().unwrap();
                 assert_eq!(found.len(), expected.len(), "{}: {key}", place());
                 for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
-                    assert_eq!(format!("{:016x}", found.to_bits()), *expected, "{}: {key}[{index}]", place());
+                    assert_eq!(
+                        format!("{:016x}", found.to_bits()),
+                        *expected,
+                        "{}: {key}[{index}]",
+                        place()
+                    );
                 }
             }
         }

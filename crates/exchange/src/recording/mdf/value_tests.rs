@@ -34,7 +34,11 @@ const CCVS: u32 = 0x8000_0000 | 0x0cfe_f121;
 /// Returns the values of a signal of 16 bits with a conversion.
 fn converted(build: impl FnOnce(&mut TestFile) -> u64, use_of: SignalUse, raw: &[u16]) -> Vec<f64> {
     let mut file = TestFile::new();
-    let samples = file.samples(&raw.iter().map(|raw| raw.to_le_bytes().to_vec()).collect::<Vec<_>>());
+    let samples = file.samples(
+        &raw.iter()
+            .map(|raw| raw.to_le_bytes().to_vec())
+            .collect::<Vec<_>>(),
+    );
     let conversion = build(&mut file);
     file.group(&[("gap", 8, 16, 0, conversion)], 10, samples);
     let wanted = |name: &str| (name == "gap").then_some(use_of);
@@ -48,7 +52,10 @@ fn assert_values(found: &[f64], expected: &[Option<f64>]) {
         Some(expected) => found == expected,
         None => found.is_nan(),
     };
-    assert!(found.len() == expected.len() && found.iter().zip(expected).all(is_equal), "{found:?} {expected:?}");
+    assert!(
+        found.len() == expected.len() && found.iter().zip(expected).all(is_equal),
+        "{found:?} {expected:?}"
+    );
 }
 
 /// The table names special values; all others have the scale of its default.
@@ -61,20 +68,29 @@ fn texts_of_a_conversion_are_missing_and_other_values_have_its_scale() {
         file.conversion(7, &[sna, error, scale], &[65535.0, 65534.0])
     };
     let all_but_two = [Some(30.0), None, None, Some(60001.0 * 0.01 - 5.0)];
-    assert_values(&converted(special_values, SignalUse::Number, &raw), &all_but_two);
+    assert_values(
+        &converted(special_values, SignalUse::Number, &raw),
+        &all_but_two,
+    );
     let ranges = |file: &mut TestFile| {
         let scale = file.conversion(1, &[], &[-5.0, 0.01]);
         let sna = file.text("SNA");
         file.conversion(8, &[sna, scale, 0], &[65535.0, 65535.0, 0.0, 60000.0])
     };
-    assert_values(&converted(ranges, SignalUse::Number, &raw), &[Some(30.0), None, None, None]);
+    assert_values(
+        &converted(ranges, SignalUse::Number, &raw),
+        &[Some(30.0), None, None, None],
+    );
     let nested = |file: &mut TestFile| {
         let scale = file.conversion(2, &[], &[0.0, 2.0, -70.0, 0.0, 0.0, 1.0]);
         let inner = file.conversion(8, &[scale, 0], &[0.0, 65000.0]);
         let sna = file.text("SNA");
         file.conversion(7, &[sna, inner], &[65535.0])
     };
-    assert_values(&converted(nested, SignalUse::Number, &[35, 65535, 65534]), &[Some(0.0), None, None]);
+    assert_values(
+        &converted(nested, SignalUse::Number, &[35, 65535, 65534]),
+        &[Some(0.0), None, None],
+    );
 }
 
 /// Without any scale, the table only names values: lanes and ids keep their numbers.
@@ -84,8 +100,14 @@ fn ids_keep_the_numbers_that_have_texts() {
         let [left, right] = ["left", "right"].map(|text| file.text(text));
         file.conversion(7, &[left, right, 0], &[1.0, 2.0])
     };
-    assert_values(&converted(lanes, SignalUse::Id, &[1, 2, 3]), &[Some(1.0), Some(2.0), Some(3.0)]);
-    assert_values(&converted(lanes, SignalUse::Number, &[1, 2, 3]), &[None, None, Some(3.0)]);
+    assert_values(
+        &converted(lanes, SignalUse::Id, &[1, 2, 3]),
+        &[Some(1.0), Some(2.0), Some(3.0)],
+    );
+    assert_values(
+        &converted(lanes, SignalUse::Number, &[1, 2, 3]),
+        &[None, None, Some(3.0)],
+    );
 }
 
 fn map(keys: &str) -> RecordingMap {
@@ -98,9 +120,16 @@ fn map(keys: &str) -> RecordingMap {
 }
 
 fn values_of(signal: &str, frames: &[TestFrame], keys: &str) -> Result<Vec<f64>, MdfError> {
-    let dbc = DbcFile::parse(DBC.as_bytes(), Path::new("bus.dbc"))?.with_frames_of(map(keys).spec())?;
-    let found = SignalSet::read(Cursor::new(frames_file(frames)), Some(&dbc), &|name| name == signal)?;
-    Ok(found.signals.first().map(|signal| signal.values.clone()).unwrap_or_default())
+    let dbc =
+        DbcFile::parse(DBC.as_bytes(), Path::new("bus.dbc"))?.with_frames_of(map(keys).spec())?;
+    let found = SignalSet::read(Cursor::new(frames_file(frames)), Some(&dbc), &|name| {
+        name == signal
+    })?;
+    Ok(found
+        .signals
+        .first()
+        .map(|signal| signal.values.clone())
+        .unwrap_or_default())
 }
 
 /// Two radars of one make send the same id on two buses.
@@ -111,16 +140,29 @@ fn a_signal_of_two_bus_channels_needs_a_choice() {
         (channel, 512, [low, high, 0, 0, 0, 0, 0, 0])
     };
     let frames = [gap(1, 30.0), gap(2, 45.0), gap(1, 29.0), gap(2, 44.0)];
-    let message = values_of("Gap", &frames, "").expect_err("ambiguous").to_string();
+    let message = values_of("Gap", &frames, "")
+        .expect_err("ambiguous")
+        .to_string();
     let expected = "the signal Gap is in frames of the bus channels 1 and 2: choose one with `bus_channel` in the map";
     assert_eq!(message, expected);
-    assert_eq!(values_of("Gap", &frames, "bus_channel = 1"), Ok(vec![30.0, 29.0]));
-    assert_eq!(values_of("Gap", &frames, "bus_channel = { Radar = 2 }"), Ok(vec![45.0, 44.0]));
+    assert_eq!(
+        values_of("Gap", &frames, "bus_channel = 1"),
+        Ok(vec![30.0, 29.0])
+    );
+    assert_eq!(
+        values_of("Gap", &frames, "bus_channel = { Radar = 2 }"),
+        Ok(vec![45.0, 44.0])
+    );
     assert_eq!(values_of("Gap", &frames[..1], ""), Ok(vec![30.0]));
     // A choice for another message leaves this one ambiguous.
     assert!(values_of("Gap", &frames, "bus_channel = { CCVS = 2 }").is_err());
-    let unknown = values_of("Gap", &frames, "bus_channel = { Lidar = 2 }").expect_err("unknown").to_string();
-    assert_eq!(unknown, "bus.dbc: has no message Lidar, which `bus_channel` of the map names");
+    let unknown = values_of("Gap", &frames, "bus_channel = { Lidar = 2 }")
+        .expect_err("unknown")
+        .to_string();
+    assert_eq!(
+        unknown,
+        "bus.dbc: has no message Lidar, which `bus_channel` of the map names"
+    );
 }
 
 #[test]
@@ -129,18 +171,34 @@ fn the_parameter_group_decides_where_a_message_has_any_sender() {
         let [low, high] = raw.to_le_bytes();
         (1, id, [0xff, low, high, 0xff, 0xff, 0xff, 0xff, 0xff])
     };
-    let frames = [speed(CCVS, 20_480), speed(0x8000_0000 | 0x18fe_f221, 1), speed(0x7f1, 2)];
+    let frames = [
+        speed(CCVS, 20_480),
+        speed(0x8000_0000 | 0x18fe_f221, 1),
+        speed(0x7f1, 2),
+    ];
     assert_eq!(values_of("WheelSpeed", &frames, ""), Ok(vec![80.0]));
     // The priority is no part of the group.
     let frames = [speed(0x98fe_f121, 20_480), speed(CCVS, 20_736)];
     assert_eq!(values_of("WheelSpeed", &frames, ""), Ok(vec![80.0, 81.0]));
     let frames = [speed(CCVS, 20_480), speed(0x98fe_f100, 256)];
-    let message = values_of("WheelSpeed", &frames, "").expect_err("two senders").to_string();
-    assert!(message.contains("the source addresses 33 and 0: choose one with `source_address`"), "{message}");
-    assert_eq!(values_of("WheelSpeed", &frames, "source_address = 33"), Ok(vec![80.0]));
-    assert_eq!(values_of("WheelSpeed", &frames, "source_address = { CCVS = 0 }"), Ok(vec![1.0]));
+    let message = values_of("WheelSpeed", &frames, "")
+        .expect_err("two senders")
+        .to_string();
+    assert!(
+        message.contains("the source addresses 33 and 0: choose one with `source_address`"),
+        "{message}"
+    );
+    assert_eq!(
+        values_of("WheelSpeed", &frames, "source_address = 33"),
+        Ok(vec![80.0])
+    );
+    assert_eq!(
+        values_of("WheelSpeed", &frames, "source_address = { CCVS = 0 }"),
+        Ok(vec![1.0])
+    );
     // An id that the DBC file defines for one sender is another message.
-    let frames = [speed(0x98fe_f700, 1), speed(0x98fe_f721, 2)].map(|(bus, id, _)| (bus, id, [7; 8]));
+    let frames =
+        [speed(0x98fe_f700, 1), speed(0x98fe_f721, 2)].map(|(bus, id, _)| (bus, id, [7; 8]));
     assert_eq!(values_of("Distance", &frames, ""), Ok(vec![7.0]));
 }
 
@@ -153,7 +211,9 @@ fn a_message_without_frames_is_named() {
                [layout.pairs]\nspacing = { column = \"Gap\" }\nfollower_speed = { column = \"WheelSpeed\" }\n\
                relative_speed = { column = \"Parking\" }\n";
     let map = RecordingMap::from_toml(map, &folder.path().join("map.toml")).expect("a map");
-    let frames: Vec<TestFrame> = (0..20).map(|_| (1, 512, [0x88, 0x13, 0, 0, 0, 0, 0, 0])).collect();
+    let frames: Vec<TestFrame> = (0..20)
+        .map(|_| (1, 512, [0x88, 0x13, 0, 0, 0, 0, 0, 0]))
+        .collect();
     let read = crate::recording::read(&frames_file(&frames), Path::new("a.mf4"), Some(&map));
     let message = read.expect_err("no frame").to_string();
     let expected = "a.mf4: the file has no frame with the signal WheelSpeed of the message CCVS (id 0x18fef1fe, \
@@ -190,7 +250,13 @@ fn links_that_multiply_work_are_refused() {
     let samples = file.samples(&[vec![0, 1]]);
     let list = file.add(b"DL", &[0, samples, samples], &[0; 16]);
     file.group(&[("gap", 8, 16, 0, 0)], 10, list);
-    assert_eq!(read(file), Err(MdfError::Damaged { offset: samples, problem: "two links name the block" }));
+    assert_eq!(
+        read(file),
+        Err(MdfError::Damaged {
+            offset: samples,
+            problem: "two links name the block"
+        })
+    );
     // Blocks within each other, all of which end with the file.
     let mut file = TestFile::new();
     let blocks: Vec<u64> = (0..100).map(|_| file.add(b"DT", &[], &[])).collect();
@@ -201,17 +267,26 @@ fn links_that_multiply_work_are_refused() {
         file.bytes[at as usize + 8..at as usize + 16].copy_from_slice(&(end - at).to_le_bytes());
     }
     let refused = read(file).expect_err("within each other").to_string();
-    assert!(refused.contains("two blocks with samples share bytes"), "{refused}");
+    assert!(
+        refused.contains("two blocks with samples share bytes"),
+        "{refused}"
+    );
     // Many channels with one long conversion.
     let mut file = TestFile::new();
     let values: Vec<f64> = (0..60_000).map(f64::from).collect();
     let conversion = file.conversion(4, &[], &values);
     let samples = file.samples(&[vec![0, 1]]);
     let names: Vec<String> = (0..200).map(|index| format!("gap{index}")).collect();
-    let channels: Vec<_> = names.iter().map(|name| (name.as_str(), 8, 16, 0, conversion)).collect();
+    let channels: Vec<_> = names
+        .iter()
+        .map(|name| (name.as_str(), 8, 16, 0, conversion))
+        .collect();
     file.group(&channels, 10, samples);
     let refused = read(file).expect_err("480 KB, 200 times").to_string();
-    assert!(refused.contains("the links name the same blocks too often"), "{refused}");
+    assert!(
+        refused.contains("the links name the same blocks too often"),
+        "{refused}"
+    );
 }
 
 /// A bomb of compressed zeros has a limit after decompression.
@@ -227,12 +302,21 @@ fn blocks_decompress_to_a_limited_size() {
     header[..2].copy_from_slice(b"DT");
     header[8..16].copy_from_slice(&(zeros.len() as u64).to_le_bytes());
     header[16..24].copy_from_slice(&(packed.len() as u64).to_le_bytes());
-    let blocks: Vec<u64> = (0..9).map(|_| file.add(b"DZ", &[], &[&header[..], &packed].concat())).collect();
+    let blocks: Vec<u64> = (0..9)
+        .map(|_| file.add(b"DZ", &[], &[&header[..], &packed].concat()))
+        .collect();
     let list = file.add(b"DL", &[&[0][..], &blocks].concat(), &[0; 16]);
     // A record of a MiB, so that few values are read.
     file.group(&[("gap", 8, 16, 0, 0)], 1 << 20, list);
-    let refused = SignalSet::read(Cursor::new(file.bytes), None, &|name| name == "gap").expect_err("576 MiB");
-    assert_eq!(refused, MdfError::TooLarge { limit: 512 << 20, what: "bytes after decompression" });
+    let refused =
+        SignalSet::read(Cursor::new(file.bytes), None, &|name| name == "gap").expect_err("576 MiB");
+    assert_eq!(
+        refused,
+        MdfError::TooLarge {
+            limit: 512 << 20,
+            what: "bytes after decompression"
+        }
+    );
 }
 
 #[test]
@@ -241,7 +325,12 @@ fn multiplexers_that_select_each_other_are_refused() {
                SG_ B m3M : 4|4@1+ (1,0) [0|0] \"\" ECU\n SG_ Gap m5 : 8|16@1+ (0.01,-5) [0|0] \"m\" ECU\n\n\
                SG_MUL_VAL_ 513 B A 3-3;\nSG_MUL_VAL_ 513 A B 1-2;\nSG_MUL_VAL_ 513 Gap B 5-5;\n";
     let dbc = DbcFile::parse(dbc.as_bytes(), Path::new("bus.dbc")).expect("a DBC file");
-    let read = SignalSet::read(Cursor::new(frames_file(&[])), Some(&dbc), &|name| name == "Gap");
+    let read = SignalSet::read(Cursor::new(frames_file(&[])), Some(&dbc), &|name| {
+        name == "Gap"
+    });
     let message = read.expect_err("a circle").to_string();
-    assert_eq!(message, "bus.dbc:12: more than 16 multiplexers select signal Gap, or each other");
+    assert_eq!(
+        message,
+        "bus.dbc:12: more than 16 multiplexers select signal Gap, or each other"
+    );
 }

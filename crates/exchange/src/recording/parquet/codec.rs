@@ -26,7 +26,9 @@ impl Codec {
             5 | 7 => "LZ4",
             _ => "an unknown method",
         };
-        Err(ParquetError::Unsupported(format!("compression with {other}: use zstd, gzip, Snappy or none")))
+        Err(ParquetError::Unsupported(format!(
+            "compression with {other}: use zstd, gzip, Snappy or none"
+        )))
     }
 
     /// Decompresses bytes to a known size.
@@ -38,15 +40,22 @@ impl Codec {
                 if snap::raw::decompress_len(&packed).ok() != Some(size) {
                     return Err(DAMAGED);
                 }
-                snap::raw::Decoder::new().decompress_vec(&packed).map_err(|_| DAMAGED)?
+                snap::raw::Decoder::new()
+                    .decompress_vec(&packed)
+                    .map_err(|_| DAMAGED)?
             }
             Self::Gzip => read_at_most(MultiGzDecoder::new(&packed[..]), size).ok_or(DAMAGED)?,
             Self::Zstd => {
-                let decoder = ruzstd::decoding::StreamingDecoder::new(&packed[..]).map_err(|_| DAMAGED)?;
+                let decoder =
+                    ruzstd::decoding::StreamingDecoder::new(&packed[..]).map_err(|_| DAMAGED)?;
                 read_at_most(decoder, size).ok_or(DAMAGED)?
             }
         };
-        if plain.len() == size { Ok(plain) } else { Err(DAMAGED) }
+        if plain.len() == size {
+            Ok(plain)
+        } else {
+            Err(DAMAGED)
+        }
     }
 }
 

@@ -81,7 +81,16 @@ struct Dictionary {
 impl Column {
     pub(super) fn new(column: FlatColumn) -> Self {
         let (page, values) = (Vec::new(), ValueReader::Plain { at: 0 });
-        Self { column, chunk: None, dictionary: None, page, rows_left: 0, group_rows_left: 0, levels: None, values }
+        Self {
+            column,
+            chunk: None,
+            dictionary: None,
+            page,
+            rows_left: 0,
+            group_rows_left: 0,
+            levels: None,
+            values,
+        }
     }
 
     /// Begins with the rows of the next group.
@@ -98,11 +107,19 @@ impl Column {
     }
 
     /// Returns the number of the next row, NaN if missing or no number, and writes its text.
-    pub(super) fn next(&mut self, file: &mut FileBytes, text: &mut String) -> Result<f64, ParquetError> {
+    pub(super) fn next(
+        &mut self,
+        file: &mut FileBytes,
+        text: &mut String,
+    ) -> Result<f64, ParquetError> {
         while self.rows_left == 0 {
             self.release_page(file);
-            let chunk = self.chunk.as_mut().ok_or(ParquetError::Damaged("a column has no pages"))?;
-            let page = next_page(file, chunk)?.ok_or(ParquetError::Damaged("a column has too few values"))?;
+            let chunk = self
+                .chunk
+                .as_mut()
+                .ok_or(ParquetError::Damaged("a column has no pages"))?;
+            let page = next_page(file, chunk)?
+                .ok_or(ParquetError::Damaged("a column has too few values"))?;
             self.open_page(page)?;
         }
         self.rows_left -= 1;
@@ -113,13 +130,25 @@ impl Column {
                 _ => return Err(ParquetError::Damaged("the levels of a page are wrong")),
             }
         }
-        let Self { column, values, page, dictionary, .. } = self;
+        let Self {
+            column,
+            values,
+            page,
+            dictionary,
+            ..
+        } = self;
         let value = match values {
             ValueReader::Dictionary(indices) => {
-                let index = indices.next(page).ok_or(ParquetError::Damaged("a page ends before its values"))?;
-                let dictionary = dictionary.as_ref().ok_or(ParquetError::Damaged("a column lacks its dictionary"))?;
+                let index = indices
+                    .next(page)
+                    .ok_or(ParquetError::Damaged("a page ends before its values"))?;
+                let dictionary = dictionary
+                    .as_ref()
+                    .ok_or(ParquetError::Damaged("a column lacks its dictionary"))?;
                 let lacks = ParquetError::Damaged("a page names a value that its dictionary lacks");
-                dictionary.get(column.physical, index as usize).ok_or(lacks)?
+                dictionary
+                    .get(column.physical, index as usize)
+                    .ok_or(lacks)?
             }
             other => other.next(column.physical, page)?,
         };
@@ -136,17 +165,31 @@ impl Column {
             return Ok(());
         }
         let too_many = ParquetError::Damaged("a column has more values than rows");
-        self.group_rows_left = self.group_rows_left.checked_sub(header.values).ok_or(too_many)?;
+        self.group_rows_left = self
+            .group_rows_left
+            .checked_sub(header.values)
+            .ok_or(too_many)?;
         let [levels_start, levels_end] = match header.kind {
             _ if !self.column.is_optional => [0, 0],
             PageKind::DataV2 { definition_bytes } => [0, definition_bytes],
             _ if header.level_encoding != RLE => {
-                return Err(ParquetError::Unsupported("levels that are packed without runs".to_owned()));
+                return Err(ParquetError::Unsupported(
+                    "levels that are packed without runs".to_owned(),
+                ));
             }
             _ => [4, end_of_levels(&bytes)?],
         };
-        self.levels = self.column.is_optional.then(|| Hybrid::new(levels_start, levels_end, 1));
-        self.values = ValueReader::new(&self.column, header.encoding, &bytes, levels_end, header.values)?;
+        self.levels = self
+            .column
+            .is_optional
+            .then(|| Hybrid::new(levels_start, levels_end, 1));
+        self.values = ValueReader::new(
+            &self.column,
+            header.encoding,
+            &bytes,
+            levels_end,
+            header.values,
+        )?;
         (self.page, self.rows_left) = (bytes, header.values);
         Ok(())
     }
@@ -154,18 +197,28 @@ impl Column {
 
 /// Returns the end of levels whose length precedes them.
 fn end_of_levels(bytes: &[u8]) -> Result<usize, ParquetError> {
-    let length = bytes.first_chunk().map(|length| u32::from_le_bytes(*length) as usize);
-    let end = length.and_then(|length| length.checked_add(4)).filter(|end| *end <= bytes.len());
-    end.ok_or(ParquetError::Damaged("the levels of a page are longer than the page"))
+    let length = bytes
+        .first_chunk()
+        .map(|length| u32::from_le_bytes(*length) as usize);
+    let end = length
+        .and_then(|length| length.checked_add(4))
+        .filter(|end| *end <= bytes.len());
+    end.ok_or(ParquetError::Damaged(
+        "the levels of a page are longer than the page",
+    ))
 }
 
 impl Dictionary {
     fn new(bytes: Vec<u8>, physical: PhysicalType) -> Result<Self, ParquetError> {
         let (mut texts, mut at) = (Vec::new(), 0);
         while physical == PhysicalType::Bytes && at < bytes.len() {
-            let length =
-                bytes.get(at..).and_then(<[u8]>::first_chunk).map(|length| u32::from_le_bytes(*length) as usize);
-            let end = length.and_then(|length| (at + 4).checked_add(length)).filter(|end| *end <= bytes.len());
+            let length = bytes
+                .get(at..)
+                .and_then(<[u8]>::first_chunk)
+                .map(|length| u32::from_le_bytes(*length) as usize);
+            let end = length
+                .and_then(|length| (at + 4).checked_add(length))
+                .filter(|end| *end <= bytes.len());
             let end = end.ok_or(ParquetError::Damaged("a dictionary ends within a text"))?;
             // Pages have at most 64 MiB.
             texts.push((at as u32 + 4, end as u32));
@@ -189,21 +242,39 @@ impl FlatColumn {
     fn show(&self, value: Value<'_>, text: &mut String) -> f64 {
         match (value, self.meaning) {
             (Value::Number(number), _) => number,
-            (Value::Integer(number), ColumnMeaning::Unsigned) if self.physical == PhysicalType::Int32 => {
+            (Value::Integer(number), ColumnMeaning::Unsigned)
+                if self.physical == PhysicalType::Int32 =>
+            {
                 show_integer(i128::from(number as u32), text)
             }
-            (Value::Integer(number), ColumnMeaning::Unsigned) => show_integer(i128::from(number as u64), text),
-            (Value::Integer(number), ColumnMeaning::Decimal { scale }) => show_decimal(number, scale, text),
+            (Value::Integer(number), ColumnMeaning::Unsigned) => {
+                show_integer(i128::from(number as u64), text)
+            }
+            (Value::Integer(number), ColumnMeaning::Decimal { scale }) => {
+                show_decimal(number, scale, text)
+            }
             (Value::Integer(number), ColumnMeaning::TimeOfDay { per_second }) => {
                 show_time_of_day(number * 1_000_000 / i128::from(per_second), text);
                 f64::NAN
             }
             (Value::Integer(number), _) => show_integer(number, text),
             (Value::Bytes(bytes), ColumnMeaning::Decimal { scale }) if bytes.len() <= 16 => {
-                let sign = if bytes.first().is_some_and(|first| *first >= 0x80) { -1 } else { 0 };
-                show_decimal(bytes.iter().fold(sign, |all, byte| all << 8 | i128::from(*byte)), scale, text)
+                let sign = if bytes.first().is_some_and(|first| *first >= 0x80) {
+                    -1
+                } else {
+                    0
+                };
+                show_decimal(
+                    bytes
+                        .iter()
+                        .fold(sign, |all, byte| all << 8 | i128::from(*byte)),
+                    scale,
+                    text,
+                )
             }
-            (Value::Bytes(&[low, high]), ColumnMeaning::Float16) => half_precision(u16::from_le_bytes([low, high])),
+            (Value::Bytes(&[low, high]), ColumnMeaning::Float16) => {
+                half_precision(u16::from_le_bytes([low, high]))
+            }
             (Value::Bytes(bytes), _) => {
                 *text += &String::from_utf8_lossy(bytes);
                 f64::NAN
@@ -226,13 +297,21 @@ fn show_decimal(number: i128, scale: u32, text: &mut String) -> f64 {
 fn show_time_of_day(microseconds: i128, text: &mut String) {
     let seconds = microseconds / 1_000_000;
     let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
-    let _ = write!(text, "{hours:02}:{minutes:02}:{:02}.{:06}", seconds % 60, microseconds % 1_000_000);
+    let _ = write!(
+        text,
+        "{hours:02}:{minutes:02}:{:02}.{:06}",
+        seconds % 60,
+        microseconds % 1_000_000
+    );
 }
 
 /// Returns the value of a floating point number of 16 bits.
 fn half_precision(bits: u16) -> f64 {
     let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
-    let (exponent, fraction) = (i32::from(bits >> 10 & 0x1f), f64::from(bits & 0x3ff) / 1024.0);
+    let (exponent, fraction) = (
+        i32::from(bits >> 10 & 0x1f),
+        f64::from(bits & 0x3ff) / 1024.0,
+    );
     sign * match exponent {
         0 => fraction * 2_f64.powi(-14),
         0x1f if fraction == 0.0 => f64::INFINITY,

@@ -53,8 +53,14 @@ struct SchemaElement {
 }
 
 impl Footer {
-    pub(super) fn read(file: &mut FileBytes, wanted: &dyn Fn(&str) -> bool) -> Result<Self, ParquetError> {
-        let tail_at = file.length.checked_sub(8).ok_or(ParquetError::Damaged("it is too short"))?;
+    pub(super) fn read(
+        file: &mut FileBytes,
+        wanted: &dyn Fn(&str) -> bool,
+    ) -> Result<Self, ParquetError> {
+        let tail_at = file
+            .length
+            .checked_sub(8)
+            .ok_or(ParquetError::Damaged("it is too short"))?;
         let tail = file.read(tail_at, 8)?;
         let (length, magic) = tail.split_at(4);
         match magic {
@@ -62,22 +68,35 @@ impl Footer {
             ENCRYPTED_MAGIC => return Err(ParquetError::Unsupported("encrypted files".to_owned())),
             _ => return Err(ParquetError::Damaged("the end of the file is missing")),
         }
-        let length = length.iter().rev().fold(0, |all, byte| all << 8 | u64::from(*byte));
+        let length = length
+            .iter()
+            .rev()
+            .fold(0, |all, byte| all << 8 | u64::from(*byte));
         if length > MAX_FOOTER_BYTES {
-            return Err(ParquetError::TooLarge { limit: MAX_FOOTER_BYTES, what: "bytes of metadata" });
+            return Err(ParquetError::TooLarge {
+                limit: MAX_FOOTER_BYTES,
+                what: "bytes of metadata",
+            });
         }
-        let at = tail_at.checked_sub(length).ok_or(ParquetError::Damaged("the length of its metadata is wrong"))?;
+        let at = tail_at
+            .checked_sub(length)
+            .ok_or(ParquetError::Damaged("the length of its metadata is wrong"))?;
         Self::parse(&file.read(at, length)?, wanted)
     }
 
     fn parse(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Self, ParquetError> {
-        let mut footer = Self { columns: Vec::new(), groups: Vec::new(), known: Vec::new() };
+        let mut footer = Self {
+            columns: Vec::new(),
+            groups: Vec::new(),
+            known: Vec::new(),
+        };
         let mut leaves = None;
         ThriftReader::new(bytes).read_struct(|reader, id, kind| {
             match id {
                 2 => leaves = Some(footer.read_schema(reader, kind, wanted)?),
                 4 => {
-                    let leaves = leaves.ok_or(ParquetError::Damaged("its metadata lacks a schema"))?;
+                    let leaves =
+                        leaves.ok_or(ParquetError::Damaged("its metadata lacks a schema"))?;
                     for _ in 0..reader.structs(kind)? {
                         let group = footer.read_group(reader, leaves)?;
                         footer.groups.push(group);
@@ -99,7 +118,10 @@ impl Footer {
     ) -> Result<usize, ParquetError> {
         let count = reader.structs(kind)?;
         if count > MAX_COLUMNS {
-            return Err(ParquetError::TooLarge { limit: MAX_COLUMNS as u64, what: "columns" });
+            return Err(ParquetError::TooLarge {
+                limit: MAX_COLUMNS as u64,
+                what: "columns",
+            });
         }
         // Numbers of columns that are still to come within each column that is open.
         let mut open: Vec<i64> = Vec::new();
@@ -111,10 +133,16 @@ impl Footer {
                 return Err(ParquetError::Damaged("a number of columns is wrong"));
             }
             if open.len() > MAX_DEPTH {
-                return Err(ParquetError::TooLarge { limit: MAX_DEPTH as u64, what: "levels of nested columns" });
+                return Err(ParquetError::TooLarge {
+                    limit: MAX_DEPTH as u64,
+                    what: "levels of nested columns",
+                });
             }
             let is_top_level = open.len() == 1;
-            open.iter_mut().last().into_iter().for_each(|to_come| *to_come -= 1);
+            open.iter_mut()
+                .last()
+                .into_iter()
+                .for_each(|to_come| *to_come -= 1);
             if is_top_level {
                 self.known.push(element.name.clone());
             }
@@ -130,11 +158,22 @@ impl Footer {
                 open.pop();
             }
         }
-        if open.is_empty() { Ok(leaves) } else { Err(ParquetError::Damaged("a number of columns is wrong")) }
+        if open.is_empty() {
+            Ok(leaves)
+        } else {
+            Err(ParquetError::Damaged("a number of columns is wrong"))
+        }
     }
 
-    fn read_group(&self, reader: &mut ThriftReader<'_>, leaves: usize) -> Result<RowGroup, ParquetError> {
-        let mut group = RowGroup { rows: 0, chunks: Vec::new() };
+    fn read_group(
+        &self,
+        reader: &mut ThriftReader<'_>,
+        leaves: usize,
+    ) -> Result<RowGroup, ParquetError> {
+        let mut group = RowGroup {
+            rows: 0,
+            chunks: Vec::new(),
+        };
         reader.read_struct(|reader, id, kind| {
             match id {
                 1 => {
@@ -162,8 +201,12 @@ fn positive(number: i64) -> Result<u64, ParquetError> {
     u64::try_from(number).map_err(|_| ParquetError::Damaged("a size is negative"))
 }
 
-fn read_chunk(reader: &mut ThriftReader<'_>, column: &FlatColumn) -> Result<ColumnChunk, ParquetError> {
-    let (mut codec, mut bytes, mut data_at, mut dictionary_at, mut is_elsewhere) = (0, 0, None, None, false);
+fn read_chunk(
+    reader: &mut ThriftReader<'_>,
+    column: &FlatColumn,
+) -> Result<ColumnChunk, ParquetError> {
+    let (mut codec, mut bytes, mut data_at, mut dictionary_at, mut is_elsewhere) =
+        (0, 0, None, None, false);
     reader.read_struct(|reader, id, kind| {
         match id {
             1 => {
@@ -175,7 +218,9 @@ fn read_chunk(reader: &mut ThriftReader<'_>, column: &FlatColumn) -> Result<Colu
                     4 => codec = reader.number(kind)?,
                     7 => bytes = positive(reader.number(kind)?)?,
                     9 => data_at = Some(positive(reader.number(kind)?)?),
-                    11 => dictionary_at = Some(positive(reader.number(kind)?)?).filter(|at| *at > 0),
+                    11 => {
+                        dictionary_at = Some(positive(reader.number(kind)?)?).filter(|at| *at > 0)
+                    }
                     _ => reader.skip(kind)?,
                 }
                 Ok::<_, ParquetError>(())
@@ -185,11 +230,20 @@ fn read_chunk(reader: &mut ThriftReader<'_>, column: &FlatColumn) -> Result<Colu
         Ok::<_, ParquetError>(())
     })?;
     let (Some(data_at), false) = (data_at, is_elsewhere) else {
-        return Err(ParquetError::Unsupported(format!("the column {}, which is in another file", column.shown_name())));
+        return Err(ParquetError::Unsupported(format!(
+            "the column {}, which is in another file",
+            column.shown_name()
+        )));
     };
     let at = dictionary_at.map_or(data_at, |dictionary_at| dictionary_at.min(data_at));
-    let end = at.checked_add(bytes).ok_or(ParquetError::Damaged("a column is too long"))?;
-    Ok(ColumnChunk { codec: Codec::from_id(codec)?, at, end })
+    let end = at
+        .checked_add(bytes)
+        .ok_or(ParquetError::Damaged("a column is too long"))?;
+    Ok(ColumnChunk {
+        codec: Codec::from_id(codec)?,
+        at,
+        end,
+    })
 }
 
 impl SchemaElement {
@@ -221,11 +275,19 @@ impl SchemaElement {
             Some(4) => PhysicalType::Float,
             Some(5) => PhysicalType::Double,
             Some(6) => PhysicalType::Bytes,
-            Some(7) if (1..=MAX_FIXED_BYTES).contains(&self.length) => PhysicalType::FixedBytes(self.length as usize),
+            Some(7) if (1..=MAX_FIXED_BYTES).contains(&self.length) => {
+                PhysicalType::FixedBytes(self.length as usize)
+            }
             _ => return Err(ParquetError::Damaged("a column has an unknown type")),
         };
         let is_optional = self.repetition == 1;
-        Ok(FlatColumn { name: self.name.clone(), leaf, physical, meaning: self.meaning(), is_optional })
+        Ok(FlatColumn {
+            name: self.name.clone(),
+            leaf,
+            physical,
+            meaning: self.meaning(),
+            is_optional,
+        })
     }
 
     /// Returns the meaning by the logical type, or by the converted type of older files.
@@ -234,8 +296,12 @@ impl SchemaElement {
         match (self.logical, self.converted) {
             (Some([5, _]), _) | (_, Some(5)) => ColumnMeaning::Decimal { scale },
             (Some([7, 1]), _) | (_, Some(7)) => ColumnMeaning::TimeOfDay { per_second: 1000 },
-            (Some([7, 2]), _) | (_, Some(8)) => ColumnMeaning::TimeOfDay { per_second: 1_000_000 },
-            (Some([7, _]), _) => ColumnMeaning::TimeOfDay { per_second: 1_000_000_000 },
+            (Some([7, 2]), _) | (_, Some(8)) => ColumnMeaning::TimeOfDay {
+                per_second: 1_000_000,
+            },
+            (Some([7, _]), _) => ColumnMeaning::TimeOfDay {
+                per_second: 1_000_000_000,
+            },
             (Some([10, 0]), _) | (_, Some(11..=14)) => ColumnMeaning::Unsigned,
             (Some([15, _]), _) => ColumnMeaning::Float16,
             _ => ColumnMeaning::Plain,

@@ -66,12 +66,20 @@ impl FileBytes {
     fn new(mut source: Box<dyn ParquetSource>) -> Result<Self, ParquetError> {
         let length = source.seek(SeekFrom::End(0))?;
         let decompressed_left = limits::max_decompressed_bytes(length);
-        Ok(Self { source, length, unread: length, decompressed_left, held: 0 })
+        Ok(Self {
+            source,
+            length,
+            unread: length,
+            decompressed_left,
+            held: 0,
+        })
     }
 
     fn read(&mut self, at: u64, count: u64) -> Result<Vec<u8>, ParquetError> {
         if at.checked_add(count).is_none_or(|end| end > self.length) {
-            return Err(ParquetError::Damaged("a part lies behind the end of the file"));
+            return Err(ParquetError::Damaged(
+                "a part lies behind the end of the file",
+            ));
         }
         let mut bytes = vec![0; count as usize];
         self.source.seek(SeekFrom::Start(at))?;
@@ -97,26 +105,57 @@ pub(super) fn open(
 ) -> Result<(ParquetRows, Fields), BinaryProblem> {
     let mut file = FileBytes::new(Box::new(source))?;
     let wanted = |name: &str| map.is_none_or(|map| map.has_column(name));
-    let Footer { columns, groups, known } = Footer::read(&mut file, &wanted)?;
+    let Footer {
+        columns,
+        groups,
+        known,
+    } = Footer::read(&mut file, &wanted)?;
     let names = columns.iter().map(|column| column.name.as_str()).collect();
     if let Some(map) = map {
         check_columns(map, &names, &known)?;
     }
     let limit = limits::max_rows(file.length);
-    let rows: u64 = groups.iter().fold(0, |sum, group| sum.saturating_add(group.rows));
+    let rows: u64 = groups
+        .iter()
+        .fold(0, |sum, group| sum.saturating_add(group.rows));
     if rows > limit {
-        return Err(ParquetError::TooLarge { limit, what: "rows" }.into());
+        return Err(ParquetError::TooLarge {
+            limit,
+            what: "rows",
+        }
+        .into());
     }
     let columns = columns.into_iter().map(Column::new).collect();
     let groups = groups.into_iter();
-    Ok((ParquetRows { file, groups, rows_left: 0, columns, text: String::new() }, names))
+    Ok((
+        ParquetRows {
+            file,
+            groups,
+            rows_left: 0,
+            columns,
+            text: String::new(),
+        },
+        names,
+    ))
 }
 
 impl BinaryRows for ParquetRows {
-    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
-        let Self { file, groups, rows_left, columns, text } = self;
+    fn next_row(
+        &mut self,
+        texts: &mut Fields,
+        numbers: &mut Vec<f64>,
+    ) -> Result<bool, BinaryProblem> {
+        let Self {
+            file,
+            groups,
+            rows_left,
+            columns,
+            text,
+        } = self;
         while *rows_left == 0 {
-            let Some(group) = groups.next() else { return Ok(false) };
+            let Some(group) = groups.next() else {
+                return Ok(false);
+            };
             *rows_left = group.rows;
             for (column, chunk) in columns.iter_mut().zip(group.chunks) {
                 column.begin(chunk, group.rows, file);

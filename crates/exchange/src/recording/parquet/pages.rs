@@ -93,7 +93,10 @@ impl PageHeader {
 }
 
 /// Reads the next page of a column, and moves behind it; `None` at the end.
-pub(super) fn next_page(file: &mut FileBytes, chunk: &mut ColumnChunk) -> Result<Option<Page>, ParquetError> {
+pub(super) fn next_page(
+    file: &mut FileBytes,
+    chunk: &mut ColumnChunk,
+) -> Result<Option<Page>, ParquetError> {
     while chunk.at < chunk.end {
         let header = next_header(file, chunk)?;
         if header.packed_bytes > chunk.end - chunk.at {
@@ -105,17 +108,32 @@ pub(super) fn next_page(file: &mut FileBytes, chunk: &mut ColumnChunk) -> Result
             continue;
         }
         if header.plain_bytes > MAX_PAGE_BYTES {
-            return Err(ParquetError::TooLarge { limit: MAX_PAGE_BYTES, what: "bytes in a page" });
+            return Err(ParquetError::TooLarge {
+                limit: MAX_PAGE_BYTES,
+                what: "bytes in a page",
+            });
         }
         let limit = super::limits::max_decompressed_bytes(file.length);
-        let too_large = ParquetError::TooLarge { limit, what: "bytes after decompression" };
-        file.decompressed_left = file.decompressed_left.checked_sub(header.plain_bytes).ok_or(too_large)?;
+        let too_large = ParquetError::TooLarge {
+            limit,
+            what: "bytes after decompression",
+        };
+        file.decompressed_left = file
+            .decompressed_left
+            .checked_sub(header.plain_bytes)
+            .ok_or(too_large)?;
         file.held += header.plain_bytes;
         if file.held > MAX_HELD_BYTES {
-            return Err(ParquetError::TooLarge { limit: MAX_HELD_BYTES, what: "bytes of pages at one row" });
+            return Err(ParquetError::TooLarge {
+                limit: MAX_HELD_BYTES,
+                what: "bytes of pages at one row",
+            });
         }
         let packed = file.read(at, header.packed_bytes)?;
-        return Ok(Some(Page { bytes: decompress(packed, &header, chunk.codec)?, header }));
+        return Ok(Some(Page {
+            bytes: decompress(packed, &header, chunk.codec)?,
+            header,
+        }));
     }
     Ok(None)
 }
@@ -139,19 +157,39 @@ fn next_header(file: &mut FileBytes, chunk: &mut ColumnChunk) -> Result<PageHead
     Err(ParquetError::Damaged("the header of a page is too long"))
 }
 
-fn decompress(mut packed: Vec<u8>, header: &PageHeader, codec: Codec) -> Result<Vec<u8>, ParquetError> {
-    let codec = if header.is_compressed { codec } else { Codec::None };
+fn decompress(
+    mut packed: Vec<u8>,
+    header: &PageHeader,
+    codec: Codec,
+) -> Result<Vec<u8>, ParquetError> {
+    let codec = if header.is_compressed {
+        codec
+    } else {
+        Codec::None
+    };
     let size = header.plain_bytes as usize;
-    let PageKind::DataV2 { definition_bytes } = header.kind else { return codec.decompress(packed, size) };
+    let PageKind::DataV2 { definition_bytes } = header.kind else {
+        return codec.decompress(packed, size);
+    };
     let damaged = ParquetError::Damaged("the levels of a page are longer than the page");
-    let levels = definition_bytes.checked_add(header.repetition_bytes as usize).filter(|levels| *levels <= size);
-    let Some(levels) = levels.filter(|levels| *levels <= packed.len()) else { return Err(damaged) };
+    let levels = definition_bytes
+        .checked_add(header.repetition_bytes as usize)
+        .filter(|levels| *levels <= size);
+    let Some(levels) = levels.filter(|levels| *levels <= packed.len()) else {
+        return Err(damaged);
+    };
     if header.repetition_bytes != 0 {
-        return Err(ParquetError::Damaged("a column that is not repeated has levels of repetition"));
+        return Err(ParquetError::Damaged(
+            "a column that is not repeated has levels of repetition",
+        ));
     }
     let values = packed.split_off(levels);
     // Pages without values are not compressed.
-    let plain = if values.is_empty() { values } else { codec.decompress(values, size - levels)? };
+    let plain = if values.is_empty() {
+        values
+    } else {
+        codec.decompress(values, size - levels)?
+    };
     packed.extend_from_slice(&plain);
     Ok(packed)
 }

@@ -47,14 +47,21 @@ impl<'b> ThriftReader<'b> {
     }
 
     fn byte(&mut self) -> Read<u8> {
-        let byte = self.bytes.get(self.at).copied().ok_or(ThriftProblem::CutShort)?;
+        let byte = self
+            .bytes
+            .get(self.at)
+            .copied()
+            .ok_or(ThriftProblem::CutShort)?;
         self.at += 1;
         Ok(byte)
     }
 
     fn take(&mut self, count: usize) -> Read<&'b [u8]> {
         let end = self.at.checked_add(count).ok_or(ThriftProblem::Damaged)?;
-        let taken = self.bytes.get(self.at..end).ok_or(ThriftProblem::CutShort)?;
+        let taken = self
+            .bytes
+            .get(self.at..end)
+            .ok_or(ThriftProblem::CutShort)?;
         self.at = end;
         Ok(taken)
     }
@@ -88,7 +95,11 @@ impl<'b> ThriftReader<'b> {
             if kind == 0 {
                 return Ok(());
             }
-            id = if step == 0 { self.zigzag()? } else { id + i64::from(step) };
+            id = if step == 0 {
+                self.zigzag()?
+            } else {
+                id + i64::from(step)
+            };
             if !(0..=i64::from(i16::MAX)).contains(&id) {
                 return Err(ThriftProblem::Damaged.into());
             }
@@ -121,7 +132,11 @@ impl<'b> ThriftReader<'b> {
     /// Reads the number of elements of a list of structures. Each takes a byte or more.
     pub(super) fn structs(&mut self, kind: ValueType) -> Read<usize> {
         let (count, element) = self.list(kind)?;
-        if count > 0 && element.0 != STRUCT { Err(ThriftProblem::Damaged) } else { Ok(count) }
+        if count > 0 && element.0 != STRUCT {
+            Err(ThriftProblem::Damaged)
+        } else {
+            Ok(count)
+        }
     }
 
     fn list(&mut self, kind: ValueType) -> Read<(usize, ValueType)> {
@@ -129,13 +144,20 @@ impl<'b> ThriftReader<'b> {
             return Err(ThriftProblem::Damaged);
         }
         let header = self.byte()?;
-        let count = if header >> 4 == 15 { self.varint()? } else { u64::from(header >> 4) };
+        let count = if header >> 4 == 15 {
+            self.varint()?
+        } else {
+            u64::from(header >> 4)
+        };
         Ok((self.check_count(count)?, ValueType(header & 0xf)))
     }
 
     fn check_count(&self, count: u64) -> Read<usize> {
         let left = self.bytes.len() - self.at;
-        usize::try_from(count).ok().filter(|count| *count <= left).ok_or(ThriftProblem::CutShort)
+        usize::try_from(count)
+            .ok()
+            .filter(|count| *count <= left)
+            .ok_or(ThriftProblem::CutShort)
     }
 
     pub(super) fn skip(&mut self, kind: ValueType) -> Read<()> {
@@ -172,6 +194,10 @@ impl<'b> ThriftReader<'b> {
 
     /// Skips an element of a list; truth values take a byte there.
     fn skip_element(&mut self, kind: ValueType, depth: usize) -> Read<()> {
-        if matches!(kind.0, TRUE | FALSE) { self.byte().map(drop) } else { self.skip_within(kind, depth + 1) }
+        if matches!(kind.0, TRUE | FALSE) {
+            self.byte().map(drop)
+        } else {
+            self.skip_within(kind, depth + 1)
+        }
     }
 }

@@ -52,19 +52,29 @@ impl ValueReader {
                 let width = u32::from(bytes.get(from).copied().unwrap_or(0));
                 let is_possible = width <= 32;
                 let indices = Self::Dictionary(Hybrid::new(from + 1, bytes.len(), width));
-                return is_possible.then_some(indices).ok_or(ParquetError::Damaged("an index has too many bits"));
+                return is_possible
+                    .then_some(indices)
+                    .ok_or(ParquetError::Damaged("an index has too many bits"));
             }
             (3, Boolean) => return Ok(Self::Booleans(Hybrid::new(from + 4, bytes.len(), 1))),
             (5, Int32 | Int64) => {
-                return Ok(Self::Delta(DeltaReader::new(bytes, from, column.physical == Int32)?));
+                return Ok(Self::Delta(DeltaReader::new(
+                    bytes,
+                    from,
+                    column.physical == Int32,
+                )?));
             }
             (6, Bytes) => return Self::delta_length(bytes, from, most),
-            (9, physical) if physical.fixed_bytes().is_some() => return Ok(Self::Split { from, index: 0 }),
+            (9, physical) if physical.fixed_bytes().is_some() => {
+                return Ok(Self::Split { from, index: 0 });
+            }
             (7, _) => "DELTA_BYTE_ARRAY".to_owned(),
             (other, _) => format!("of number {other}"),
         };
         let column = column.shown_name();
-        Err(ParquetError::Unsupported(format!("the encoding {name} of the column {column}: write it as PLAIN")))
+        Err(ParquetError::Unsupported(format!(
+            "the encoding {name} of the column {column}: write it as PLAIN"
+        )))
     }
 
     fn delta_length(bytes: &[u8], from: usize, most: u64) -> Result<Self, ParquetError> {
@@ -76,20 +86,29 @@ impl ValueReader {
         while end.left > 0 {
             end.next(bytes).ok_or(TOO_SHORT)?;
         }
-        Ok(Self::DeltaLength { lengths, at: end.at })
+        Ok(Self::DeltaLength {
+            lengths,
+            at: end.at,
+        })
     }
 
     /// Returns the next value; an index of a dictionary as a whole number.
-    pub(super) fn next<'b>(&mut self, physical: PhysicalType, bytes: &'b [u8]) -> Result<Value<'b>, ParquetError> {
+    pub(super) fn next<'b>(
+        &mut self,
+        physical: PhysicalType,
+        bytes: &'b [u8],
+    ) -> Result<Value<'b>, ParquetError> {
         let value = match self {
             Self::Plain { at } => next_plain(physical, bytes, at),
-            Self::Dictionary(runs) | Self::Booleans(runs) => {
-                runs.next(bytes).map(|value| Value::Integer(i128::from(value)))
-            }
-            Self::Delta(numbers) => numbers.next(bytes).map(|value| Value::Integer(i128::from(value))),
-            Self::DeltaLength { lengths, at } => {
-                lengths.next(bytes).and_then(|length| take(bytes, at, usize::try_from(length).ok()?).map(Value::Bytes))
-            }
+            Self::Dictionary(runs) | Self::Booleans(runs) => runs
+                .next(bytes)
+                .map(|value| Value::Integer(i128::from(value))),
+            Self::Delta(numbers) => numbers
+                .next(bytes)
+                .map(|value| Value::Integer(i128::from(value))),
+            Self::DeltaLength { lengths, at } => lengths.next(bytes).and_then(|length| {
+                take(bytes, at, usize::try_from(length).ok()?).map(Value::Bytes)
+            }),
             Self::Split { from, index } => {
                 let value = next_split(physical, bytes.get(*from..).unwrap_or_default(), *index);
                 *index += 1;
@@ -117,9 +136,15 @@ impl<'b> Value<'b> {
     /// Reads a value of a known size.
     pub(super) fn from_fixed(physical: PhysicalType, bytes: &'b [u8]) -> Option<Self> {
         Some(match physical {
-            PhysicalType::Int32 => Self::Integer(i128::from(i32::from_le_bytes(bytes.try_into().ok()?))),
-            PhysicalType::Int64 => Self::Integer(i128::from(i64::from_le_bytes(bytes.try_into().ok()?))),
-            PhysicalType::Float => Self::Number(f64::from(f32::from_le_bytes(bytes.try_into().ok()?))),
+            PhysicalType::Int32 => {
+                Self::Integer(i128::from(i32::from_le_bytes(bytes.try_into().ok()?)))
+            }
+            PhysicalType::Int64 => {
+                Self::Integer(i128::from(i64::from_le_bytes(bytes.try_into().ok()?)))
+            }
+            PhysicalType::Float => {
+                Self::Number(f64::from(f32::from_le_bytes(bytes.try_into().ok()?)))
+            }
             PhysicalType::Double => Self::Number(f64::from_le_bytes(bytes.try_into().ok()?)),
             PhysicalType::Int96 => Self::Integer(milliseconds(bytes)?),
             PhysicalType::FixedBytes(_) => Self::Bytes(bytes),
@@ -128,7 +153,11 @@ impl<'b> Value<'b> {
     }
 
     /// Returns the value of a dictionary with an index; `None` for a text, and behind the end.
-    pub(super) fn of_dictionary(physical: PhysicalType, bytes: &'b [u8], index: usize) -> Option<Self> {
+    pub(super) fn of_dictionary(
+        physical: PhysicalType,
+        bytes: &'b [u8],
+        index: usize,
+    ) -> Option<Self> {
         let size = physical.fixed_bytes()?;
         let from = index.checked_mul(size)?;
         Self::from_fixed(physical, bytes.get(from..from.checked_add(size)?)?)
@@ -168,7 +197,9 @@ fn next_plain<'b>(physical: PhysicalType, bytes: &'b [u8], at: &mut usize) -> Op
 
 fn next_split<'b>(physical: PhysicalType, bytes: &'b [u8], index: usize) -> Option<Value<'b>> {
     const MAX_SPLIT_BYTES: usize = 12;
-    let size = physical.fixed_bytes().filter(|size| *size <= MAX_SPLIT_BYTES)?;
+    let size = physical
+        .fixed_bytes()
+        .filter(|size| *size <= MAX_SPLIT_BYTES)?;
     let count = bytes.len() / size;
     if index >= count {
         return None;
@@ -207,8 +238,14 @@ fn read_bits(bytes: &[u8], bit: usize, count: u32) -> Option<u64> {
     let (from, shift) = (bit / 8, (bit % 8) as u32);
     let needed = (shift + count).div_ceil(8) as usize;
     let mut joined = [0; 16];
-    joined.get_mut(..needed)?.copy_from_slice(bytes.get(from..from.checked_add(needed)?)?);
-    let mask = if count == 64 { u64::MAX } else { (1 << count) - 1 };
+    joined
+        .get_mut(..needed)?
+        .copy_from_slice(bytes.get(from..from.checked_add(needed)?)?);
+    let mask = if count == 64 {
+        u64::MAX
+    } else {
+        (1 << count) - 1
+    };
     Some((u128::from_le_bytes(joined) >> shift) as u64 & mask)
 }
 
@@ -233,7 +270,13 @@ enum HybridRun {
 impl Hybrid {
     /// Reads numbers of `width` bits, at most 32, from bytes.
     pub(super) fn new(at: usize, end: usize, width: u32) -> Self {
-        Self { at, end, width, left: 0, run: HybridRun::Repeated(0) }
+        Self {
+            at,
+            end,
+            width,
+            left: 0,
+            run: HybridRun::Repeated(0),
+        }
     }
 
     /// Returns the next number; `None` behind the end.
@@ -243,13 +286,22 @@ impl Hybrid {
             let header = varint(bytes, &mut self.at)?;
             let count = header >> 1;
             if header & 1 == 1 {
-                self.run = HybridRun::Packed { bit: self.at.checked_mul(8)? };
+                self.run = HybridRun::Packed {
+                    bit: self.at.checked_mul(8)?,
+                };
                 self.left = count.saturating_mul(8);
-                let size = usize::try_from(count).ok()?.saturating_mul(self.width as usize);
+                let size = usize::try_from(count)
+                    .ok()?
+                    .saturating_mul(self.width as usize);
                 self.at = self.at.saturating_add(size).min(self.end);
             } else {
                 let value = take(bytes, &mut self.at, self.width.div_ceil(8) as usize)?;
-                self.run = HybridRun::Repeated(value.iter().rev().fold(0, |all, byte| all << 8 | u64::from(*byte)));
+                self.run = HybridRun::Repeated(
+                    value
+                        .iter()
+                        .rev()
+                        .fold(0, |all, byte| all << 8 | u64::from(*byte)),
+                );
                 self.left = count;
             }
         }
@@ -290,11 +342,16 @@ pub(super) struct DeltaReader {
 
 impl DeltaReader {
     fn new(bytes: &[u8], from: usize, is_32_bits: bool) -> Result<Self, ParquetError> {
-        Self::read_header(bytes, from, is_32_bits).ok_or(ParquetError::Damaged("the header of differences is wrong"))
+        Self::read_header(bytes, from, is_32_bits)
+            .ok_or(ParquetError::Damaged("the header of differences is wrong"))
     }
 
     fn read_header(bytes: &[u8], mut at: usize, is_32_bits: bool) -> Option<Self> {
-        let (block, parts, left) = (varint(bytes, &mut at)?, varint(bytes, &mut at)?, varint(bytes, &mut at)?);
+        let (block, parts, left) = (
+            varint(bytes, &mut at)?,
+            varint(bytes, &mut at)?,
+            varint(bytes, &mut at)?,
+        );
         let value = zigzag(bytes, &mut at)?;
         let part_values = block.checked_div(parts)?;
         if block > MAX_BLOCK_VALUES || part_values == 0 || part_values % 8 != 0 {
@@ -328,7 +385,10 @@ impl DeltaReader {
         self.part_left -= 1;
         let difference = read_bits(bytes, self.bit, self.width)?;
         self.bit += self.width as usize;
-        self.value = self.value.wrapping_add(self.smallest).wrapping_add(difference as i64);
+        self.value = self
+            .value
+            .wrapping_add(self.smallest)
+            .wrapping_add(difference as i64);
         if self.is_32_bits {
             self.value = i64::from(self.value as i32);
         }

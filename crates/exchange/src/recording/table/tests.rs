@@ -11,8 +11,16 @@ fn units_in_the_file_hold_unless_the_map_states_them() {
         ("furlong", None, None),
     ] {
         let (fields, units) = (["v"].into_iter().collect(), [in_file].into_iter().collect());
-        let names = CsvRow { fields, units, ..CsvRow::new(Path::new("a.mf4"), DecimalMark::Point) };
+        let names = CsvRow {
+            fields,
+            units,
+            ..CsvRow::new(Path::new("a.mf4"), DecimalMark::Point)
+        };
         let column = CsvColumn::find(&names, "v", SpeedUnit::of_column(in_map));
-        assert_eq!(column.map(|column| column.factor).ok(), expected, "{in_file}");
+        assert_eq!(
+            column.map(|column| column.factor).ok(),
+            expected,
+            "{in_file}"
+        );
     }
 }

@@ -4,8 +4,11 @@ use super::super::parts::MAX_POINTS;
 use super::super::series::interpolate_holes;
 use super::{Occurrences, TrackPoint, to_ms};
 
-const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
-    [|point| &mut point.position_m, |point| &mut point.speed_mps, |point| &mut point.length_m];
+const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] = [
+    |point| &mut point.position_m,
+    |point| &mut point.speed_mps,
+    |point| &mut point.length_m,
+];
 
 /// Fills holes of at most `longest_s` by interpolation: missing numbers, and missing points between two points of a
 /// track in one lane. If vehicles have rows at different times, points at common times replace these rows.
@@ -19,15 +22,26 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
     });
     let mut steps: Vec<i64> = steps.collect();
     steps.sort_unstable();
-    let Some(&step_ms) = steps.get(steps.len() / 2) else { return Ok(None) };
+    let Some(&step_ms) = steps.get(steps.len() / 2) else {
+        return Ok(None);
+    };
     let mut found: Occurrences = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
-        let time_s: Vec<f64> = track.iter().map(|point| point.time_ms as f64 / 1000.0).collect();
+        let time_s: Vec<f64> = track
+            .iter()
+            .map(|point| point.time_ms as f64 / 1000.0)
+            .collect();
         for number in OPTIONAL_FIELDS {
-            let mut values: Vec<Option<f64>> = track.iter_mut().map(|point| *number(point)).collect();
+            let mut values: Vec<Option<f64>> =
+                track.iter_mut().map(|point| *number(point)).collect();
             if let Some((count, first)) = interpolate_holes(&mut values, &time_s, longest_s) {
-                track.iter_mut().zip(values).for_each(|(point, value)| *number(point) = value);
-                found.get_or_insert((track.get(first).map_or(0, |point| point.line), 0)).1 += count;
+                track
+                    .iter_mut()
+                    .zip(values)
+                    .for_each(|(point, value)| *number(point) = value);
+                found
+                    .get_or_insert((track.get(first).map_or(0, |point| point.line), 0))
+                    .1 += count;
             }
         }
     }
@@ -35,13 +49,20 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
     let mut filled: Vec<TrackPoint> = Vec::with_capacity(points.len());
     let mut before: Option<TrackPoint> = None;
     for b in points.drain(..) {
-        let is_hole = |a: &TrackPoint| (a.track, a.lane) == (b.track, b.lane) && b.time_ms - a.time_ms <= longest_ms;
+        let is_hole = |a: &TrackPoint| {
+            (a.track, a.lane) == (b.track, b.lane) && b.time_ms - a.time_ms <= longest_ms
+        };
         let from = before.replace(b).filter(is_hole);
         if let Some(a) = from {
             let after = times_ms.partition_point(|time_ms| *time_ms <= a.time_ms);
-            for &time_ms in times_ms.iter().skip(after).take_while(|time_ms| **time_ms < b.time_ms) {
+            for &time_ms in times_ms
+                .iter()
+                .skip(after)
+                .take_while(|time_ms| **time_ms < b.time_ms)
+            {
                 let share = (time_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
-                let between = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
+                let between =
+                    |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
                 filled.push(TrackPoint {
                     time_ms,
                     position_m: between(a.position_m, b.position_m),
@@ -78,7 +99,10 @@ fn common_times_ms(points: &[TrackPoint], step_ms: i64, longest_ms: i64) -> Vec<
         if hole_ms <= longest_ms {
             // Frame intervals are not whole milliseconds at some rates.
             let parts = (hole_ms + step_ms / 2) / step_ms;
-            times_ms.extend((1..parts).map(|part| row_ms - hole_ms + (2 * hole_ms * part + parts) / (2 * parts)));
+            times_ms.extend(
+                (1..parts)
+                    .map(|part| row_ms - hole_ms + (2 * hole_ms * part + parts) / (2 * parts)),
+            );
         }
         times_ms.push(row_ms);
     }

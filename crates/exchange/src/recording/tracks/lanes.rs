@@ -11,12 +11,21 @@ const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
 /// Replaces lane ids that a track has for less than `shortest_ms` by the lane before; at the start of a track by the
 /// lane after. A track that has no lane for that long gets the lane of two thirds of its rows, if there is one. Returns
 /// the first replaced point and the number of replaced intervals.
-pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Option<(TrackPoint, usize)> {
+pub(super) fn remove_blips(
+    points: &mut [TrackPoint],
+    shortest_ms: i64,
+) -> Option<(TrackPoint, usize)> {
     let mut found: Option<(TrackPoint, usize)> = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
         let is_stable = lane_intervals(track, shortest_ms);
-        let first_stable = track.iter().zip(&is_stable).find(|(_, stable)| **stable).map(|(point, _)| point.lane);
-        let Some(mut lane) = first_stable.or_else(|| most_common_lane(track)) else { continue };
+        let first_stable = track
+            .iter()
+            .zip(&is_stable)
+            .find(|(_, stable)| **stable)
+            .map(|(point, _)| point.lane);
+        let Some(mut lane) = first_stable.or_else(|| most_common_lane(track)) else {
+            continue;
+        };
         let mut was_blip = false;
         for (point, stable) in track.iter_mut().zip(is_stable) {
             if stable {
@@ -35,19 +44,31 @@ pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Optio
 /// Returns the lane of at least two thirds of the rows.
 fn most_common_lane(track: &[TrackPoint]) -> Option<u32> {
     let mut rows: BTreeMap<u32, usize> = BTreeMap::new();
-    track.iter().for_each(|point| *rows.entry(point.lane).or_default() += 1);
-    rows.into_iter().find(|(_, rows)| 3 * rows >= 2 * track.len()).map(|(lane, _)| lane)
+    track
+        .iter()
+        .for_each(|point| *rows.entry(point.lane).or_default() += 1);
+    rows.into_iter()
+        .find(|(_, rows)| 3 * rows >= 2 * track.len())
+        .map(|(lane, _)| lane)
 }
 
 /// Returns for each point whether the track has its lane for at least `shortest_ms` around it.
 fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
     // The last row of an interval counts for one step: an absence shows no lane.
-    let steps = track.windows(2).filter_map(|pair| Some(pair.last()?.time_ms - pair.first()?.time_ms));
+    let steps = track
+        .windows(2)
+        .filter_map(|pair| Some(pair.last()?.time_ms - pair.first()?.time_ms));
     let step_ms = steps.min().unwrap_or(0);
     let mut is_stable = Vec::with_capacity(track.len());
     for interval in track.chunk_by(|a, b| a.lane == b.lane) {
-        let lasts_ms = interval.first().zip(interval.last()).map_or(0, |(first, last)| last.time_ms - first.time_ms);
-        is_stable.resize(is_stable.len() + interval.len(), lasts_ms + step_ms >= shortest_ms);
+        let lasts_ms = interval
+            .first()
+            .zip(interval.last())
+            .map_or(0, |(first, last)| last.time_ms - first.time_ms);
+        is_stable.resize(
+            is_stable.len() + interval.len(),
+            lasts_ms + step_ms >= shortest_ms,
+        );
     }
     is_stable
 }
@@ -63,23 +84,38 @@ pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speed
         directions.push(votes.decreases());
         for interval in track.chunk_by(|a, b| a.lane == b.lane) {
             // Most tracks have one lane.
-            let votes = if interval.len() == track.len() { votes } else { track_votes(interval, speeds_agree) };
+            let votes = if interval.len() == track.len() {
+                votes
+            } else {
+                track_votes(interval, speeds_agree)
+            };
             let lane = interval.first().map_or(0, |point| point.lane);
             for sum in [of_lane.entry(lane).or_default(), &mut of_all] {
                 (sum.up, sum.down) = (sum.up + votes.up, sum.down + votes.down);
             }
         }
     }
-    let is_down = |votes: &DirectionVotes| (votes.up != votes.down).then_some(votes.down > votes.up);
-    for (track, direction) in points.chunk_by_mut(|a, b| a.track == b.track).zip(directions) {
+    let is_down =
+        |votes: &DirectionVotes| (votes.up != votes.down).then_some(votes.down > votes.up);
+    for (track, direction) in points
+        .chunk_by_mut(|a, b| a.track == b.track)
+        .zip(directions)
+    {
         let speeds = || track.iter().filter_map(|point| point.speed_mps);
         let signed_mps = speeds().sum::<f64>() / speeds().count().max(1) as f64;
         let by_speed = (signed_mps < -MIN_SIGNED_SPEED_MPS).then_some(true);
         for point in track {
             let by_lane = || of_lane.get(&point.lane).and_then(is_down);
-            let decreases = direction.or_else(by_lane).or(by_speed).or_else(|| is_down(&of_all)).unwrap_or(false);
+            let decreases = direction
+                .or_else(by_lane)
+                .or(by_speed)
+                .or_else(|| is_down(&of_all))
+                .unwrap_or(false);
             // Vehicles do not overlap, so a point without length still sorts correctly in its lane.
-            let (position_m, length_m) = (point.position_m.unwrap_or(0.0), point.length_m.unwrap_or(0.0));
+            let (position_m, length_m) = (
+                point.position_m.unwrap_or(0.0),
+                point.length_m.unwrap_or(0.0),
+            );
             let to_front_m = match reference {
                 ReferencePoint::Front => 0.0,
                 ReferencePoint::Centre => length_m / 2.0,

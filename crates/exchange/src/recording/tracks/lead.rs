@@ -18,23 +18,48 @@ impl RecordedTraffic {
     }
 
     fn id(&self, point: &TrackPoint) -> VehicleId {
-        self.vehicles.get(point.vehicle as usize).cloned().unwrap_or(VehicleId { number: 0, name: None })
+        self.vehicles
+            .get(point.vehicle as usize)
+            .cloned()
+            .unwrap_or(VehicleId {
+                number: 0,
+                name: None,
+            })
     }
 
     /// Returns a vehicle with its length at that time.
-    fn episode_vehicle(&self, point: &TrackPoint, gap_ahead_m: f64, speed_mps: f64) -> EpisodeVehicle {
+    fn episode_vehicle(
+        &self,
+        point: &TrackPoint,
+        gap_ahead_m: f64,
+        speed_mps: f64,
+    ) -> EpisodeVehicle {
         let VehicleId { number, name } = self.id(point);
-        EpisodeVehicle { number, name, gap_ahead_m, speed_mps, length_m: point.length_m.map(round_to_milli) }
+        EpisodeVehicle {
+            number,
+            name,
+            gap_ahead_m,
+            speed_mps,
+            length_m: point.length_m.map(round_to_milli),
+        }
     }
 
     /// Returns every track: each may have a follower at some time.
-    pub(in super::super) fn lead_vehicles(&self) -> impl Iterator<Item = Box<dyn LeadVehicle + '_>> {
+    pub(in super::super) fn lead_vehicles(
+        &self,
+    ) -> impl Iterator<Item = Box<dyn LeadVehicle + '_>> {
         let mut from = 0;
-        self.points.chunk_by(|a, b| a.track == b.track).map(move |track| {
-            let first = from;
-            from += track.len();
-            Box::new(TrafficLead { traffic: self, first, track }) as Box<dyn LeadVehicle>
-        })
+        self.points
+            .chunk_by(|a, b| a.track == b.track)
+            .map(move |track| {
+                let first = from;
+                from += track.len();
+                Box::new(TrafficLead {
+                    traffic: self,
+                    first,
+                    track,
+                }) as Box<dyn LeadVehicle>
+            })
     }
 }
 
@@ -58,11 +83,17 @@ impl LeadVehicle for TrafficLead<'_> {
     }
 
     fn number(&self) -> usize {
-        self.track.first().map_or(0, |point| self.traffic.id(point).number)
+        self.track
+            .first()
+            .map_or(0, |point| self.traffic.id(point).number)
     }
 
     fn episode_vehicle(&self, sample: &SpeedSample) -> EpisodeVehicle {
-        let point = self.traffic.point(sample.index).copied().unwrap_or_default();
+        let point = self
+            .traffic
+            .point(sample.index)
+            .copied()
+            .unwrap_or_default();
         self.traffic.episode_vehicle(&point, 0.0, sample.speed_mps)
     }
 
@@ -82,7 +113,10 @@ impl LeadVehicle for TrafficLead<'_> {
 
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {
         let behind = self.followers_at(sample);
-        behind.first().filter(|_| behind.len() >= followers).map(|next| next.speed_mps)
+        behind
+            .first()
+            .filter(|_| behind.len() >= followers)
+            .map(|next| next.speed_mps)
     }
 
     fn next_behind(&self, _: usize) -> Option<usize> {
@@ -90,16 +124,23 @@ impl LeadVehicle for TrafficLead<'_> {
     }
 
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead {
-        let ahead = self.traffic.point(sample.index).and_then(|point| self.traffic.point(point.ahead?.1 as usize));
+        let ahead = self
+            .traffic
+            .point(sample.index)
+            .and_then(|point| self.traffic.point(point.ahead?.1 as usize));
         match ahead {
             None => VehicleAhead::None,
-            Some(ahead) if ahead.speed_mps.is_some() => VehicleAhead::Recorded(self.traffic.id(ahead).number),
+            Some(ahead) if ahead.speed_mps.is_some() => {
+                VehicleAhead::Recorded(self.traffic.id(ahead).number)
+            }
             Some(ahead) => VehicleAhead::NotRecorded(self.traffic.id(ahead).number),
         }
     }
 
     fn line_of(&self, sample: &SpeedSample) -> u64 {
-        self.traffic.point(sample.index).map_or(0, |point| point.line)
+        self.traffic
+            .point(sample.index)
+            .map_or(0, |point| point.line)
     }
 
     fn event(&self) -> Option<&str> {

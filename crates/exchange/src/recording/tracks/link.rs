@@ -43,7 +43,10 @@ impl Absence {
             front_m: [a.front_m, b.front_m],
             length_m: a.length_m.unwrap_or(0.0).max(b.length_m.unwrap_or(0.0)),
             speed_mps: speeds.map_or([0.0, f64::INFINITY], |(a, b)| {
-                [(a.min(b) - BRAKE_MPS2 * seconds).max(0.0), a.max(b) + ACCEL_MPS2 * seconds]
+                [
+                    (a.min(b) - BRAKE_MPS2 * seconds).max(0.0),
+                    a.max(b) + ACCEL_MPS2 * seconds,
+                ]
             }),
         }
     }
@@ -53,8 +56,12 @@ impl Absence {
         let [after_s, before_s] =
             [ahead.time_ms - self.from_ms, self.to_ms - ahead.time_ms].map(|ms| ms as f64 / 1000.0);
         let ([from_m, to_m], [slow_mps, fast_mps]) = (self.front_m, self.speed_mps);
-        let low_m = (from_m + slow_mps * after_s).max(to_m - fast_mps * before_s).min(to_m);
-        let high_m = (from_m + fast_mps * after_s).min(to_m - slow_mps * before_s).max(from_m);
+        let low_m = (from_m + slow_mps * after_s)
+            .max(to_m - fast_mps * before_s)
+            .min(to_m);
+        let high_m = (from_m + fast_mps * after_s)
+            .min(to_m - slow_mps * before_s)
+            .max(from_m);
         self.lanes.contains(&ahead.lane)
             && self.decreases == ahead.position_decreases
             && low_m.min(high_m) - self.length_m < rear_m
@@ -68,7 +75,10 @@ impl Absence {
 pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u64, Omission)>) {
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
     let (mut unknown_position, mut unlinkable): (Occurrences, _) = (None, BTreeSet::new());
-    for point in points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none()) {
+    for point in points
+        .iter()
+        .filter(|point| point.position_m.is_none() || point.length_m.is_none())
+    {
         if !point.is_margin {
             let (first, count) = unknown_position.unwrap_or((point.line, 0));
             unknown_position = Some((first.min(point.line), count + 1));
@@ -78,7 +88,10 @@ pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u
         }
     }
     let order = order_rows(points);
-    let mut to_come = absences(points, &order, blip_ms).into_iter().enumerate().peekable();
+    let mut to_come = absences(points, &order, blip_ms)
+        .into_iter()
+        .enumerate()
+        .peekable();
     // Keyed by the absence's end.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
@@ -93,16 +106,24 @@ pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u
         if unlinkable.contains(&row(ahead)) {
             continue;
         }
-        let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else { continue };
+        let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else {
+            continue;
+        };
         let gap_m = ahead.front_m - length_m - behind.front_m;
-        while let Some((index, absence)) = to_come.next_if(|(_, absence)| absence.from_ms < ahead.time_ms) {
+        while let Some((index, absence)) =
+            to_come.next_if(|(_, absence)| absence.from_ms < ahead.time_ms)
+        {
             absent_now.insert((absence.to_ms, index), absence);
         }
-        while absent_now.first_entry().is_some_and(|first| first.key().0 <= ahead.time_ms) {
+        while absent_now
+            .first_entry()
+            .is_some_and(|first| first.key().0 <= ahead.time_ms)
+        {
             absent_now.pop_first();
         }
         let rear_m = ahead.front_m - length_m;
-        let hides_vehicle = |absence: &Absence| absence.may_be_between(ahead, rear_m, behind.front_m);
+        let hides_vehicle =
+            |absence: &Absence| absence.may_be_between(ahead, rear_m, behind.front_m);
         if !ColumnQuantity::Gap.allows(gap_m) {
             if round_to_milli(gap_m) <= 0.0 {
                 count(&mut overlapping, behind);
@@ -114,8 +135,14 @@ pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u
             points[front as usize].behind = Some(rear);
         }
     }
-    for (found, after) in [(unknown_position, UNKNOWN_POSITION), (absent, ABSENT), (overlapping, OVERLAPPING)] {
-        dropped.extend(found.map(|(line, count): (u64, usize)| (line, Omission::counted("", count, after))));
+    for (found, after) in [
+        (unknown_position, UNKNOWN_POSITION),
+        (absent, ABSENT),
+        (overlapping, OVERLAPPING),
+    ] {
+        dropped.extend(
+            found.map(|(line, count): (u64, usize)| (line, Omission::counted("", count, after))),
+        );
     }
 }
 
@@ -142,7 +169,10 @@ fn later_instants(instants: &[u64], time: u64) -> usize {
     while instants.get(end).is_some_and(|&instant| instant <= time) {
         end *= 2;
     }
-    instants.get(..end.min(instants.len())).unwrap_or_default().partition_point(|&instant| instant <= time)
+    instants
+        .get(..end.min(instants.len()))
+        .unwrap_or_default()
+        .partition_point(|&instant| instant <= time)
 }
 
 /// Returns the absences during which other vehicles have rows, in order of their starts. A vehicle is also absent from
@@ -159,14 +189,22 @@ fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence>
         for b in known {
             if a.lane != b.lane {
                 left.insert(a.lane, a);
-                let before = left.get(&b.lane).filter(|before| b.time_ms - before.time_ms <= blip_ms);
+                let before = left
+                    .get(&b.lane)
+                    .filter(|before| b.time_ms - before.time_ms <= blip_ms);
                 absences.extend(before.map(|before| Absence::new(before, b)));
             }
-            if instants.get(next).is_some_and(|&instant| instant < sortable(b.time_ms)) {
+            if instants
+                .get(next)
+                .is_some_and(|&instant| instant < sortable(b.time_ms))
+            {
                 absences.push(Absence::new(a, b));
             }
             a = b;
-            next += later_instants(instants.get(next..).unwrap_or_default(), sortable(a.time_ms));
+            next += later_instants(
+                instants.get(next..).unwrap_or_default(),
+                sortable(a.time_ms),
+            );
         }
     }
     absences.sort_by_key(|absence| absence.from_ms);

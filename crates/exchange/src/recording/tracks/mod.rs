@@ -102,7 +102,9 @@ fn sortable(time_ms: i64) -> u64 {
 /// at one time. Returns the first duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
     let key = |(point, index): (&TrackPoint, u32)| {
-        u128::from(point.vehicle) << 96 | u128::from(sortable(point.time_ms)) << 32 | u128::from(index)
+        u128::from(point.vehicle) << 96
+            | u128::from(sortable(point.time_ms)) << 32
+            | u128::from(index)
     };
     let mut order: Vec<u128> = points.iter().zip(0..).map(key).collect();
     order.sort_unstable();
@@ -142,27 +144,46 @@ impl RecordedTraffic {
     ) -> Result<Self, u64> {
         if let Some((first, count)) = split::split(&mut points, rules.speeds_agree) {
             let vehicle = label(&vehicles, first.vehicle);
-            let before =
-                format!("the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of ");
-            dropped.push((first.line, Omission::counted(before, count, " such places each begins another track")));
+            let before = format!(
+                "the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of "
+            );
+            dropped.push((
+                first.line,
+                Omission::counted(before, count, " such places each begins another track"),
+            ));
         }
         if let Some((first, count)) = lanes::remove_blips(&mut points, to_ms(rules.lane_blip_s)) {
             let (vehicle, limit_s) = (label(&vehicles, first.vehicle), rules.lane_blip_s);
-            let before = format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
-            dropped
-                .push((first.line, Omission::counted(before, count, " such blips, in which vehicles keep their lane")));
+            let before =
+                format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
+            dropped.push((
+                first.line,
+                Omission::counted(
+                    before,
+                    count,
+                    " such blips, in which vehicles keep their lane",
+                ),
+            ));
         }
         if let Some((line, count)) = fill::fill_holes(&mut points, rules.interpolate_s)? {
-            dropped.push((line, Omission::interpolated(&excerpt(rules.vehicle_column), count)));
+            dropped.push((
+                line,
+                Omission::interpolated(&excerpt(rules.vehicle_column), count),
+            ));
         }
         lanes::orient(&mut points, rules.reference, rules.speeds_agree);
         link::link(&mut points, to_ms(rules.lane_blip_s), dropped);
-        Ok(Self { points, vehicles, core_ms })
+        Ok(Self {
+            points,
+            vehicles,
+            core_ms,
+        })
     }
 }
 
 /// Returns the id of a vehicle as recorded.
 pub(super) fn label(vehicles: &[VehicleId], vehicle: u32) -> String {
     let id = vehicles.get(vehicle as usize);
-    id.map(|id| id.name.clone().unwrap_or_else(|| id.number.to_string())).unwrap_or_default()
+    id.map(|id| id.name.clone().unwrap_or_else(|| id.number.to_string()))
+        .unwrap_or_default()
 }

@@ -30,8 +30,14 @@ impl Movement {
     fn is_plausible(&self, moved_m: f64) -> bool {
         let slack_m = POSITION_ERROR_M + SPEED_CHANGE_MPS2 * self.seconds * self.seconds;
         let [low_m, high_m] = match self.driven_m {
-            Some(driven_m) => [(driven_m - slack_m).max(-POSITION_ERROR_M), driven_m + slack_m],
-            None => [-POSITION_ERROR_M, MAX_SPEED_MPS * self.seconds + POSITION_ERROR_M],
+            Some(driven_m) => [
+                (driven_m - slack_m).max(-POSITION_ERROR_M),
+                driven_m + slack_m,
+            ],
+            None => [
+                -POSITION_ERROR_M,
+                MAX_SPEED_MPS * self.seconds + POSITION_ERROR_M,
+            ],
         };
         (low_m..=high_m).contains(&moved_m)
     }
@@ -61,12 +67,18 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
     let (mut track, mut splits) = (0, None);
     for vehicle in points.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
         let movements = movements(vehicle, speeds_agree);
-        let mut starts: Vec<usize> =
-            movements.iter().filter(|one| !one.is_plausible(one.moved_m.abs())).map(|one| one.to).collect();
-        let long_absences = vehicle.windows(2).enumerate().filter(|(_, pair)| match pair {
-            [a, b] => b.time_ms - a.time_ms > MAX_ABSENCE_MS,
-            _ => false,
-        });
+        let mut starts: Vec<usize> = movements
+            .iter()
+            .filter(|one| !one.is_plausible(one.moved_m.abs()))
+            .map(|one| one.to)
+            .collect();
+        let long_absences = vehicle
+            .windows(2)
+            .enumerate()
+            .filter(|(_, pair)| match pair {
+                [a, b] => b.time_ms - a.time_ms > MAX_ABSENCE_MS,
+                _ => false,
+            });
         starts.extend(long_absences.map(|(index, _)| index + 1));
         starts.sort_unstable();
         starts.dedup();
@@ -75,9 +87,15 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
         let bounds = [0].into_iter().chain(starts.iter().copied());
         for (from, to) in bounds.zip(starts.iter().copied().chain([vehicle.len()])) {
             let inside = || movements.iter().filter(|one| one.to > from && one.to < to);
-            let Some(decreases) = votes(inside()).decreases() else { continue };
+            let Some(decreases) = votes(inside()).decreases() else {
+                continue;
+            };
             let forwards = if decreases { -1.0 } else { 1.0 };
-            backwards.extend(inside().filter(|one| !one.is_plausible(forwards * one.moved_m)).map(|one| one.to));
+            backwards.extend(
+                inside()
+                    .filter(|one| !one.is_plausible(forwards * one.moved_m))
+                    .map(|one| one.to),
+            );
         }
         starts.append(&mut backwards);
         starts.sort_unstable();
@@ -104,15 +122,26 @@ pub(super) fn track_votes(track: &[TrackPoint], speeds_agree: bool) -> Direction
 }
 
 fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
-    let mut known = rows.iter().enumerate().filter_map(|(index, row)| Some((index, row, row.position_m?)));
-    let Some((_, mut from, mut from_m)) = known.next() else { return Vec::new() };
+    let mut known = rows
+        .iter()
+        .enumerate()
+        .filter_map(|(index, row)| Some((index, row, row.position_m?)));
+    let Some((_, mut from, mut from_m)) = known.next() else {
+        return Vec::new();
+    };
     known
         .map(|(to, row, to_m)| {
             let seconds = (row.time_ms - from.time_ms) as f64 / 1000.0;
             let speeds = from.speed_mps.zip(row.speed_mps).filter(|_| speeds_agree);
             let driven_m = speeds.map(|(a, b)| 0.5 * (a.abs() + b.abs()) * seconds);
             let changes_lane = from.lane != row.lane;
-            let movement = Movement { to, moved_m: to_m - from_m, driven_m, seconds, changes_lane };
+            let movement = Movement {
+                to,
+                moved_m: to_m - from_m,
+                driven_m,
+                seconds,
+                changes_lane,
+            };
             (from, from_m) = (row, to_m);
             movement
         })
@@ -122,7 +151,13 @@ fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
 /// Counts movements of 2 m within one lane that fit the speeds.
 fn votes<'m>(movements: impl Iterator<Item = &'m Movement>) -> DirectionVotes {
     let mut votes = DirectionVotes::default();
-    let none = Movement { to: 0, moved_m: 0.0, driven_m: Some(0.0), seconds: 0.0, changes_lane: false };
+    let none = Movement {
+        to: 0,
+        moved_m: 0.0,
+        driven_m: Some(0.0),
+        seconds: 0.0,
+        changes_lane: false,
+    };
     let mut since = none;
     for movement in movements {
         if movement.changes_lane {
@@ -133,9 +168,14 @@ fn votes<'m>(movements: impl Iterator<Item = &'m Movement>) -> DirectionVotes {
         since.driven_m = since.driven_m.zip(movement.driven_m).map(|(a, b)| a + b);
         since.seconds += movement.seconds;
         if since.moved_m.abs() >= MIN_MOVEMENT_M {
-            let is_real = since.is_plausible(since.moved_m.abs()) && movement.is_plausible(movement.moved_m.abs());
+            let is_real = since.is_plausible(since.moved_m.abs())
+                && movement.is_plausible(movement.moved_m.abs());
             if is_real {
-                *(if since.moved_m > 0.0 { &mut votes.up } else { &mut votes.down }) += 1;
+                *(if since.moved_m > 0.0 {
+                    &mut votes.up
+                } else {
+                    &mut votes.down
+                }) += 1;
             }
             since = none;
         }

@@ -33,10 +33,17 @@ fn row(step: usize, id: impl ToString, lane: u32, x: f64, speed_mps: f64) -> Row
 }
 
 fn text(rows: &[Row]) -> String {
-    rows.iter().fold("t,id,lane,x,v,length\n".to_owned(), |mut text, (step, id, lane, x, speed, length)| {
-        let _ = writeln!(text, "{:.1},{id},{lane},{x:.3},{speed:.3},{length}", *step as f64 * STEP_S);
-        text
-    })
+    rows.iter().fold(
+        "t,id,lane,x,v,length\n".to_owned(),
+        |mut text, (step, id, lane, x, speed, length)| {
+            let _ = writeln!(
+                text,
+                "{:.1},{id},{lane},{x:.3},{speed:.3},{length}",
+                *step as f64 * STEP_S
+            );
+            text
+        },
+    )
 }
 
 fn try_read(text: &str, map: &str) -> Result<Recording, RecordingError> {
@@ -52,21 +59,38 @@ fn read_rows(rows: &[Row]) -> Recording {
 fn links(recording: &Recording) -> BTreeMap<(i64, usize), (usize, f64)> {
     let traffic = recording.traffic.as_ref().expect("tracks");
     let number = |point: &TrackPoint| traffic.vehicles[point.vehicle as usize].number;
-    let linked = traffic.points.iter().filter_map(|point| Some((point, point.ahead?)));
+    let linked = traffic
+        .points
+        .iter()
+        .filter_map(|point| Some((point, point.ahead?)));
     linked
-        .map(|(point, (gap, ahead))| ((point.time_ms, number(point)), (number(&traffic.points[ahead as usize]), gap)))
+        .map(|(point, (gap, ahead))| {
+            (
+                (point.time_ms, number(point)),
+                (number(&traffic.points[ahead as usize]), gap),
+            )
+        })
         .collect()
 }
 
 /// Returns the vehicles and gaps of each episode.
 fn lines(recording: &Recording) -> Vec<Vec<(usize, f64)>> {
     let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let line = |one: BrakingEpisode| one.vehicles.iter().map(|one| (one.number, one.gap_ahead_m)).collect();
+    let line = |one: BrakingEpisode| {
+        one.vehicles
+            .iter()
+            .map(|one| (one.number, one.gap_ahead_m))
+            .collect()
+    };
     found.into_iter().map(line).collect()
 }
 
 fn messages(recording: &Recording) -> String {
-    recording.dropped.iter().map(|dropped| format!("{dropped}\n")).collect()
+    recording
+        .dropped
+        .iter()
+        .map(|dropped| format!("{dropped}\n"))
+        .collect()
 }
 
 /// Four lanes of four vehicles; positions decrease in lanes 3 and 4. In each lane, vehicles repeat the first one's
@@ -75,7 +99,10 @@ fn traffic(brakes: [(f64, f64); 4]) -> Vec<Row> {
     let mut rows = Vec::new();
     for (lane, (speed_mps, brake_mps2)) in (1..).zip(brakes) {
         for place in 0..4 {
-            let (mut x, mut now_mps) = (300.0 - (9.0 + 0.8 * speed_mps) * f64::from(place), speed_mps);
+            let (mut x, mut now_mps) = (
+                300.0 - (9.0 + 0.8 * speed_mps) * f64::from(place),
+                speed_mps,
+            );
             for step in 0..ROWS {
                 let braking_s = step as f64 * STEP_S - 4.0 - 0.8 * f64::from(place);
                 let next_mps = (speed_mps - brake_mps2 * braking_s.clamp(0.0, 3.0)).max(0.0);
@@ -83,7 +110,13 @@ fn traffic(brakes: [(f64, f64); 4]) -> Vec<Row> {
                 now_mps = next_mps;
                 let (down, id) = (lane > 2, 10 * lane + place + 1);
                 let low_end_m = if down { -x } else { x - LENGTH_M };
-                rows.push(row(step, id, lane, low_end_m, if down { -now_mps } else { now_mps }));
+                rows.push(row(
+                    step,
+                    id,
+                    lane,
+                    low_end_m,
+                    if down { -now_mps } else { now_mps },
+                ));
             }
         }
     }
@@ -162,7 +195,13 @@ fn braking(steps: usize, mut vehicle: impl FnMut(usize, f64, f64) -> Vec<Row>) -
 #[test]
 fn vehicles_that_stand_have_the_direction_of_their_lane() {
     for sign in [1.0, -1.0] {
-        let low_end_m = |front_m: f64| if sign > 0.0 { front_m - LENGTH_M } else { -front_m };
+        let low_end_m = |front_m: f64| {
+            if sign > 0.0 {
+                front_m - LENGTH_M
+            } else {
+                -front_m
+            }
+        };
         let rows = braking(120, |step, x, mps| {
             let jitter_m = if step == 119 { -0.01 } else { 0.0 };
             let standing = |id, front_m: f64| row(step, id, 1, low_end_m(front_m) + jitter_m, 0.0);
@@ -171,15 +210,26 @@ fn vehicles_that_stand_have_the_direction_of_their_lane() {
                 moving,
                 standing(2, 190.0),
                 standing(3, 180.0),
-                row(step, 9, if step == 60 { 1 } else { 2 }, low_end_m(-x), -sign * mps),
+                row(
+                    step,
+                    9,
+                    if step == 60 { 1 } else { 2 },
+                    low_end_m(-x),
+                    -sign * mps,
+                ),
             ]
         });
         let recording = read_rows(&rows);
-        let [line] = &lines(&recording)[..] else { panic!("{:?}", lines(&recording)) };
+        let [line] = &lines(&recording)[..] else {
+            panic!("{:?}", lines(&recording))
+        };
         assert_eq!((line.len(), line[1].0, line[2]), (3, 2, (3, 5.5)), "{sign}");
-        let blip =
-            "vehicle 9 has another lane for less than 0.5 s here; 1 such blips, in which vehicles keep their lane\n";
-        assert!(messages(&recording).ends_with(blip) && recording.dropped.len() == 1, "{}", messages(&recording));
+        let blip = "vehicle 9 has another lane for less than 0.5 s here; 1 such blips, in which vehicles keep their lane\n";
+        assert!(
+            messages(&recording).ends_with(blip) && recording.dropped.len() == 1,
+            "{}",
+            messages(&recording)
+        );
     }
 }
 
@@ -191,7 +241,11 @@ fn positions_that_start_anew_and_ids_that_are_used_again_split_tracks() {
         vec![edge("flow.0", x), edge("flow.1", x - 20.0)]
     });
     let recording = read_rows(&rows);
-    assert!(links(&recording).values().all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 1e-6));
+    assert!(
+        links(&recording)
+            .values()
+            .all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 1e-6)
+    );
     assert!(links(&recording).len() > 60);
     assert!(
         messages(&recording).contains("the position of vehicle flow.0 starts anew here"),
@@ -203,17 +257,39 @@ fn positions_that_start_anew_and_ids_that_are_used_again_split_tracks() {
     // A lorry and then, ten seconds later, a car have the id 2^63.
     let id = 1_u64 << 63;
     let rows = braking(300, |step, x, mps| match step {
-        0..100 => vec![(step, id.to_string(), 1, x, mps, 12.5), row(step, 4, 1, x - 20.0, mps)],
+        0..100 => vec![
+            (step, id.to_string(), 1, x, mps, 12.5),
+            row(step, 4, 1, x - 20.0, mps),
+        ],
         100..200 => vec![row(step, 4, 1, x - 20.0, mps)],
-        _ => vec![row(step, id, 1, x - 250.0, mps), row(step, 4, 1, x - 20.0, mps)],
+        _ => vec![
+            row(step, id, 1, x - 250.0, mps),
+            row(step, 4, 1, x - 20.0, mps),
+        ],
     });
     let recording = read_rows(&rows);
-    let tracks: BTreeSet<u32> =
-        recording.traffic.as_ref().expect("tracks").points.iter().map(|one| one.track).collect();
+    let tracks: BTreeSet<u32> = recording
+        .traffic
+        .as_ref()
+        .expect("tracks")
+        .points
+        .iter()
+        .map(|one| one.track)
+        .collect();
     assert_eq!(tracks.len(), 3);
-    assert_eq!(links(&recording).len(), 200, "no vehicle is absent between its tracks");
+    assert_eq!(
+        links(&recording).len(),
+        200,
+        "no vehicle is absent between its tracks"
+    );
     let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    assert_eq!((found[0].vehicles[0].number as u64, found[0].vehicles[0].length_m), (id, Some(12.5)));
+    assert_eq!(
+        (
+            found[0].vehicles[0].number as u64,
+            found[0].vehicles[0].length_m
+        ),
+        (id, Some(12.5))
+    );
 }
 
 #[test]
@@ -226,45 +302,90 @@ fn no_vehicle_is_linked_across_one_that_is_absent() {
         rows
     });
     let recording = read_rows(&rows);
-    assert!(links(&recording).iter().all(|((time_ms, _), _)| !(2000..5000).contains(time_ms)));
     assert!(
-        messages(&recording).contains("30 times a vehicle that has rows before and after may be between two others")
+        links(&recording)
+            .iter()
+            .all(|((time_ms, _), _)| !(2000..5000).contains(time_ms))
+    );
+    assert!(
+        messages(&recording).contains(
+            "30 times a vehicle that has rows before and after may be between two others"
+        )
     );
 }
 
 #[test]
 fn vehicles_with_rows_at_different_times_are_linked_by_interpolation() {
     let rows = braking(120, |step, x, mps| {
-        vec![if step % 2 == 0 { row(step, 1, 1, x, mps) } else { row(step, 2, 1, x - 20.0, mps) }]
+        vec![if step % 2 == 0 {
+            row(step, 1, 1, x, mps)
+        } else {
+            row(step, 2, 1, x - 20.0, mps)
+        }]
     });
     let map = MAP.replace("[layout.tracks]", "interpolate_s = 0.5\n[layout.tracks]");
     let found = links(&try_read(&text(&rows), &map).expect("readable"));
-    assert!(found.values().all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 0.02), "{found:?}");
+    assert!(
+        found
+            .values()
+            .all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 0.02),
+        "{found:?}"
+    );
     assert_eq!(found.len(), 118);
 }
 
 #[test]
 fn columns_that_contradict_each_other_are_reported_with_the_reason() {
-    let rows = braking(120, |step, x, mps| vec![row(step, 1, 1, x, mps), row(step, 2, 1, x - 20.0, mps)]);
-    let error = |map: &str| try_read(&text(&rows), map).expect_err("contradicts").to_string();
+    let rows = braking(120, |step, x, mps| {
+        vec![row(step, 1, 1, x, mps), row(step, 2, 1, x - 20.0, mps)]
+    });
+    let error = |map: &str| {
+        try_read(&text(&rows), map)
+            .expect_err("contradicts")
+            .to_string()
+    };
     let message = error(&MAP.replace("column = \"v\"", "column = \"v\", unit = \"km/h\""));
-    assert!(message.ends_with("v looks like m/s: ratio 0.28; correct the map"), "{message}");
+    assert!(
+        message.ends_with("v looks like m/s: ratio 0.28; correct the map"),
+        "{message}"
+    );
     let message = error(&MAP.replace("column = \"x\"", "column = \"x\", unit = \"ft\""));
     assert!(message.contains("x looks like m: ratio 0.30"), "{message}");
-    let in_feet: Vec<Row> =
-        rows.iter().cloned().map(|row| (row.0, row.1, row.2, row.3, row.4 / 0.3048, row.5)).collect();
+    let in_feet: Vec<Row> = rows
+        .iter()
+        .cloned()
+        .map(|row| (row.0, row.1, row.2, row.3, row.4 / 0.3048, row.5))
+        .collect();
     let in_kmh = MAP.replace("column = \"v\"", "column = \"v\", unit = \"km/h\"");
-    let message = try_read(&text(&in_feet), &in_kmh).expect_err("contradicts").to_string();
-    assert!(message.contains("v looks like ft/s: ratio 0.91"), "{message}");
+    let message = try_read(&text(&in_feet), &in_kmh)
+        .expect_err("contradicts")
+        .to_string();
+    assert!(
+        message.contains("v looks like ft/s: ratio 0.91"),
+        "{message}"
+    );
     let slowed = |factor: usize| {
-        let rows = rows.iter().cloned().map(|row| (factor * row.0, row.1, row.2, row.3, row.4, row.5));
+        let rows = rows
+            .iter()
+            .cloned()
+            .map(|row| (factor * row.0, row.1, row.2, row.3, row.4, row.5));
         text(&rows.collect::<Vec<_>>())
     };
-    let message = try_read(&slowed(1000), MAP).expect_err("contradicts").to_string();
+    let message = try_read(&slowed(1000), MAP)
+        .expect_err("contradicts")
+        .to_string();
     assert!(message.contains("t looks like ms: ratio 1000"), "{message}");
-    let frames = MAP.replace("clock = { column = \"t\"", "frames = { column = \"t\", rate_hz = 12.5");
-    let message = try_read(&slowed(10), &frames).expect_err("contradicts").to_string();
-    assert!(message.contains("t looks like 10 Hz: ratio 0.80"), "{message}");
+    let frames = MAP.replace(
+        "clock = { column = \"t\"",
+        "frames = { column = \"t\", rate_hz = 12.5",
+    );
+    let message = try_read(&slowed(10), &frames)
+        .expect_err("contradicts")
+        .to_string();
+    assert!(
+        message.contains("t looks like 10 Hz: ratio 0.80"),
+        "{message}"
+    );
 
     let map = |follower: &str| {
         let columns = "spacing = { column = \"gap\" }\nrelative_speed = { column = \"closing\" }\n";
@@ -278,22 +399,44 @@ fn columns_that_contradict_each_other_are_reported_with_the_reason() {
             let lead_mps = 20.0 - 3.0 * (f64::from(step) * STEP_S - 4.0).clamp(0.0, 2.0);
             let closing = sign * (lead_mps - 20.0) + offset_mps;
             let shown_m = if step < 100 { gap_m } else { gap_m + switch_m };
-            let _ = writeln!(text, "{:.1},{shown_m:.3},20,{closing:.3},{lead_mps:.3}", f64::from(step) * STEP_S);
+            let _ = writeln!(
+                text,
+                "{:.1},{shown_m:.3},20,{closing:.3},{lead_mps:.3}",
+                f64::from(step) * STEP_S
+            );
             gap_m += STEP_S * (lead_mps - 20.0) * if gap_m > 5.0 { 1.0 } else { 0.0 };
         }
         text
     };
-    let error = |text: &str, unit: &str| try_read(text, &map(unit)).expect_err("contradicts").to_string();
+    let error = |text: &str, unit: &str| {
+        try_read(text, &map(unit))
+            .expect_err("contradicts")
+            .to_string()
+    };
     let message = error(&pairs(-1.0, 0.0, 0.0), "m/s");
-    assert!(message.ends_with("closing has the opposite sign; correct the map"), "{message}");
+    assert!(
+        message.ends_with("closing has the opposite sign; correct the map"),
+        "{message}"
+    );
     let message = error(&pairs(1.0, 0.0, 0.0), "km/h");
-    assert!(message.contains("v looks like m/s: ratio 0.28"), "{message}");
+    assert!(
+        message.contains("v looks like m/s: ratio 0.28"),
+        "{message}"
+    );
     let message = messages(&try_read(&pairs(1.0, 2.0, 0.0), &map("m/s")).expect("readable"));
     assert!(message.contains("an offset of"), "{message}");
     let recording = try_read(&pairs(1.0, 0.0, 12.0), &map("m/s")).expect("readable");
-    let lengths: Vec<usize> = recording.platoons.iter().map(|platoon| platoon.time_s.len()).collect();
+    let lengths: Vec<usize> = recording
+        .platoons
+        .iter()
+        .map(|platoon| platoon.time_s.len())
+        .collect();
     assert_eq!(lengths, [100, 50]);
-    assert!(messages(&recording).contains("a.csv:102: the gap changes by"), "{}", messages(&recording));
+    assert!(
+        messages(&recording).contains("a.csv:102: the gap changes by"),
+        "{}",
+        messages(&recording)
+    );
 }
 
 /// A walk over all instants for each vehicle took more than a minute.
@@ -314,7 +457,12 @@ fn sparse_vehicles_are_linked_in_linear_time() {
         ..TrackPoint::default()
     };
     // Each vehicle has a row at its own time and one at the end.
-    let rows = |track: u32| [point(track, i64::from(track)), point(track, i64::from(2 * count - track))];
+    let rows = |track: u32| {
+        [
+            point(track, i64::from(track)),
+            point(track, i64::from(2 * count - track)),
+        ]
+    };
     let mut points: Vec<TrackPoint> = (0..count).flat_map(rows).collect();
     let started = std::time::Instant::now();
     link(&mut points, 500, &mut Vec::new());

@@ -13,7 +13,12 @@ fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> RegressionRes
 }
 
 /// A round in which all cases are fixed.
-const FIXED: FailureChange = FailureChange { before: 5, after: 0, fixed: 5, regressed: 0 };
+const FIXED: FailureChange = FailureChange {
+    before: 5,
+    after: 0,
+    fixed: 5,
+    regressed: 0,
+};
 
 fn objections(before: &RegressionResults, after: &RegressionResults) -> Vec<RejectionReason> {
     match decide_acceptance(before, before, after, &FIXED) {
@@ -25,19 +30,54 @@ fn objections(before: &RegressionResults, after: &RegressionResults) -> Vec<Reje
 #[test]
 fn each_objection_alone_rejects_and_old_failures_do_not() {
     let before = results(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
-    assert_eq!(decide_acceptance(&before, &before, &before, &FIXED), Acceptance::Accepted, "no worse");
+    assert_eq!(
+        decide_acceptance(&before, &before, &before, &FIXED),
+        Acceptance::Accepted,
+        "no worse"
+    );
     let nothing = vec![RejectionReason::NothingFixed];
-    let unfixed = FailureChange { before: 5, after: 5, fixed: 1, regressed: 1 };
-    assert_eq!(decide_acceptance(&before, &before, &before, &unfixed), Acceptance::Rejected { objections: nothing });
+    let unfixed = FailureChange {
+        before: 5,
+        after: 5,
+        fixed: 1,
+        regressed: 1,
+    };
+    assert_eq!(
+        decide_acceptance(&before, &before, &before, &unfixed),
+        Acceptance::Rejected {
+            objections: nothing
+        }
+    );
     let objections = |after| objections(&before, &after);
-    assert_eq!(objections(results(&[], &[], &[7, 8, 9])), [], "others kept aside, but no more");
-    let paper = RejectionReason::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
-    assert_eq!(objections(results(&["paper-1 (kalman)"], &[4], &[])), [paper]);
+    assert_eq!(
+        objections(results(&[], &[], &[7, 8, 9])),
+        [],
+        "others kept aside, but no more"
+    );
+    let paper = RejectionReason::Paper {
+        scenarios: vec!["paper-1 (kalman)".to_owned()],
+    };
+    assert_eq!(
+        objections(results(&["paper-1 (kalman)"], &[4], &[])),
+        [paper]
+    );
     // A new failure is a regression even if the number of failures stays.
-    assert_eq!(objections(results(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
-    let validation_set = RejectionReason::ValidationSet { before: 3, after: 4 };
-    assert_eq!(objections(results(&[], &[], &[1, 2, 3, 4])), [validation_set]);
-    assert_eq!(objections(results(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
+    assert_eq!(
+        objections(results(&[], &[5], &[])),
+        [RejectionReason::Nominal { draws: vec![5] }]
+    );
+    let validation_set = RejectionReason::ValidationSet {
+        before: 3,
+        after: 4,
+    };
+    assert_eq!(
+        objections(results(&[], &[], &[1, 2, 3, 4])),
+        [validation_set]
+    );
+    assert_eq!(
+        objections(results(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(),
+        3
+    );
 }
 
 #[test]
@@ -57,16 +97,37 @@ fn one_space_cannot_be_traded_for_another() {
     };
     let before = in_spaces(&[1, 2, 3], &[5]);
     let objections = |high_risk: &[u64], of_no_use: &[u64]| {
-        let after = RegressionResults { validation_set: vec![], ..in_spaces(high_risk, of_no_use) };
+        let after = RegressionResults {
+            validation_set: vec![],
+            ..in_spaces(high_risk, of_no_use)
+        };
         objections(&before, &after)
     };
-    assert!(objections(&[4, 5, 6, 7], &[5, 6]).is_empty(), "within chance");
+    assert!(
+        objections(&[4, 5, 6, 7], &[5, 6]).is_empty(),
+        "within chance"
+    );
     let many: Vec<u64> = (10..30).collect();
-    let contacts = DiscordantPairs { only_second_fails: 20, only_first_fails: 3 };
-    let worse = RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts };
+    let contacts = DiscordantPairs {
+        only_second_fails: 20,
+        only_first_fails: 3,
+    };
+    let worse = RejectionReason::MoreCollisions {
+        space: "high-risk".to_owned(),
+        contacts,
+    };
     assert_eq!(objections(&many, &[]), [worse]);
-    let drives = DiscordantPairs { only_second_fails: 20, only_first_fails: 1 };
-    assert_eq!(objections(&[], &many), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
+    let drives = DiscordantPairs {
+        only_second_fails: 20,
+        only_first_fails: 1,
+    };
+    assert_eq!(
+        objections(&[], &many),
+        [RejectionReason::LessUseful {
+            space: "traffic".to_owned(),
+            drives
+        }]
+    );
 }
 
 #[test]
@@ -81,28 +142,82 @@ fn one_measure_of_usability_cannot_be_traded_for_another() {
         mean_time_gap_s: 1.9,
         line_gain: Some(0.3),
     };
-    let before = RegressionResults { usefulness: Some(useful), ..results(&[], &[], &[]) };
-    let worse = |usefulness| {
-        let after = RegressionResults { usefulness: Some(usefulness), ..before.clone() };
-        objections(&before, &after).iter().map(ToString::to_string).collect::<Vec<_>>()
+    let before = RegressionResults {
+        usefulness: Some(useful),
+        ..results(&[], &[], &[])
     };
-    assert!(worse(TrafficUsefulness { acceleration_times_idm: 1.109, jerk_times_idm: 1.0, ..useful }).is_empty());
-    assert!(worse(TrafficUsefulness { hard_braking: 2, mean_time_gap_s: 2.1, ..useful }).is_empty());
-    assert_eq!(worse(TrafficUsefulness { mean_time_gap_s: 1.1, ..useful }).len(), 1);
+    let worse = |usefulness| {
+        let after = RegressionResults {
+            usefulness: Some(usefulness),
+            ..before.clone()
+        };
+        objections(&before, &after)
+            .iter()
+            .map(ToString::to_string)
+            .collect::<Vec<_>>()
+    };
+    assert!(
+        worse(TrafficUsefulness {
+            acceleration_times_idm: 1.109,
+            jerk_times_idm: 1.0,
+            ..useful
+        })
+        .is_empty()
+    );
+    assert!(
+        worse(TrafficUsefulness {
+            hard_braking: 2,
+            mean_time_gap_s: 2.1,
+            ..useful
+        })
+        .is_empty()
+    );
+    assert_eq!(
+        worse(TrafficUsefulness {
+            mean_time_gap_s: 1.1,
+            ..useful
+        })
+        .len(),
+        1
+    );
     // The second round may not use the tolerance again.
     let [second, third] = [1.109, 1.115].map(|acceleration_times_idm| RegressionResults {
-        usefulness: Some(TrafficUsefulness { acceleration_times_idm, ..useful }),
+        usefulness: Some(TrafficUsefulness {
+            acceleration_times_idm,
+            ..useful
+        }),
         ..before.clone()
     });
     assert!(decide_acceptance(&before, &before, &second, &FIXED).is_accepted());
     assert!(!decide_acceptance(&before, &second, &third, &FIXED).is_accepted());
-    assert!(worse(TrafficUsefulness { line_gain: Some(0.9), ..useful }).is_empty());
+    assert!(
+        worse(TrafficUsefulness {
+            line_gain: Some(0.9),
+            ..useful
+        })
+        .is_empty()
+    );
     for line_gain in [Some(1.1), None] {
-        assert_eq!(worse(TrafficUsefulness { line_gain, ..useful }).len(), 1);
+        assert_eq!(
+            worse(TrafficUsefulness {
+                line_gain,
+                ..useful
+            })
+            .len(),
+            1
+        );
     }
-    let hard = worse(TrafficUsefulness { hard_braking: 4, jerk_times_idm: 0.5, ..useful });
+    let hard = worse(TrafficUsefulness {
+        hard_braking: 4,
+        jerk_times_idm: 0.5,
+        ..useful
+    });
     assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
-    let jerk = worse(TrafficUsefulness { hard_braking: 0, jerk_times_idm: 1.1, ..useful });
+    let jerk = worse(TrafficUsefulness {
+        hard_braking: 0,
+        jerk_times_idm: 1.1,
+        ..useful
+    });
     assert_eq!(jerk, ["in traffic rms jerk, times idm 1.1 instead of 0.9"]);
 }
 

@@ -2,7 +2,9 @@
 
 use std::fmt::Write;
 
-use super::super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, to_thousandths, traffic_measures};
+use super::super::acceptance::{
+    FailureChange, TRAFFIC_MEASURES, discordant_pairs, to_thousandths, traffic_measures,
+};
 use super::super::plan::RetrainingSettings;
 use super::super::regression_spaces::SIGNIFICANCE;
 use super::super::search::RoundFindings;
@@ -29,15 +31,39 @@ impl RetrainingReport {
     }
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
-        let RetrainingSettings { rounds, episodes, budget, draws, validation_draws, nominal, .. } = self.settings;
+        let RetrainingSettings {
+            rounds,
+            episodes,
+            budget,
+            draws,
+            validation_draws,
+            nominal,
+            ..
+        } = self.settings;
         let is_one = !self.space.contains(", ");
-        let (spaces, each) = if is_one { ("the space", "the") } else { ("the spaces", "each") };
-        writeln!(out, "# Retraining of {} in {spaces} {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
-        let learning = if episodes == 0 { "imitation".to_owned() } else { format!("{episodes} episodes") };
+        let (spaces, each) = if is_one {
+            ("the space", "the")
+        } else {
+            ("the spaces", "each")
+        };
+        writeln!(
+            out,
+            "# Retraining of {} in {spaces} {}\n",
+            MarkdownCode(&self.first),
+            MarkdownCode(&self.space)
+        )?;
+        let learning = if episodes == 0 {
+            "imitation".to_owned()
+        } else {
+            format!("{episodes} episodes")
+        };
         let from_paper = match self.settings.nominal_share {
             0.0 => String::new(),
             share => {
-                format!("{:.0} % of the episodes from the paper's distribution, and of the others ", 100.0 * share)
+                format!(
+                    "{:.0} % of the episodes from the paper's distribution, and of the others ",
+                    100.0 * share
+                )
             }
         };
         writeln!(
@@ -72,13 +98,21 @@ impl RetrainingReport {
         for FileHash { file, sha256 } in &self.files {
             writeln!(out, "| `{file}` | `{sha256}` |")?;
         }
-        writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
+        writeln!(
+            out,
+            "\nFirst policy: `{}`. Plan: `{}`.",
+            self.first_sha256, self.plan_sha256
+        )
     }
 
     /// Returns a sentence that states why the retraining ended.
     #[must_use]
     pub fn ending_sentence(&self) -> String {
-        let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
+        let accepted = self
+            .rounds
+            .iter()
+            .filter(|round| round.acceptance.is_accepted())
+            .count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
             RetrainingEnding::RoundsExhausted => format!("It ended with its last round: {made}."),
@@ -112,8 +146,16 @@ impl RetrainingReport {
                 100.0 * interval.upper
             )?;
         }
-        let PairedOutcomes { both, first_only, retrained_only, neither } = self.pairs;
-        let fewer = DiscordantPairs { only_second_fails: first_only, only_first_fails: retrained_only };
+        let PairedOutcomes {
+            both,
+            first_only,
+            retrained_only,
+            neither,
+        } = self.pairs;
+        let fewer = DiscordantPairs {
+            only_second_fails: first_only,
+            only_first_fails: retrained_only,
+        };
         writeln!(
             out,
             "\nOf the first policy's collisions, {first_only} are fixed and {both} remain; {retrained_only} are new; \
@@ -122,7 +164,10 @@ impl RetrainingReport {
             format_rounded(fewer.p_value(), 2)
         )?;
         if let Some(factor) = self.min_improvement_factor().filter(|&factor| factor > 1.0) {
-            writeln!(out, "Collisions are at least {factor:.2} times rarer, at a confidence level of 95 %.")?;
+            writeln!(
+                out,
+                "Collisions are at least {factor:.2} times rarer, at a confidence level of 95 %."
+            )?;
         }
         Ok(())
     }
@@ -140,9 +185,18 @@ impl RetrainingReport {
              behind; this counts where `idm` is always useful.\n\n| space | random scenarios | collisions | not \
              useful |\n|---|---|---|---|"
         )?;
-        for (was, is) in self.first_results.regression.iter().zip(&self.retrained_results.regression) {
+        for (was, is) in self
+            .first_results
+            .regression
+            .iter()
+            .zip(&self.retrained_results.regression)
+        {
             let change = |was: &[u64], is: &[u64]| {
-                format!("{} (p = {:.2})", FailureChange::between(was, is), discordant_pairs(was, is).p_value())
+                format!(
+                    "{} (p = {:.2})",
+                    FailureChange::between(was, is),
+                    discordant_pairs(was, is).p_value()
+                )
             };
             let drives = was.not_useful.as_ref().zip(is.not_useful.as_ref());
             writeln!(
@@ -155,16 +209,37 @@ impl RetrainingReport {
             )?;
         }
         out.push('\n');
-        let (Some(was), Some(is)) = (&self.first_results.usefulness, &self.retrained_results.usefulness) else {
+        let (Some(was), Some(is)) = (
+            &self.first_results.usefulness,
+            &self.retrained_results.usefulness,
+        ) else {
             return Ok(());
         };
-        writeln!(out, "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|", is.scenario_count)?;
+        writeln!(
+            out,
+            "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|",
+            is.scenario_count
+        )?;
         let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
         for (name, (was, is)) in TRAFFIC_MEASURES.into_iter().zip(values) {
-            writeln!(out, "| {name} | {} | {} |", to_thousandths(was), to_thousandths(is))?;
+            writeln!(
+                out,
+                "| {name} | {} | {} |",
+                to_thousandths(was),
+                to_thousandths(is)
+            )?;
         }
-        let gain = |found: &TrafficUsefulness| found.line_gain.map_or("–".to_owned(), |gain| format!("{gain:.2}"));
-        writeln!(out, "| gain of a line of five | {} | {} |\n", gain(was), gain(is))
+        let gain = |found: &TrafficUsefulness| {
+            found
+                .line_gain
+                .map_or("–".to_owned(), |gain| format!("{gain:.2}"))
+        };
+        writeln!(
+            out,
+            "| gain of a line of five | {} | {} |\n",
+            gain(was),
+            gain(is)
+        )
     }
 
     fn write_rounds(&self, out: &mut String) -> std::fmt::Result {
@@ -174,8 +249,14 @@ impl RetrainingReport {
              acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
-            let RoundFindings { avoidable, unavoidable, undecided, colliding_draws, avoidable_draws, .. } =
-                &round.findings;
+            let RoundFindings {
+                avoidable,
+                unavoidable,
+                undecided,
+                colliding_draws,
+                avoidable_draws,
+                ..
+            } = &round.findings;
             let episodes = match round.training.to_episode {
                 0 => "–".to_owned(),
                 last => format!("{last} ({})", round.training.best_episode),

@@ -13,10 +13,22 @@ fn small_config() -> TrainingConfig {
     config.network.hidden = vec![16, 16];
     config.learning.batch = 16;
     (config.episodes, config.exploration.learning_starts_episode) = (12, 4);
-    config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.1, target_noise_limit: 0.2 };
-    config.replay = ReplayConfig { capacity: 600, collision_fraction: 0.1 };
+    config.td3 = Td3Config {
+        twin_critic: true,
+        actor_every: 2,
+        target_noise: 0.1,
+        target_noise_limit: 0.2,
+    };
+    config.replay = ReplayConfig {
+        capacity: 600,
+        collision_fraction: 0.1,
+    };
     config.evaluation.master_gap_m = 0.0;
-    (config.evaluation.every_episodes, config.evaluation.screening_draws, config.evaluation.ranking_draws) = (3, 4, 4);
+    (
+        config.evaluation.every_episodes,
+        config.evaluation.screening_draws,
+        config.evaluation.ranking_draws,
+    ) = (3, 4, 4);
     config
 }
 
@@ -24,19 +36,40 @@ fn small_config() -> TrainingConfig {
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
     let mut config = small_config();
     // Optional state of a training: history, mean of weights, privileged critics, decay of the learning rates.
-    (config.environment.observation.history, config.environment.observation.history_every) = (3, 2);
+    (
+        config.environment.observation.history,
+        config.environment.observation.history_every,
+    ) = (3, 2);
     config.evaluation.weight_average_updates = 40;
     config.learning.privileged_critic = true;
-    config.learning.lr_decay = Some(LrDecay { until_episode: 10, final_factor: 0.2 });
+    config.learning.lr_decay = Some(LrDecay {
+        until_episode: 10,
+        final_factor: 0.2,
+    });
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
     let diary = Mutex::new(Vec::new());
-    train(&mut through, &held_out, &Listener(|event: &TrainingEvent| diary.lock().unwrap().push(*event))).unwrap();
+    train(
+        &mut through,
+        &held_out,
+        &Listener(|event: &TrainingEvent| diary.lock().unwrap().push(*event)),
+    )
+    .unwrap();
     let diary = diary.into_inner().unwrap();
     for stop in [2, 5, 9] {
-        let mut first = Trainer::new(&TrainingConfig { episodes: stop, ..config.clone() }, 8);
+        let mut first = Trainer::new(
+            &TrainingConfig {
+                episodes: stop,
+                ..config.clone()
+            },
+            8,
+        );
         let result = first.evaluate(&held_out).unwrap();
-        let mut events = vec![TrainingEvent::Evaluation { episode: 0, best: true, result }];
+        let mut events = vec![TrainingEvent::Evaluation {
+            episode: 0,
+            best: true,
+            result,
+        }];
         while first.episode() < stop {
             events.push(TrainingEvent::Episode(first.run_episode().unwrap()));
             if first.episode() > 4 && first.episode().is_multiple_of(3) {
@@ -44,21 +77,39 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
             }
         }
         let bytes = first.to_checkpoint().unwrap();
-        let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperSource)).unwrap();
+        let mut second =
+            Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperSource)).unwrap();
         let events = Mutex::new(events);
-        train(&mut second, &held_out, &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event))).unwrap();
+        train(
+            &mut second,
+            &held_out,
+            &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event)),
+        )
+        .unwrap();
         let events = events.into_inner().unwrap();
-        assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
-        assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
+        assert!(
+            second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(),
+            "stopped after {stop}"
+        );
+        assert!(
+            second.policy().unwrap() == through.policy().unwrap(),
+            "stopped after {stop}"
+        );
         assert_eq!(diary[0], events[0], "the untrained policy is judged first");
-        assert!(diary.ends_with(&events[1 + stop as usize..]), "stopped after {stop}");
+        assert!(
+            diary.ends_with(&events[1 + stop as usize..]),
+            "stopped after {stop}"
+        );
     }
 }
 
 /// Imitation fits the expert's answers, is followed by reinforcement learning, and survives an interruption.
 #[test]
 fn an_imitation_learns_the_experts_answers() {
-    let imitation = include_str!("imitation.toml").split_once("[imitation]").unwrap().1;
+    let imitation = include_str!("imitation.toml")
+        .split_once("[imitation]")
+        .unwrap()
+        .1;
     let mut config = small_config();
     config.exploration.learning_starts_episode = 2;
     let mut imitation: ImitationConfig = toml::from_str(imitation).unwrap();
@@ -70,9 +121,16 @@ fn an_imitation_learns_the_experts_answers() {
     let run = |threads| {
         let mut trainer = Trainer::new(&config, 4);
         let events = Mutex::new(Vec::new());
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| {
-            train(&mut trainer, &held_out, &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event)))
+            train(
+                &mut trainer,
+                &held_out,
+                &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event)),
+            )
         })
         .unwrap();
         (trainer, events.into_inner().unwrap())
@@ -83,18 +141,28 @@ fn an_imitation_learns_the_experts_answers() {
         _ => None,
     });
     assert_eq!(rounds.collect::<Vec<_>>(), [(1, 3000), (2, 6000)]);
-    let Some(TrainingEvent::Imitation(last)) = events.get(1) else { panic!("{events:?}") };
+    let Some(TrainingEvent::Imitation(last)) = events.get(1) else {
+        panic!("{events:?}")
+    };
     // Actions are shares of half the range of 10.5 m/s²: the root mean square of the difference is 0.2 m/s².
     assert!(last.loss < 0.0015, "{last:?}");
     let first = events.iter().find_map(|event| match event {
         TrainingEvent::Evaluation { result, .. } => Some(result.safe_share),
         _ => None,
     });
-    assert_eq!(first, Some(1.0), "the imitation is safe before reinforcement learning");
+    assert_eq!(
+        first,
+        Some(1.0),
+        "the imitation is safe before reinforcement learning"
+    );
     let (other, _) = run(3);
-    assert!(other.to_checkpoint().unwrap() == trainer.to_checkpoint().unwrap(), "on three threads");
+    assert!(
+        other.to_checkpoint().unwrap() == trainer.to_checkpoint().unwrap(),
+        "on three threads"
+    );
     let stopped = Trainer::new(&config, 4).to_checkpoint().unwrap();
-    let mut resumed = Trainer::from_checkpoint(&stopped, &config, 4, Arc::new(PaperSource)).unwrap();
+    let mut resumed =
+        Trainer::from_checkpoint(&stopped, &config, 4, Arc::new(PaperSource)).unwrap();
     train(&mut resumed, &held_out, &Quiet).unwrap();
     assert!(resumed.policy().unwrap() == trainer.policy().unwrap());
     // A retraining continues from the weights that it starts from.
@@ -107,16 +175,26 @@ fn an_imitation_learns_the_experts_answers() {
         Ok(())
     };
     retrained.imitate(check).unwrap();
-    assert!(retrained.policy().unwrap().network() == policy.network(), "a rate of 0 changes nothing");
+    assert!(
+        retrained.policy().unwrap().network() == policy.network(),
+        "a rate of 0 changes nothing"
+    );
     // Where costs count more than once, the policy replaces the expert.
-    config.spaces =
-        vec![TrainingSpace { space: "traffic".to_owned(), weight: 1.0, cost_multiplier: 2.0, uniform_share: 0.0 }];
+    config.spaces = vec![TrainingSpace {
+        space: "traffic".to_owned(),
+        weight: 1.0,
+        cost_multiplier: 2.0,
+        uniform_share: 0.0,
+    }];
     let everyday = config.scenario_source().unwrap();
     let check = |round: &ImitationRound| -> Result<(), TrainingError> {
         assert!(round.loss < 1e-9, "{round:?}");
         Ok(())
     };
-    Trainer::with_source(&config, 5, everyday).with_initial_policy(&policy).imitate(check).unwrap();
+    Trainer::with_source(&config, 5, everyday)
+        .with_initial_policy(&policy)
+        .imitate(check)
+        .unwrap();
 }
 
 #[test]
@@ -130,9 +208,15 @@ fn checkpoints_of_another_training_are_refused() {
         let refused = Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperSource));
         assert!(matches!(refused, Err(TrainingError::Checkpoint(_))));
     }
-    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperSource)).is_err());
+    assert!(
+        Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperSource))
+            .is_err()
+    );
     let says = |bytes: &[u8], words: &str| {
-        let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperSource)).err().unwrap().to_string();
+        let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperSource))
+            .err()
+            .unwrap()
+            .to_string();
         assert!(error.contains(words), "{error}");
     };
     // Any byte of the arrays, and numbers of the header on which no array depends.
@@ -142,33 +226,63 @@ fn checkpoints_of_another_training_are_refused() {
         says(&changed, "does not match its SHA-256");
     }
     let edited = |from: &str, to: &str| {
-        let place = bytes.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+        let place = bytes
+            .windows(from.len())
+            .position(|window| window == from.as_bytes())
+            .unwrap();
         [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
     };
-    says(&edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#), "does not match its SHA-256");
-    says(&edited(r#"\"version\":3"#, r#"\"version\":1"#), OTHER_BUILD_MESSAGE);
+    says(
+        &edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#),
+        "does not match its SHA-256",
+    );
+    says(
+        &edited(r#"\"version\":3"#, r#"\"version\":1"#),
+        OTHER_BUILD_MESSAGE,
+    );
     let program = identity().unwrap();
-    says(&edited(program, &program.replace(char::is_alphabetic, "0")), OTHER_BUILD_MESSAGE);
+    says(
+        &edited(program, &program.replace(char::is_alphabetic, "0")),
+        OTHER_BUILD_MESSAGE,
+    );
 }
 
 #[test]
 fn trainings_on_different_scenarios_are_distinguished() {
     let config = small_config();
     let source = |name| -> Arc<dyn ScenarioSource> {
-        Arc::new(CaseMixture::new(vec![built_in_scenario(name).unwrap()], 0.5, Arc::new(PaperSource)))
+        Arc::new(CaseMixture::new(
+            vec![built_in_scenario(name).unwrap()],
+            0.5,
+            Arc::new(PaperSource),
+        ))
     };
     let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
     trainer.run_episode().unwrap();
-    assert!(trainer.policy().unwrap().header().training["scenarios"].as_str().unwrap().contains("0.5 of 1 cases"));
+    assert!(
+        trainer.policy().unwrap().header().training["scenarios"]
+            .as_str()
+            .unwrap()
+            .contains("0.5 of 1 cases")
+    );
     let bytes = trainer.to_checkpoint().unwrap();
     assert!(Trainer::from_checkpoint(&bytes, &config, 1, source("paper-1")).is_ok());
     for other in [source("paper-2"), Arc::new(PaperSource)] {
         let refused = Trainer::from_checkpoint(&bytes, &config, 1, other);
-        assert!(refused.err().unwrap().to_string().contains("it belongs to a training on a share of 0.5"));
+        assert!(
+            refused
+                .err()
+                .unwrap()
+                .to_string()
+                .contains("it belongs to a training on a share of 0.5")
+        );
     }
     let mut unsuited = Trainer::with_source(&config, 1, source("paper-3"));
     let error = (0..12).find_map(|_| unsuited.run_episode().err()).unwrap();
-    assert!(error.to_string().contains("`paper-3` cannot be trained on"), "{error}");
+    assert!(
+        error.to_string().contains("`paper-3` cannot be trained on"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -178,10 +292,15 @@ fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
         config.network.hidden = vec![4];
         config.exploration.random_hold_steps = hold;
         let mut trainer = Trainer::new(&config, 3);
-        (0..20).filter(|_| trainer.run_episode().unwrap().ending == EpisodeEnding::Contact).count()
+        (0..20)
+            .filter(|_| trainer.run_episode().unwrap().ending == EpisodeEnding::Contact)
+            .count()
     };
     let (each_step, each_second) = (contacts(1), contacts(100));
-    assert!(each_step <= 5 && each_second >= 12, "{each_step} {each_second} of 20");
+    assert!(
+        each_step <= 5 && each_second >= 12,
+        "{each_step} {each_second} of 20"
+    );
 }
 
 #[test]
@@ -192,14 +311,22 @@ fn without_ranking_draws_nothing_is_mastered() {
     for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
         config.evaluation.ranking_draws = ranking_draws;
         let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
-        let found = held_out.evaluate(&crumple_world::policy::Policy::reference()).unwrap();
-        assert_eq!((found.ranking_contacts, found.is_mastered(master_gap_m)), (contacts, contacts.is_some()));
+        let found = held_out
+            .evaluate(&crumple_world::policy::Policy::reference())
+            .unwrap();
+        assert_eq!(
+            (found.ranking_contacts, found.is_mastered(master_gap_m)),
+            (contacts, contacts.is_some())
+        );
     }
 }
 
 #[test]
 fn a_seed_gives_the_same_policy_with_any_number_of_threads() {
-    let config = TrainingConfig { episodes: 8, ..small_config() };
+    let config = TrainingConfig {
+        episodes: 8,
+        ..small_config()
+    };
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let policies = |threads| {
         parallel_map(&[1, 2, 3], threads, |&seed| {
@@ -226,7 +353,10 @@ fn divergence_stops_with_a_message() {
             }
             assert!(trainer.episode() < 12, "nothing was noticed");
         };
-        assert!(error.to_string().contains("seed 1 diverged in episode"), "{error}");
+        assert!(
+            error.to_string().contains("seed 1 diverged in episode"),
+            "{error}"
+        );
     }
 }
 
@@ -236,11 +366,18 @@ fn divergence_is_detected_on_the_training_scenarios() {
     let mut config = small_config();
     config.environment.costs = TrainingConfig::preset("road").unwrap().environment.costs;
     config.environment.costs.far = 1.0;
-    config.spaces =
-        vec![TrainingSpace { space: "traffic".to_owned(), weight: 1.0, cost_multiplier: 500.0, uniform_share: 0.0 }];
+    config.spaces = vec![TrainingSpace {
+        space: "traffic".to_owned(),
+        weight: 1.0,
+        cost_multiplier: 500.0,
+        uniform_share: 0.0,
+    }];
     let largest = |source: Arc<dyn ScenarioSource>| {
         let mut trainer = Trainer::with_source(&config, 1, source);
-        trainer.learner.critics[0].network.parameters_mut().fill(f32::NAN);
+        trainer.learner.critics[0]
+            .network
+            .parameters_mut()
+            .fill(f32::NAN);
         match (0..12).find_map(|_| trainer.run_episode().err()) {
             Some(TrainingError::Diverged { largest_value, .. }) => largest_value,
             other => panic!("{other:?}"),
@@ -248,8 +385,15 @@ fn divergence_is_detected_on_the_training_scenarios() {
     };
     let spaces = config.scenario_source().unwrap();
     let (of_paper, of_spaces) = (largest(Arc::new(PaperSource)), largest(Arc::clone(&spaces)));
-    assert!((of_spaces / of_paper - 500.0).abs() < 1e-6, "{of_paper} {of_spaces}");
-    let mixed = CaseMixture::new(Vec::new(), 0.5, Arc::new(SourceMixture::new(Arc::new(PaperSource), 0.5, spaces)));
+    assert!(
+        (of_spaces / of_paper - 500.0).abs() < 1e-6,
+        "{of_paper} {of_spaces}"
+    );
+    let mixed = CaseMixture::new(
+        Vec::new(),
+        0.5,
+        Arc::new(SourceMixture::new(Arc::new(PaperSource), 0.5, spaces)),
+    );
     assert_eq!(largest(Arc::new(mixed)), of_spaces);
 }
 
@@ -262,17 +406,30 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
 
     let policy = Policy::reference();
     let fast = serde_json::to_value(TrainingConfig::preset("fast").unwrap()).unwrap();
-    assert_eq!(policy.header().training, fast, "the committed preset reproduces the committed policy");
+    assert_eq!(
+        policy.header().training,
+        fast,
+        "the committed preset reproduces the committed policy"
+    );
     let contacts = |scenarios: &[Scenario], estimator| {
         let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
-        let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
-        let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome == Outcome::NoCollision);
+        let runs: Vec<_> = scenarios
+            .iter()
+            .map(|s| Run::new(s, options.clone()).unwrap())
+            .collect();
+        let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
+            result.outcome == Outcome::NoCollision
+        });
         safe.into_iter().filter(|safe| !safe).count()
     };
-    let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap()).into();
+    let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"]
+        .map(|name| built_in_scenario(name).unwrap())
+        .into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
         assert_eq!(contacts(&paper, estimator), 0, "{estimator:?}");
     }
-    let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
+    let draws: Vec<_> = (0..1000)
+        .map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap())
+        .collect();
     assert!(contacts(&draws, EstimatorKind::Kalman) <= 1);
 }

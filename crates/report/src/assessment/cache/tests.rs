@@ -1,7 +1,9 @@
 use super::*;
 
 fn get(cache: &EvidenceCache, inputs: &str, value: f64) -> f64 {
-    cache.get_or_gather::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
+    cache
+        .get_or_gather::<_, CacheError>("a piece", &inputs, || Ok(value))
+        .unwrap()
 }
 
 #[test]
@@ -10,10 +12,19 @@ fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
     let open = |program, fresh| EvidenceCache::open(folder.path(), program, fresh).unwrap();
     {
         let cache = open("program", false);
-        assert!(matches!(EvidenceCache::open(folder.path(), "program", false), Err(CacheError::InUse(_))));
-        assert_eq!((get(&cache, "inputs", 0.1), get(&cache, "inputs", 0.2)), (0.1, 0.1));
+        assert!(matches!(
+            EvidenceCache::open(folder.path(), "program", false),
+            Err(CacheError::InUse(_))
+        ));
+        assert_eq!(
+            (get(&cache, "inputs", 0.1), get(&cache, "inputs", 0.2)),
+            (0.1, 0.1)
+        );
         assert_eq!(get(&cache, "other inputs", 0.3), 0.3);
-        assert_eq!((cache.reuse_counts(), cache.damaged_files().len()), ((3, 1), 0));
+        assert_eq!(
+            (cache.reuse_counts(), cache.damaged_files().len()),
+            ((3, 1), 0)
+        );
     }
     assert_eq!(get(&open("other program", false), "inputs", 0.4), 0.4);
     assert_eq!(get(&EvidenceCache::disabled(), "inputs", 0.6), 0.6);
@@ -27,7 +38,9 @@ fn no_damage_is_believed() {
     let names = ["a piece", "another", "a third"];
     let gather = |name: &str| {
         let cache = EvidenceCache::open(folder.path(), "program", false).unwrap();
-        let value = cache.get_or_gather::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
+        let value = cache
+            .get_or_gather::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}")))
+            .unwrap();
         assert_eq!(value, format!("says {name}"));
         cache.reuse_counts() == (1, 1)
     };
@@ -35,14 +48,20 @@ fn no_damage_is_believed() {
     names.into_iter().for_each(|name| assert!(gather(name)));
     let path = |name: &str| {
         let cache = EvidenceCache::open(folder.path(), "program", false).unwrap();
-        folder.path().join(cache.file_stem(name, &sha256(to_json(&"inputs").unwrap())) + ".json")
+        folder
+            .path()
+            .join(cache.file_stem(name, &sha256(to_json(&"inputs").unwrap())) + ".json")
     };
     let genuine = names.map(|name| fs::read(path(name)).unwrap());
     for (name, bytes) in names.into_iter().zip(&genuine) {
         let path = path(name);
         let is_gathered_again = |what: &str| {
             assert!(!gather(name), "{name}, {what}: believed");
-            assert_eq!(fs::read(&path).unwrap(), *bytes, "{name}, {what}: another file");
+            assert_eq!(
+                fs::read(&path).unwrap(),
+                *bytes,
+                "{name}, {what}: another file"
+            );
         };
         for place in 0..bytes.len() {
             let mut changed = bytes.clone();

@@ -34,6 +34,11 @@ pub struct EvidenceSource {
 impl EvidenceSource {
     /// Creates a source that is a part of the report.
     pub fn from_part(part: &str, what: impl Into<String>) -> Self {
-        Self { part: part.to_owned(), what: what.into(), file: None, sha256: None }
+        Self {
+            part: part.to_owned(),
+            what: what.into(),
+            file: None,
+            sha256: None,
+        }
     }
 }

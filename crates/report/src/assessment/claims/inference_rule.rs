@@ -26,8 +26,13 @@ pub enum InferenceRule {
 
 impl InferenceRule {
     /// All rules except `Direct`, in the order of the report.
-    pub const DERIVED: [Self; 5] =
-        [Self::RefutedInPart, Self::RefutedByWeaker, Self::ProofCovers, Self::ProofsOfParts, Self::BoundsDecide];
+    pub const DERIVED: [Self; 5] = [
+        Self::RefutedInPart,
+        Self::RefutedByWeaker,
+        Self::ProofCovers,
+        Self::ProofsOfParts,
+        Self::BoundsDecide,
+    ];
 
     /// Describes the rule in a sentence.
     #[must_use]
@@ -44,7 +49,9 @@ impl InferenceRule {
             Self::ProofCovers => {
                 "A proof for a domain holds for its parts. A proof of \"no collision\" also holds for the leader."
             }
-            Self::ProofsOfParts => "Proofs for each of several scenarios prove the claim about all of them.",
+            Self::ProofsOfParts => {
+                "Proofs for each of several scenarios prove the claim about all of them."
+            }
             Self::BoundsDecide => {
                 "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of several \
                  counts, the one with the highest confidence level decides, then the one with the most runs, because \
@@ -62,15 +69,25 @@ impl InferenceRule {
         if own.domain == claim.domain && own.property == claim.property {
             return Some((Self::Direct, strength.clone()));
         }
-        if let (Property::FailureRate, Property::RateAtMost { percent }) = (&own.property, &claim.property) {
-            let decided = (own.domain == claim.domain).then(|| strength.decide_rate_claim(percent.value()))??;
+        if let (Property::FailureRate, Property::RateAtMost { percent }) =
+            (&own.property, &claim.property)
+        {
+            let decided = (own.domain == claim.domain)
+                .then(|| strength.decide_rate_claim(percent.value()))??;
             return Some((Self::BoundsDecide, decided));
         }
         if !own.property.is_universal() || !claim.property.is_universal() {
             return None;
         }
-        if strength.is_refutation() && claim.property.implies(&own.property) && claim.domain.covers(&own.domain) {
-            let rule = if own.property == claim.property { Self::RefutedInPart } else { Self::RefutedByWeaker };
+        if strength.is_refutation()
+            && claim.property.implies(&own.property)
+            && claim.domain.covers(&own.domain)
+        {
+            let rule = if own.property == claim.property {
+                Self::RefutedInPart
+            } else {
+                Self::RefutedByWeaker
+            };
             return Some((rule, strength.clone()));
         }
         let is_proof = matches!(strength, Strength::Proved { .. });

@@ -34,14 +34,20 @@ pub struct ContentId {
 impl ContentId {
     /// Creates an identifier from the content.
     pub fn new(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
-        Self { name: name.into(), sha256: sha256(content) }
+        Self {
+            name: name.into(),
+            sha256: sha256(content),
+        }
     }
 
     /// Creates an identifier from all fields that a scenario states. New optional fields of the format do not change
     /// it.
     pub fn from_scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
         let spec = scenario.spec();
-        Self::new(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
+        Self::new(
+            name,
+            serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")),
+        )
     }
 }
 
@@ -230,7 +236,10 @@ impl Property {
     /// True for a property of every run of a domain: one run refutes it.
     #[must_use]
     pub(crate) fn is_universal(&self) -> bool {
-        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking)
+        matches!(
+            self,
+            Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking
+        )
     }
 }
 
@@ -242,15 +251,24 @@ impl Domain {
             Self::Scenarios { about, .. } => format!("in {}", about.0),
             Self::Draws { space, seed, draws } => {
                 let plural = if *draws == 1 { "" } else { "s" };
-                format!("in {draws} random scenario{plural} of `{}` (seed {seed})", space.name)
+                format!(
+                    "in {draws} random scenario{plural} of `{}` (seed {seed})",
+                    space.name
+                )
             }
             Self::Space { space } => format!("anywhere in `{}`", space.name),
             Self::Search { space, budget, .. } => {
                 format!("in a search of `{}` ({budget} per method)", space.name)
             }
-            Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
+            Self::Suite { suite } => {
+                format!("of suite `{}`, on point masses in one lane", suite.name)
+            }
             Self::Box { around } => format!("from {}", around.name),
-            Self::Oscillations { amplitude_mps, frequencies_rad_per_s: [low, high], mean_speeds_mps } => {
+            Self::Oscillations {
+                amplitude_mps,
+                frequencies_rad_per_s: [low, high],
+                mean_speeds_mps,
+            } => {
                 let [amplitude_mps, low, high] = [amplitude_mps, low, high].map(|one| one.value());
                 let [slowest_mps, fastest_mps] = mean_speeds_mps.map(|one| one.value());
                 format!(
@@ -259,9 +277,13 @@ impl Domain {
                 )
             }
             Self::Kernels { limits_mps2 } => {
-                let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
-                let ahead =
-                    hardest.map_or_else(String::new, |ahead| format!(", if no leader brakes harder than {ahead} m/s²"));
+                let hardest = limits_mps2
+                    .iter()
+                    .map(|[_, ahead]| ahead.value())
+                    .reduce(f64::max);
+                let ahead = hardest.map_or_else(String::new, |ahead| {
+                    format!(", if no leader brakes harder than {ahead} m/s²")
+                });
                 format!("from any state in the safety kernel of its shield{ahead}")
             }
         }
@@ -270,7 +292,10 @@ impl Domain {
     #[must_use]
     pub(crate) fn covers(&self, part: &Self) -> bool {
         match (self, part) {
-            (Self::Space { space }, Self::Draws { space: of, .. } | Self::Search { space: of, .. }) => space == of,
+            (
+                Self::Space { space },
+                Self::Draws { space: of, .. } | Self::Search { space: of, .. },
+            ) => space == of,
             (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => {
                 some.iter().all(|one| all.contains(one))
             }
@@ -285,12 +310,20 @@ impl AssuranceClaim {
     pub fn describe_domain(&self) -> String {
         match (&self.property, &self.domain) {
             // A rate refers to the probability distribution, not to single points.
-            (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
+            (
+                Property::RateAtMost { .. } | Property::FailsLessOften { .. },
+                Domain::Space { space },
+            ) => {
                 format!("in the distribution of `{}`", space.name)
             }
             // The shield assumes a bounded estimation error.
-            (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
-                format!("{}, while its estimation error stays within the bounds of the shield", self.domain.describe())
+            (Property::NoContactAhead, Domain::Kernels { .. })
+                if self.subject.estimator == EstimatorKind::Kalman =>
+            {
+                format!(
+                    "{}, while its estimation error stays within the bounds of the shield",
+                    self.domain.describe()
+                )
             }
             (_, domain) => domain.describe(),
         }

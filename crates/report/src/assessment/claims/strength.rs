@@ -170,9 +170,16 @@ impl Strength {
     ) -> Self {
         match unanswered {
             None => Self::from_counts(failures, runs),
-            Some(FailedControllerRuns { runs: unanswered, because: reason }) => {
-                Self::Unanswered { unanswered: *unanswered, failures, runs, reason: reason.clone(), refutes }
-            }
+            Some(FailedControllerRuns {
+                runs: unanswered,
+                because: reason,
+            }) => Self::Unanswered {
+                unanswered: *unanswered,
+                failures,
+                runs,
+                reason: reason.clone(),
+                refutes,
+            },
         }
     }
 
@@ -188,9 +195,17 @@ impl Strength {
         if own_ended_by_others + other_ended_by_others == 0 {
             Self::Compared { own, other, runs }
         } else if own_most < other {
-            Self::Compared { own: own_most, other, runs }
+            Self::Compared {
+                own: own_most,
+                other,
+                runs,
+            }
         } else if own > other_most {
-            Self::Compared { own, other: other_most, runs }
+            Self::Compared {
+                own,
+                other: other_most,
+                runs,
+            }
         } else {
             Self::Untried
         }
@@ -199,16 +214,38 @@ impl Strength {
     /// Returns the strength that bounds give to a rate of at most `percent`; `None` unless `self` is `Between`.
     #[must_use]
     pub(crate) fn decide_rate_claim(&self, percent: f64) -> Option<Self> {
-        let Self::Between { lower_percent, upper_percent, confidence_percent, .. } = *self else { return None };
+        let Self::Between {
+            lower_percent,
+            upper_percent,
+            confidence_percent,
+            ..
+        } = *self
+        else {
+            return None;
+        };
         // The shown numbers decide: they are rounded outwards.
         Some(if confidence_percent.value() < MIN_CONFIDENCE_PERCENT {
-            Self::Undecided { lower_percent, upper_percent, confidence_percent }
+            Self::Undecided {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+            }
         } else if upper_percent.value() <= percent {
-            Self::Bounded { upper_percent, confidence_percent }
+            Self::Bounded {
+                upper_percent,
+                confidence_percent,
+            }
         } else if lower_percent.value() > percent {
-            Self::Exceeded { lower_percent, confidence_percent }
+            Self::Exceeded {
+                lower_percent,
+                confidence_percent,
+            }
         } else {
-            Self::Undecided { lower_percent, upper_percent, confidence_percent }
+            Self::Undecided {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+            }
         })
     }
 
@@ -218,7 +255,9 @@ impl Strength {
             Self::Refuted { .. } | Self::Falsified { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
             Self::Gain { largest, .. } => largest.value() > MAX_GAIN,
-            Self::Unanswered { failures, refutes, .. } => *refutes || *failures > 0,
+            Self::Unanswered {
+                failures, refutes, ..
+            } => *refutes || *failures > 0,
             _ => false,
         }
     }
@@ -232,7 +271,10 @@ impl Strength {
     /// True if the claim is shown to hold, not only tested.
     #[must_use]
     pub(crate) fn is_assurance(&self) -> bool {
-        matches!(self, Self::Proved { .. } | Self::Bounded { .. } | Self::Counted { .. })
+        matches!(
+            self,
+            Self::Proved { .. } | Self::Bounded { .. } | Self::Counted { .. }
+        )
     }
 
     /// Returns the rank among evidence of one claim: refutations, then proofs, bounds, tests. Within one kind, sharper
@@ -242,24 +284,30 @@ impl Strength {
         match self {
             Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
             Self::Falsified { failures, .. } => 8.0 + within(*failures as f64),
-            Self::Unanswered { unanswered, failures, .. } if self.is_refutation() => {
-                8.0 + within((unanswered + failures) as f64)
-            }
+            Self::Unanswered {
+                unanswered,
+                failures,
+                ..
+            } if self.is_refutation() => 8.0 + within((unanswered + failures) as f64),
             Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
             Self::Exceeded { .. } | Self::Contradicted => 8.0,
             Self::Proved { certificates } => 7.0 + within(*certificates as f64),
             Self::PartlyProved { share_percent } => 6.0 + within(share_percent.value()),
             Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
-            Self::Counted { confidence_percent, .. } => 4.0 + 0.005 * confidence_percent.value(),
+            Self::Counted {
+                confidence_percent, ..
+            } => 4.0 + 0.005 * confidence_percent.value(),
             Self::Compared { own, other, .. } if own > other => 8.0,
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
             Self::Tested { runs } => 3.0 + within(*runs as f64),
             Self::Gain { largest, .. } if self.is_refutation() => 8.0 + within(largest.value()),
             Self::Gain { points, .. } => 3.0 + within(*points as f64),
-            Self::Undecided { lower_percent, upper_percent, .. } => {
-                2.0 - within(upper_percent.value() - lower_percent.value())
-            }
+            Self::Undecided {
+                lower_percent,
+                upper_percent,
+                ..
+            } => 2.0 - within(upper_percent.value() - lower_percent.value()),
             Self::NotShownByCounting { .. } => 1.2,
             Self::Between { .. } => 1.0,
             Self::Untried => 0.0,
@@ -277,40 +325,87 @@ impl Strength {
     /// Describes the strength in words that follow the claim and a colon.
     pub(in crate::assessment) fn describe(&self) -> String {
         match self {
-            Self::Falsified { failures, avoidable, reason } => {
+            Self::Falsified {
+                failures,
+                avoidable,
+                reason,
+            } => {
                 let plural = if *failures == 1 { "" } else { "s" };
-                let unanswered = reason.as_ref().map_or(String::new(), |reason| format!("; no answer {reason}"));
+                let unanswered = reason
+                    .as_ref()
+                    .map_or(String::new(), |reason| format!("; no answer {reason}"));
                 format!("{failures} distinct failure{plural}, {avoidable} avoidable{unanswered}")
             }
-            Self::Unanswered { unanswered, failures: 0, runs, reason, .. } => {
+            Self::Unanswered {
+                unanswered,
+                failures: 0,
+                runs,
+                reason,
+                ..
+            } => {
                 format!("no answer in {unanswered} of {runs}: {reason}")
             }
-            Self::Unanswered { unanswered, failures, runs, reason, .. } => {
+            Self::Unanswered {
+                unanswered,
+                failures,
+                runs,
+                reason,
+                ..
+            } => {
                 format!("{failures} of {runs} fail, no answer in {unanswered}: {reason}")
             }
-            Self::OtherUnanswered { unanswered, runs, reason } => {
-                format!("not shown, because the other controller gave no answer in {unanswered} of {runs}: {reason}")
+            Self::OtherUnanswered {
+                unanswered,
+                runs,
+                reason,
+            } => {
+                format!(
+                    "not shown, because the other controller gave no answer in {unanswered} of {runs}: {reason}"
+                )
             }
-            Self::PartlyProved { share_percent } => format!("proved for {share_percent} % of the box"),
+            Self::PartlyProved { share_percent } => {
+                format!("proved for {share_percent} % of the box")
+            }
             Self::Proved { .. } => "proved".to_owned(),
             Self::Tested { runs: 1 } => "holds in one run".to_owned(),
             Self::Tested { runs } => format!("0 of {runs} fail"),
-            Self::Gain { largest, points } => format!("largest gain {largest} of {points} operating points"),
-            Self::Between { lower_percent, upper_percent, confidence_percent, .. } => {
-                format!("{lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %")
+            Self::Gain { largest, points } => {
+                format!("largest gain {largest} of {points} operating points")
             }
-            Self::Bounded { upper_percent, confidence_percent } => {
+            Self::Between {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+                ..
+            } => {
+                format!(
+                    "{lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %"
+                )
+            }
+            Self::Bounded {
+                upper_percent,
+                confidence_percent,
+            } => {
                 format!("at most {upper_percent} %, confidence {confidence_percent} %")
             }
-            Self::Exceeded { lower_percent, confidence_percent } => {
+            Self::Exceeded {
+                lower_percent,
+                confidence_percent,
+            } => {
                 format!("at least {lower_percent} %, confidence {confidence_percent} %")
             }
-            Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
+            Self::Undecided {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+            } => {
                 format!(
                     "undecided: {lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %"
                 )
             }
-            Self::Counted { confidence_percent, .. } => format!("shown by counts, confidence {confidence_percent} %"),
+            Self::Counted {
+                confidence_percent, ..
+            } => format!("shown by counts, confidence {confidence_percent} %"),
             Self::NotShownByCounting { runs, .. } => format!("not shown by {runs} counted runs"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
                 std::cmp::Ordering::Equal => format!("not shown: both fail in {own} of {runs}"),
@@ -325,9 +420,23 @@ impl Strength {
     /// Describes the strength in a cell of the table of claims, whose legend explains the numbers.
     pub(in crate::assessment) fn table_text(&self) -> String {
         match self {
-            Self::Falsified { failures, avoidable, .. } => format!("{failures} ({avoidable} avoidable)"),
-            Self::Unanswered { unanswered, failures: 0, runs, .. } => format!("no answer in {unanswered} of {runs}"),
-            Self::Unanswered { unanswered, failures, runs, .. } => {
+            Self::Falsified {
+                failures,
+                avoidable,
+                ..
+            } => format!("{failures} ({avoidable} avoidable)"),
+            Self::Unanswered {
+                unanswered,
+                failures: 0,
+                runs,
+                ..
+            } => format!("no answer in {unanswered} of {runs}"),
+            Self::Unanswered {
+                unanswered,
+                failures,
+                runs,
+                ..
+            } => {
                 format!("{failures} of {runs}, no answer in {unanswered}")
             }
             Self::OtherUnanswered { .. } => "not shown".to_owned(),
@@ -335,17 +444,34 @@ impl Strength {
             Self::Tested { runs } => format!("0 of {runs}"),
             Self::Gain { largest, .. } => largest.to_string(),
             Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
-            Self::Bounded { upper_percent, confidence_percent } => {
+            Self::Bounded {
+                upper_percent,
+                confidence_percent,
+            } => {
                 format!("≤ {upper_percent} % ({confidence_percent} %)")
             }
-            Self::Exceeded { lower_percent, confidence_percent } => {
+            Self::Exceeded {
+                lower_percent,
+                confidence_percent,
+            } => {
                 format!("≥ {lower_percent} % ({confidence_percent} %)")
             }
-            Self::Between { lower_percent, upper_percent, confidence_percent, .. }
-            | Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
+            Self::Between {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+                ..
+            }
+            | Self::Undecided {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+            } => {
                 format!("{lower_percent} to {upper_percent} % ({confidence_percent} %)")
             }
-            Self::Counted { confidence_percent, .. } => format!("shown ({confidence_percent} %)"),
+            Self::Counted {
+                confidence_percent, ..
+            } => format!("shown ({confidence_percent} %)"),
             Self::NotShownByCounting { .. } => "not shown".to_owned(),
             Self::Compared { own, other, .. } => format!("{own} against {other}"),
             Self::Proved { .. } => "proved".to_owned(),

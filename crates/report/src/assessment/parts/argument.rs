@@ -46,11 +46,23 @@ struct GsnElement {
 
 impl Argument {
     fn add(&mut self, prefix: &str, text: impl Into<String>) -> String {
-        let kind =
-            |element: &GsnElement| element.id.trim_end_matches(|letter: char| letter.is_ascii_digit()).to_owned();
-        let number = 1 + self.elements.iter().filter(|element| kind(element) == prefix).count();
+        let kind = |element: &GsnElement| {
+            element
+                .id
+                .trim_end_matches(|letter: char| letter.is_ascii_digit())
+                .to_owned()
+        };
+        let number = 1 + self
+            .elements
+            .iter()
+            .filter(|element| kind(element) == prefix)
+            .count();
         let id = format!("{prefix}{number}");
-        self.elements.push(GsnElement { id: id.clone(), text: text.into(), ..GsnElement::default() });
+        self.elements.push(GsnElement {
+            id: id.clone(),
+            text: text.into(),
+            ..GsnElement::default()
+        });
         id
     }
 
@@ -69,7 +81,9 @@ impl Argument {
         self.add_support(strategy, goal.clone());
         let strength = &stated.status.strength;
         match strength.mark() {
-            _ if matches!(strength, Strength::PartlyProved { .. }) => self.add_solution(&goal, stated),
+            _ if matches!(strength, Strength::PartlyProved { .. }) => {
+                self.add_solution(&goal, stated)
+            }
             CellMark::Good => self.add_solution(&goal, stated),
             CellMark::Bad => {
                 let counter = self.add(GOAL, format!("Refuted: {}", strength.describe()));
@@ -77,13 +91,17 @@ impl Argument {
                 self.update(&counter, |element| element.challenges = Some(goal.clone()));
                 self.update(&goal, |element| element.defeated = true);
             }
-            CellMark::Neutral | CellMark::Number => self.update(&goal, |element| element.undeveloped = true),
+            CellMark::Neutral | CellMark::Number => {
+                self.update(&goal, |element| element.undeveloped = true)
+            }
         }
     }
 
     fn add_solution(&mut self, below: &str, stated: &SubjectClaim<'_>) {
         let solution = self.add(SOLUTION, stated.status.describe());
-        self.update(&solution, |element| element.url = Some(format!("assessment.html#{}", stated.row.part)));
+        self.update(&solution, |element| {
+            element.url = Some(format!("assessment.html#{}", stated.row.part))
+        });
         self.add_support(below, solution);
     }
 }
@@ -95,7 +113,9 @@ fn state_claim(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String
         Strength::PartlyProved { share_percent } => {
             let seeing = describe_estimator(claim.subject.estimator);
             let domain = claim.domain.describe();
-            format!("{name}, {seeing}, has no collision in {share_percent} % of the initial states: {domain}")
+            format!(
+                "{name}, {seeing}, has no collision in {share_percent} % of the initial states: {domain}"
+            )
         }
         _ => format!("Claim about {name}: {}", row.claim),
     }
@@ -106,7 +126,10 @@ impl Argument {
         // Elements come before those that support them.
         let mut defeated: Vec<String> = Vec::new();
         for element in self.elements.iter_mut().rev() {
-            element.defeated |= element.supported_by.iter().any(|below| defeated.contains(below));
+            element.defeated |= element
+                .supported_by
+                .iter()
+                .any(|below| defeated.contains(below));
             if element.defeated {
                 defeated.push(element.id.clone());
             }
@@ -117,24 +140,39 @@ impl Argument {
 /// The goals below the top one: statement, strategy, and filter of the properties.
 type PropertyFilter = fn(&Property) -> bool;
 const GOALS: [(&str, &str, PropertyFilter); 6] = [
-    ("has no collision in any run of this report", "over the domains of the report", |property| {
-        matches!(property, Property::NoContact | Property::NoContactAhead)
-    }),
-    ("passes the tests that are modelled on regulations", "over suites of tests", |property| {
-        matches!(property, Property::PassesTests)
-    }),
-    ("fails rarely", "over the distributions of spaces", |property| matches!(property, Property::RateAtMost { .. })),
-    ("fails less often than the first controller", "over the same runs of both", |property| {
-        matches!(property, Property::FailsLessOften { .. })
-    }),
-    ("causes no collision of other vehicles", "over runs in which other vehicles may collide", |property| {
-        matches!(property, Property::OthersKeepClear)
-    }),
+    (
+        "has no collision in any run of this report",
+        "over the domains of the report",
+        |property| matches!(property, Property::NoContact | Property::NoContactAhead),
+    ),
+    (
+        "passes the tests that are modelled on regulations",
+        "over suites of tests",
+        |property| matches!(property, Property::PassesTests),
+    ),
+    (
+        "fails rarely",
+        "over the distributions of spaces",
+        |property| matches!(property, Property::RateAtMost { .. }),
+    ),
+    (
+        "fails less often than the first controller",
+        "over the same runs of both",
+        |property| matches!(property, Property::FailsLessOften { .. }),
+    ),
+    (
+        "causes no collision of other vehicles",
+        "over runs in which other vehicles may collide",
+        |property| matches!(property, Property::OthersKeepClear),
+    ),
     (
         "is useful in ordinary traffic: no unnecessary braking, keeps up, no oscillation that grows",
         "over ordinary traffic",
         |property| {
-            matches!(property, Property::NoUnnecessaryBraking | Property::KeepsUp | Property::NoGrowingOscillation)
+            matches!(
+                property,
+                Property::NoUnnecessaryBraking | Property::KeepsUp | Property::NoGrowingOscillation
+            )
         },
     ),
 ];
@@ -142,28 +180,50 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
 /// Returns the domains of claims about rates, which must not be read without them.
 fn describe_rate_domains(about: &[&SubjectClaim<'_>]) -> String {
     let is_rate = |one: &&&SubjectClaim<'_>| {
-        matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
+        matches!(
+            one.claim.property,
+            Property::RateAtMost { .. } | Property::FailsLessOften { .. }
+        )
     };
-    let mut places: Vec<String> = about.iter().filter(is_rate).map(|one| one.claim.describe_domain()).collect();
+    let mut places: Vec<String> = about
+        .iter()
+        .filter(is_rate)
+        .map(|one| one.claim.describe_domain())
+        .collect();
     places.dedup();
-    if places.is_empty() { String::new() } else { format!(", {}", places.join(" and ")) }
+    if places.is_empty() {
+        String::new()
+    } else {
+        format!(", {}", places.join(" and "))
+    }
 }
 
 impl Argument {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, summary: &ClaimSummary, limits: &AssessmentLimits) -> Self {
-        let subject = plan.subject().map_or("", |controller| controller.name.as_str());
+    pub(in crate::assessment) fn new(
+        plan: &AssessmentPlan,
+        summary: &ClaimSummary,
+        limits: &AssessmentLimits,
+    ) -> Self {
+        let subject = plan
+            .subject()
+            .map_or("", |controller| controller.name.as_str());
         let mut building = Self::default();
         let all = summary.claims_about(plan.subject_index);
         let estimator = describe_estimator(plan.config.estimator);
-        let goal = format!("{subject}, {estimator}, avoids collisions in the domains of this report");
+        let goal =
+            format!("{subject}, {estimator}, avoids collisions in the domains of this report");
         let top = building.add(GOAL, goal);
         let over = building.add(STRATEGY, "over collisions, failure rates and usefulness");
         building.add_support(&top, over.clone());
-        let mut around = vec![
-            building.add(CONTEXT, "simulated vehicles in one lane of a straight road; each goal names its domain"),
-        ];
+        let mut around = vec![building.add(
+            CONTEXT,
+            "simulated vehicles in one lane of a straight road; each goal names its domain",
+        )];
         let mut domains: Vec<String> = Vec::new();
-        for domain in all.iter().map(|one| format!("domain: {}", one.claim.domain.describe())) {
+        for domain in all
+            .iter()
+            .map(|one| format!("domain: {}", one.claim.domain.describe()))
+        {
             if !domains.contains(&domain) {
                 around.push(building.add(CONTEXT, domain.clone()));
                 domains.push(domain);
@@ -171,20 +231,30 @@ impl Argument {
         }
         for limit in &limits.assumptions {
             let id = building.add(ASSUMPTION, limit.assumed);
-            building.update(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
+            building.update(&id, |element| {
+                element.url = Some("assessment.html#limits".to_owned())
+            });
             around.push(id);
         }
         building.update(&top, |element| element.in_context_of = around);
         for (says, by, is_about) in GOALS {
-            let about: Vec<_> = all.iter().filter(|one| is_about(&one.claim.property)).collect();
+            let about: Vec<_> = all
+                .iter()
+                .filter(|one| is_about(&one.claim.property))
+                .collect();
             if about.is_empty() {
                 continue;
             }
-            let goal = building.add(GOAL, format!("{subject} {says}{}", describe_rate_domains(&about)));
+            let goal = building.add(
+                GOAL,
+                format!("{subject} {says}{}", describe_rate_domains(&about)),
+            );
             building.add_support(&over, goal.clone());
             let strategy = building.add(STRATEGY, by);
             building.add_support(&goal, strategy.clone());
-            about.into_iter().for_each(|stated| building.add_claim(&strategy, stated));
+            about
+                .into_iter()
+                .for_each(|stated| building.add_claim(&strategy, stated));
         }
         building.propagate_defeat();
         building
@@ -193,7 +263,9 @@ impl Argument {
     /// Returns the argument as YAML for GSN tools: one entry per element, under its identifier.
     #[must_use]
     pub fn to_yaml(&self) -> String {
-        let mut text = String::from("# Goal Structuring Notation; dialectic extension: challenges, defeated\n");
+        let mut text = String::from(
+            "# Goal Structuring Notation; dialectic extension: challenges, defeated\n",
+        );
         for element in &self.elements {
             // Writing to a string cannot fail.
             let _ = element.write_yaml(&mut text);
@@ -205,9 +277,13 @@ impl Argument {
 impl GsnElement {
     fn write_yaml(&self, out: &mut String) -> std::fmt::Result {
         // A JSON string is also a YAML string, except for surrogate pairs.
-        let quoted = |text: &str| serde_json::Value::from(TerminalText(text).to_string()).to_string();
+        let quoted =
+            |text: &str| serde_json::Value::from(TerminalText(text).to_string()).to_string();
         writeln!(out, "{}:\n  text: {}", self.id, quoted(&self.text))?;
-        for (key, ids) in [("supportedBy", &self.supported_by), ("inContextOf", &self.in_context_of)] {
+        for (key, ids) in [
+            ("supportedBy", &self.supported_by),
+            ("inContextOf", &self.in_context_of),
+        ] {
             if !ids.is_empty() {
                 writeln!(out, "  {key}: [{}]", ids.join(", "))?;
             }
@@ -215,7 +291,10 @@ impl GsnElement {
         if let Some(challenged) = &self.challenges {
             writeln!(out, "  challenges: {challenged}")?;
         }
-        for (key, is_so) in [("defeated", self.defeated), ("undeveloped", self.undeveloped)] {
+        for (key, is_so) in [
+            ("defeated", self.defeated),
+            ("undeveloped", self.undeveloped),
+        ] {
             if is_so {
                 writeln!(out, "  {key}: true")?;
             }

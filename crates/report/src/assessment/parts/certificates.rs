@@ -1,13 +1,16 @@
 //! Certificates of an assessment: of kernels, of counted rates, and given ones.
 
-use crumple_verify::{Assumption, Certificate, ProvedClaim, RateClaim, Registration, Statement, WorkLimit};
+use crumple_verify::{
+    Assumption, Certificate, ProvedClaim, RateClaim, Registration, Statement, WorkLimit,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::certificate_subject::{certificate_subject, describe_statement, includes_others};
 use super::rate_certificates::{planned_rate_counts, recount_controllers};
 use crate::assessment::claims::{
-    AssuranceClaim, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength, Subject,
+    AssuranceClaim, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength,
+    Subject,
 };
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
@@ -106,7 +109,10 @@ impl CertificateSubject {
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Claim(claim) => {
-                let Subject { controller, estimator } = &claim.subject;
+                let Subject {
+                    controller,
+                    estimator,
+                } = &claim.subject;
                 format!("{}, {}", controller.name, describe_estimator(*estimator))
             }
             Self::Kernel => "shields".to_owned(),
@@ -133,8 +139,12 @@ impl CertificateStatus {
     }
 
     fn check(certificate: &Certificate, policy: Option<&[u8]>, counts_others: bool) -> Self {
-        let report = CertificateReport::check(String::new(), certificate, policy, WorkLimit::default());
-        let accepted = match report.map_err(|refused| refused.to_string()).and_then(|report| report.accepted) {
+        let report =
+            CertificateReport::check(String::new(), certificate, policy, WorkLimit::default());
+        let accepted = match report
+            .map_err(|refused| refused.to_string())
+            .and_then(|report| report.accepted)
+        {
             Ok(accepted) => accepted,
             Err(reason) => return Self::Rejected { reason },
         };
@@ -145,7 +155,11 @@ impl CertificateStatus {
     }
 }
 
-fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_others: bool) -> Option<Strength> {
+fn accepted_strength(
+    accepted: &ProvedClaim,
+    statement: &Statement,
+    counts_others: bool,
+) -> Option<Strength> {
     match (accepted, statement) {
         (ProvedClaim::Rate { max_rate, .. }, Statement::Rate(rate)) => {
             Some(rate_strength(rate, *max_rate, counts_others))
@@ -153,13 +167,21 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
         // Below the minimum confidence level it shows nothing.
         (ProvedClaim::FailsLessOften { confidence }, Statement::Comparison(two)) => {
             let confidence_percent = Rounded::down(100.0 * confidence);
-            (confidence_percent.value() >= MIN_CONFIDENCE_PERCENT)
-                .then_some(Strength::Counted { confidence_percent, runs: two.registration.runs })
+            (confidence_percent.value() >= MIN_CONFIDENCE_PERCENT).then_some(Strength::Counted {
+                confidence_percent,
+                runs: two.registration.runs,
+            })
         }
         // The certificate contains an initial state that ends in a collision.
-        (ProvedClaim::Reach { falsified_share, .. }, _) if *falsified_share > 0.0 => {
-            Some(Strength::Refuted { failures: 1, runs: 1 })
-        }
+        (
+            ProvedClaim::Reach {
+                falsified_share, ..
+            },
+            _,
+        ) if *falsified_share > 0.0 => Some(Strength::Refuted {
+            failures: 1,
+            runs: 1,
+        }),
         (ProvedClaim::Reach { verified_share, .. }, _) if *verified_share >= 1.0 => {
             Some(Strength::Proved { certificates: 1 })
         }
@@ -174,7 +196,9 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
 /// Returns the bounds from counted runs: the upper one as certified, the lower one from the same count at the same
 /// confidence level. The lower bound is 0 if the count includes collisions of other vehicles.
 pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool) -> Strength {
-    let Registration { runs, confidence, .. } = rate.registration;
+    let Registration {
+        runs, confidence, ..
+    } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
     let interval = RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0);
     Strength::Between {
@@ -194,30 +218,61 @@ impl CheckedCertificate {
 
     fn evidence(&self) -> Vec<Evidence> {
         let (
-            CertificateStatus::Accepted { strength: Some(strength), .. }
+            CertificateStatus::Accepted {
+                strength: Some(strength),
+                ..
+            }
             | CertificateStatus::NothingShown { strength, .. },
             CertificateSubject::Claim(claim),
         ) = (&self.status, &self.subject)
         else {
             return Vec::new();
         };
-        let own = Evidence { claim: (**claim).clone(), strength: strength.clone(), source: self.source() };
-        std::iter::once(own).chain(self.counted_runs_evidence(claim)).collect()
+        let own = Evidence {
+            claim: (**claim).clone(),
+            strength: strength.clone(),
+            source: self.source(),
+        };
+        std::iter::once(own)
+            .chain(self.counted_runs_evidence(claim))
+            .collect()
     }
 
     /// Returns the counted runs as evidence about random scenarios, where a failure refutes the claim.
     fn counted_runs_evidence(&self, claim: &AssuranceClaim) -> Option<Evidence> {
-        let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else { return None };
-        let (seed, draws) = (rate.registration.configuration.get("seed")?.parse().ok()?, rate.registration.runs);
-        let domain = Domain::Draws { space: space.clone(), seed, draws };
-        let claim = AssuranceClaim { subject: claim.subject.clone(), property: Property::NoContact, domain };
-        Some(Evidence { claim, strength: Strength::from_counts(rate.failures, draws), source: self.source() })
+        let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else {
+            return None;
+        };
+        let (seed, draws) = (
+            rate.registration.configuration.get("seed")?.parse().ok()?,
+            rate.registration.runs,
+        );
+        let domain = Domain::Draws {
+            space: space.clone(),
+            seed,
+            draws,
+        };
+        let claim = AssuranceClaim {
+            subject: claim.subject.clone(),
+            property: Property::NoContact,
+            domain,
+        };
+        Some(Evidence {
+            claim,
+            strength: Strength::from_counts(rate.failures, draws),
+            source: self.source(),
+        })
     }
 
     pub(super) fn source(&self) -> EvidenceSource {
         let file = self.file.clone();
         let sha256 = file.as_ref().map(|_| self.sha256.clone());
-        EvidenceSource { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
+        EvidenceSource {
+            part: "proofs".to_owned(),
+            what: format!("certificate `{}`", self.name),
+            file,
+            sha256,
+        }
     }
 }
 
@@ -233,13 +288,25 @@ pub(super) fn gather_certificates<'a>(
         proofs.push(check_certificate(plan, name, &certificate, None)?);
     }
     for (scenario, certificate) in scenes {
-        proofs.push(check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None)?);
+        proofs.push(check_certificate(
+            plan,
+            format!("scene-{}", file_stem(scenario)),
+            certificate,
+            None,
+        )?);
     }
     for counted in planned_rate_counts(plan) {
         proofs.push(counted.gather(work)?);
     }
     let given = plan.certificates.par_iter();
-    let given = given.map(|one| check_certificate(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
+    let given = given.map(|one| {
+        check_certificate(
+            plan,
+            one.name.clone(),
+            &one.certificate,
+            one.policy.as_deref(),
+        )
+    });
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
     Ok(proofs)
 }
@@ -261,14 +328,17 @@ pub(super) fn check_certificate(
         file: is_accepted.then(|| format!("certificates/{name}.json")),
         sha256: sha256(&text),
         subject: certificate_subject(plan, &name, certificate, policy),
-        recount_controllers: is_accepted.then(|| recount_controllers(plan, certificate)).flatten(),
+        recount_controllers: is_accepted
+            .then(|| recount_controllers(plan, certificate))
+            .flatten(),
         status,
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
             Statement::Rate(rate) if !counts_others => Some(rate.clone()),
             _ => None,
         },
-        kernel: matches!(certificate.statement, Statement::Kernel(_)).then(|| certificate.statement.clone()),
+        kernel: matches!(certificate.statement, Statement::Kernel(_))
+            .then(|| certificate.statement.clone()),
         text,
         name,
     })
@@ -276,22 +346,39 @@ pub(super) fn check_certificate(
 
 /// Returns the evidence of accepted certificates, about controllers and about shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
-    let mut all: Vec<_> = proofs.iter().flat_map(CheckedCertificate::evidence).collect();
+    let mut all: Vec<_> = proofs
+        .iter()
+        .flat_map(CheckedCertificate::evidence)
+        .collect();
     for (place, controller) in plan.controllers.iter().enumerate() {
         let kernels = shield_kernels(controller);
         let proved = |kernel: &ViabilityKernel| {
             let expected = kernel_certificate(kernel, PAPER_STEP_S, MIN_MARGIN_M)?.statement;
-            let is_it = |proof: &&CheckedCertificate| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
+            let is_it = |proof: &&CheckedCertificate| {
+                proof.is_accepted() && proof.kernel.as_ref() == Some(&expected)
+            };
             proofs.iter().find(is_it)
         };
         let certificates: Option<Vec<&CheckedCertificate>> = kernels.iter().map(proved).collect();
-        if let (Some(certificates), Some(subject)) = (certificates, plan.claim_subject(place, plan.config.estimator))
-            && let Some(first) = certificates.first()
+        if let (Some(certificates), Some(subject)) = (
+            certificates,
+            plan.claim_subject(place, plan.config.estimator),
+        ) && let Some(first) = certificates.first()
         {
-            let claim = AssuranceClaim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
+            let claim = AssuranceClaim {
+                subject,
+                property: Property::NoContactAhead,
+                domain: kernel_domain(&kernels),
+            };
             let mut source = first.source();
             source.what = format!("{} certificates of safety kernels", certificates.len());
-            all.push(Evidence { claim, strength: Strength::Proved { certificates: certificates.len() }, source });
+            all.push(Evidence {
+                claim,
+                strength: Strength::Proved {
+                    certificates: certificates.len(),
+                },
+                source,
+            });
         }
     }
     all
@@ -300,20 +387,33 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
 /// Returns the kernels of a controller's shield, for all pairs of vehicle classes. Empty without a shield, or if a user
 /// set its error bounds, which this report cannot verify.
 pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKernel> {
-    let ControllerKind::Shielded(shielded) = &controller.kind else { return Vec::new() };
-    let ShieldSettings { ahead_brake_mps2, errors } = shielded.settings;
+    let ControllerKind::Shielded(shielded) = &controller.kind else {
+        return Vec::new();
+    };
+    let ShieldSettings {
+        ahead_brake_mps2,
+        errors,
+    } = shielded.settings;
     if errors.is_some() {
         return Vec::new();
     }
     let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
-    let ahead: Vec<f64> = ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
+    let ahead: Vec<f64> =
+        ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
     let of = |own_brake_mps2| {
-        ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel { own_brake_mps2, ahead_brake_mps2 })
+        ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel {
+            own_brake_mps2,
+            ahead_brake_mps2,
+        })
     };
     limits.flat_map(of).collect()
 }
 
 pub(super) fn kernel_domain(kernels: &[ViabilityKernel]) -> Domain {
-    let limits = |kernel: &ViabilityKernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
-    Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
+    let limits = |kernel: &ViabilityKernel| {
+        [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new)
+    };
+    Domain::Kernels {
+        limits_mps2: kernels.iter().map(limits).collect(),
+    }
 }

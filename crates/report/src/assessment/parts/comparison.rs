@@ -74,17 +74,30 @@ impl EarlierAssessment {
     }
 
     fn from_json(text: &str, path: &Path) -> Result<Self, FileError> {
-        let wrong = |line, message| FileError::Syntax { path: path.to_owned(), line, message };
-        let syntax = |error: serde_json::Error| wrong(error.line(), format!("not an assessment.json: {error}"));
+        let wrong = |line, message| FileError::Syntax {
+            path: path.to_owned(),
+            line,
+            message,
+        };
+        let syntax = |error: serde_json::Error| {
+            wrong(error.line(), format!("not an assessment.json: {error}"))
+        };
         let evidence: Value = serde_json::from_str(text).map_err(syntax)?;
         let field = |problem: String| wrong(1, format!("not an assessment.json: {problem}"));
         let version: u32 = read(&evidence, "version").map_err(field)?;
         if version != EVIDENCE_VERSION {
             let supported = format!("this release compares with version {EVIDENCE_VERSION}");
-            return Err(wrong(1, format!("version: {version} is not supported; {supported}")));
+            return Err(wrong(
+                1,
+                format!("version: {version} is not supported; {supported}"),
+            ));
         }
         let config_sha256 = read(&evidence, "provenance/config_sha256").map_err(field)?;
-        Ok(Self { sha256: sha256(text), config_sha256, facts: read_facts(&evidence).map_err(field)? })
+        Ok(Self {
+            sha256: sha256(text),
+            config_sha256,
+            facts: read_facts(&evidence).map_err(field)?,
+        })
     }
 }
 
@@ -95,11 +108,15 @@ impl AssessmentComparison {
         let text = now.to_json().ok()?;
         let evidence: Value = serde_json::from_str(&text).ok()?;
         let same_configuration = now.provenance.config_sha256 == earlier.config_sha256;
-        Some(Self { same_configuration, ..Self::from_facts(earlier, &read_facts(&evidence).ok()?) })
+        Some(Self {
+            same_configuration,
+            ..Self::from_facts(earlier, &read_facts(&evidence).ok()?)
+        })
     }
 
     fn from_facts(earlier: &EarlierAssessment, facts: &Facts) -> Self {
-        let (mut better, mut worse, mut changed, mut new) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut better, mut worse, mut changed, mut new) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut unchanged = 0;
         for (key @ (what, _), fact) in facts {
             let before = earlier.facts.get(key);
@@ -120,7 +137,10 @@ impl AssessmentComparison {
                 Some(Ordering::Equal) | None => unchanged += 1,
             }
         }
-        let gone = earlier.facts.iter().filter(|(key, _)| !facts.contains_key(*key));
+        let gone = earlier
+            .facts
+            .iter()
+            .filter(|(key, _)| !facts.contains_key(*key));
         let gone = gone.map(|((what, _), fact)| AssessmentChange {
             description: what.clone(),
             before: Some(fact.description.clone()),
@@ -145,7 +165,11 @@ impl AssessmentComparison {
         format!(
             "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} changed without being \
              better or worse, {} unchanged.",
-            if self.same_configuration { "" } else { ", which has another configuration" },
+            if self.same_configuration {
+                ""
+            } else {
+                ", which has another configuration"
+            },
             self.better.len(),
             self.worse.len(),
             self.new.len(),
@@ -174,7 +198,10 @@ impl AssessmentComparison {
             ("gone", &self.gone, None),
         ] {
             for change in changes {
-                let kind = judged.map_or_else(|| ReportCell::text(kind), |good| ReportCell::with_verdict(kind, good));
+                let kind = judged.map_or_else(
+                    || ReportCell::text(kind),
+                    |good| ReportCell::with_verdict(kind, good),
+                );
                 let result = ReportCell::text(&change.description);
                 table.push_row(vec![kind, result, dash(&change.before), dash(&change.now)]);
             }
@@ -187,7 +214,8 @@ impl AssessmentComparison {
     }
 
     fn is_empty(&self) -> bool {
-        self.better.len() + self.worse.len() + self.changed.len() + self.new.len() + self.gone.len() == 0
+        self.better.len() + self.worse.len() + self.changed.len() + self.new.len() + self.gone.len()
+            == 0
     }
 }
 

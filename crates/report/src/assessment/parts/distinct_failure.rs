@@ -9,7 +9,9 @@ use crate::assessment::avoidance::COLLIDING_ESCAPE;
 use crate::assessment::{CrumpleCommand, Rounded};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::campaign::{CampaignSummary, MethodSummary};
-use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter, Counterexample};
+use crumple_search::falsify::counterexample::{
+    AvoidabilityClass, ChangedParameter, Counterexample,
+};
 use crumple_world::scenario::Scenario;
 
 /// The result of a search method within its budget.
@@ -34,13 +36,20 @@ pub struct MethodResult {
 
 impl MethodResult {
     pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
-        let own = all
+        let own = all.failures.iter().filter(|kind| {
+            involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal)
+        });
+        let unanswered = all
             .failures
             .iter()
-            .filter(|kind| involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal));
-        let unanswered = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
-        let unanswered = unanswered.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
-        let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
+            .filter(|kind| kind.failed_vehicle.is_some());
+        let unanswered = unanswered
+            .flat_map(|kind| &kind.by_method)
+            .filter(|by| by.method == method.method);
+        let own: Vec<_> = own
+            .flat_map(|kind| &kind.by_method)
+            .filter(|by| by.method == method.method)
+            .collect();
         let failures = own.iter().map(|by| by.count).sum();
         Self {
             method: method.method.clone(),
@@ -59,7 +68,11 @@ fn is_zero(count: &u64) -> bool {
 
 /// True if a vehicle under test collides. Without vehicles the failure is that of the controller, which also counts.
 pub(super) fn involves_vehicle_under_test(vehicles: [Option<u32>; 2], nominal: &Scenario) -> bool {
-    let mut tested = vehicles.into_iter().flatten().map(|index| nominal.is_under_test(index as usize)).peekable();
+    let mut tested = vehicles
+        .into_iter()
+        .flatten()
+        .map(|index| nominal.is_under_test(index as usize))
+        .peekable();
     tested.peek().is_none() || tested.any(|is_tested| is_tested)
 }
 
@@ -82,10 +95,20 @@ pub struct EscapeFile {
 }
 
 impl EscapeFile {
-    pub(super) fn new(counterexample: &str, text: String, survives_multi_body: Option<bool>) -> Self {
+    pub(super) fn new(
+        counterexample: &str,
+        text: String,
+        survives_multi_body: Option<bool>,
+    ) -> Self {
         let file = format!("{}-escape.toml", counterexample.trim_end_matches(".toml"));
         let replay = CrumpleCommand::new(["simulate", file.as_str(), "--expect", "safe"]);
-        Self { sha256: sha256(&text), file, replay, survives_multi_body, text }
+        Self {
+            sha256: sha256(&text),
+            file,
+            replay,
+            survives_multi_body,
+            text,
+        }
     }
 }
 
@@ -146,12 +169,20 @@ impl DistinctFailure {
     ) -> Self {
         let name = found.file.rsplit('/').next().unwrap_or(&found.file);
         let file = format!("{place}/{name}");
-        let CounterexampleFiles { counterexample: text, escape } = texts;
+        let CounterexampleFiles {
+            counterexample: text,
+            escape,
+        } = texts;
         Self {
-            escape: escape.map(|text| EscapeFile::new(&file, text, found.escape_survives_multi_body)),
+            escape: escape
+                .map(|text| EscapeFile::new(&file, text, found.escape_survives_multi_body)),
             sha256: sha256(&text),
             // The command expects a collision, and a controller without an answer causes none.
-            replay: if found.because.is_none() { replay(&file) } else { None },
+            replay: if found.because.is_none() {
+                replay(&file)
+            } else {
+                None
+            },
             file,
             kind: found.kind.clone(),
             reason: found.because.clone(),
@@ -166,23 +197,36 @@ impl DistinctFailure {
             dt_fragile: found.dt_fragile,
             found_by: found.found_by.clone(),
             found_at: found.found_at,
-            changed: found.changed.iter().map(ChangedParameter::to_string).collect(),
+            changed: found
+                .changed
+                .iter()
+                .map(ChangedParameter::to_string)
+                .collect(),
             text,
         }
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
-        self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
+        self.replay
+            .iter()
+            .chain(self.escape.iter().map(|escape| &escape.replay))
     }
 
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
-        let escape = self.escape.as_ref().map(|escape| (escape.file.clone(), escape.text.clone().into_bytes()));
+        let escape = self
+            .escape
+            .as_ref()
+            .map(|escape| (escape.file.clone(), escape.text.clone().into_bytes()));
         let own = iter::once((self.file.clone(), self.text.clone().into_bytes()));
         own.chain(escape)
     }
 
     pub(super) fn short_name(&self) -> &str {
-        self.file.rsplit('/').next().unwrap_or(&self.file).trim_end_matches(".toml")
+        self.file
+            .rsplit('/')
+            .next()
+            .unwrap_or(&self.file)
+            .trim_end_matches(".toml")
     }
 
     /// Returns the name with its folder, which is named after the controller.
@@ -193,9 +237,19 @@ impl DistinctFailure {
 
     /// Describes the failure. Numbers stand for vehicles, and braking is that of the ego vehicle.
     pub(super) fn describe(&self) -> String {
-        let kind = self.kind.replace(", the ego braking", ", braking").replace("vehicle ", "");
-        let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(" {reason}"));
-        let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
+        let kind = self
+            .kind
+            .replace(", the ego braking", ", braking")
+            .replace("vehicle ", "");
+        let reason = self
+            .reason
+            .as_ref()
+            .map_or_else(String::new, |reason| format!(" {reason}"));
+        let fragile = if self.dt_fragile {
+            ", only at the scenario's step"
+        } else {
+            ""
+        };
         format!("{kind}{reason}{fragile}")
     }
 

@@ -39,9 +39,21 @@ fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
         outage_length_s: 0.5,
         ..SensorFaults::default()
     };
-    let object = GhostObject { onset_s: 5.0, duration_s: 0.5, gap_m: 20.0, speed_mps: 0.0 };
-    let ghost = SensorFaults { ghost: Some(object), ..SensorFaults::default() };
-    [("no fault", SensorFaults::default()), ("degraded", degraded), ("ghost", ghost)]
+    let object = GhostObject {
+        onset_s: 5.0,
+        duration_s: 0.5,
+        gap_m: 20.0,
+        speed_mps: 0.0,
+    };
+    let ghost = SensorFaults {
+        ghost: Some(object),
+        ..SensorFaults::default()
+    };
+    [
+        ("no fault", SensorFaults::default()),
+        ("degraded", degraded),
+        ("ghost", ghost),
+    ]
 }
 
 pub(super) struct EverydayDrive {
@@ -74,9 +86,19 @@ pub(super) fn braking_rates(
 
 impl BrakingRate {
     fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
-        let count = drives.iter().filter_map(|drive| drive.usefulness).map(|useful| useful.unnecessary.count as u64);
-        let (count, hours) = (count.sum(), drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0);
-        let IntervalEstimate { estimate, lower, upper } = IntervalEstimate::poisson_rate(count, hours);
+        let count = drives
+            .iter()
+            .filter_map(|drive| drive.usefulness)
+            .map(|useful| useful.unnecessary.count as u64);
+        let (count, hours) = (
+            count.sum(),
+            drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0,
+        );
+        let IntervalEstimate {
+            estimate,
+            lower,
+            upper,
+        } = IntervalEstimate::poisson_rate(count, hours);
         Self {
             sensors: sensors.to_owned(),
             count,
@@ -90,14 +112,16 @@ impl BrakingRate {
 impl EverydayDrive {
     pub(super) fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
-        let usefulness = simulated
-            .trace
-            .as_ref()
-            .zip(ego)
-            .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego));
+        let usefulness = simulated.trace.as_ref().zip(ego).and_then(|(trace, ego)| {
+            measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
+        });
         let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
         let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
-        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness, duration_s }
+        Self {
+            verdict: CaseVerdict::new(simulated, scenario),
+            usefulness,
+            duration_s,
+        }
     }
 }
 
@@ -109,14 +133,25 @@ impl ControllerUsefulness {
         oscillation_gain: OscillationGain,
     ) -> Self {
         // A drive without an answer is no evidence about driving or keeping up.
-        let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
-        let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
-        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| all.iter().filter(|one| is(one)).count() as u64;
+        let answered =
+            |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
+        let all: Vec<_> = drives
+            .iter()
+            .filter(answered)
+            .filter_map(|drive| drive.usefulness)
+            .collect();
+        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| {
+            all.iter().filter(|one| is(one)).count() as u64
+        };
         let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
-            let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
+            let (sum, n) = all
+                .iter()
+                .filter_map(of)
+                .fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
             (n > 0).then(|| Rounded::new(sum / f64::from(n)))
         };
-        let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
+        let following =
+            |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
         let needless = count(&|one| !one.unnecessary.is_empty());
         let in_traffic = RunEnds::from_verdicts(drives.iter().map(|drive| &drive.verdict));
         let in_danger = RunEnds::from_verdicts(danger.iter().map(|run| &run.verdict));
@@ -129,8 +164,14 @@ impl ControllerUsefulness {
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             // The results of drives without an answer are unknown.
-            unnecessary_braking_percent: percent([needless, in_traffic.unanswered_runs()], drives.len()),
-            high_risk_percent: percent([in_danger.failures(), in_danger.ended_by_others], danger.len()),
+            unnecessary_braking_percent: percent(
+                [needless, in_traffic.unanswered_runs()],
+                drives.len(),
+            ),
+            high_risk_percent: percent(
+                [in_danger.failures(), in_danger.ended_by_others],
+                danger.len(),
+            ),
             unanswered: [in_traffic.unanswered, in_danger.unanswered],
             unnecessary_braking: needless,
             unnecessary_braking_rates: Vec::new(),
@@ -142,7 +183,9 @@ impl ControllerUsefulness {
             time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
             rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
-            induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
+            induced_brake_mps2: mean(&|one| {
+                one.induced.and_then(|imposed| imposed.peak_brake_mps2)
+            }),
             oscillation_gain,
         }
     }

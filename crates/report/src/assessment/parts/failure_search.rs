@@ -65,22 +65,38 @@ impl FailureSearch {
             ..Campaign::new(controller.clone(), space.clone())
         };
         let item = format!("search {} in {}", controller.name, space.name());
-        let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
+        let inputs = json!([
+            plan.identity(controller),
+            named.text,
+            campaign.budget,
+            campaign.seed
+        ]);
         let (summary, texts) = run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)?;
-        let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.controller_slug(index));
+        let place = format!(
+            "counterexamples/{}/{}",
+            file_stem(space.name()),
+            plan.controller_slug(index)
+        );
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
         let replay = |file: &str| {
             let simulate =
-                CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?]).with_args(seeing.clone());
+                CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?])
+                    .with_args(seeing.clone());
             Some(simulate.with_args(["--expect", "collision"]))
         };
         let nominal = space.scenario(&space.nominal())?;
-        let is_own =
-            |found: &&Counterexample| involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal);
-        let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
-        let failures: Vec<_> =
-            found.map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay)).collect();
+        let is_own = |found: &&Counterexample| {
+            involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal)
+        };
+        let found = summary
+            .counterexamples
+            .iter()
+            .zip(texts)
+            .filter(|(found, _)| is_own(found));
+        let failures: Vec<_> = found
+            .map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay))
+            .collect();
         let classes = [
             AvoidabilityClass::Avoidable,
             AvoidabilityClass::Unavoidable,
@@ -88,21 +104,52 @@ impl FailureSearch {
             AvoidabilityClass::NotAsked,
         ];
         let own: Vec<_> = summary.counterexamples.iter().filter(is_own).collect();
-        let count = |class| own.iter().filter(|one| one.avoidability.class() == class).count();
+        let count = |class| {
+            own.iter()
+                .filter(|one| one.avoidability.class() == class)
+                .count()
+        };
         let [budget, seed] = [campaign.budget, campaign.seed].map(|number| number.to_string());
-        let out = format!("searches/{}/{}", file_stem(space.name()), plan.controller_slug(index));
+        let out = format!(
+            "searches/{}/{}",
+            file_stem(space.name()),
+            plan.controller_slug(index)
+        );
         let command = word.as_deref().map(|word| {
-            let what =
-                ["falsify", "--controller", word, "--space", &named.to_arg(), "--budget", &budget, "--seed", &seed];
-            CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
+            let what = [
+                "falsify",
+                "--controller",
+                word,
+                "--space",
+                &named.to_arg(),
+                "--budget",
+                &budget,
+                "--seed",
+                &seed,
+            ];
+            CrumpleCommand::new(what)
+                .with_args(["--out", &out])
+                .with_args(seeing.clone())
         });
         let is_main = is_main_controller(plan, index, controller);
-        let drawn_cases = if is_main { simulate_failures(plan, controller, &failures)? } else { Vec::new() };
+        let drawn_cases = if is_main {
+            simulate_failures(plan, controller, &failures)?
+        } else {
+            Vec::new()
+        };
         Ok(Self {
             controller: controller.name.clone(),
             command,
-            methods: summary.methods.iter().map(|method| MethodResult::new(method, &summary, &nominal)).collect(),
-            distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
+            methods: summary
+                .methods
+                .iter()
+                .map(|method| MethodResult::new(method, &summary, &nominal))
+                .collect(),
+            distinct: classes
+                .map(|class| (class, count(class)))
+                .into_iter()
+                .filter(|(_, n)| *n > 0)
+                .collect(),
             failures,
             collisions_of_others: summary.counterexamples.len() - own.len(),
             is_main,
@@ -111,12 +158,16 @@ impl FailureSearch {
     }
 
     pub(super) fn unanswered_failures(&self) -> impl Iterator<Item = &DistinctFailure> {
-        self.failures.iter().filter(|failure| failure.reason.is_some())
+        self.failures
+            .iter()
+            .filter(|failure| failure.reason.is_some())
     }
 
     pub(super) fn unanswered(&self) -> Option<FailedControllerRuns> {
         let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
-        let reason = self.unanswered_failures().find_map(|failure| failure.reason.clone());
+        let reason = self
+            .unanswered_failures()
+            .find_map(|failure| failure.reason.clone());
         let because = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
         (runs > 0).then_some(FailedControllerRuns { runs, because })
     }
@@ -128,7 +179,11 @@ impl FailureSearch {
     /// Returns the number of distinct failures of a class.
     #[must_use]
     pub fn count(&self, class: AvoidabilityClass) -> usize {
-        self.distinct.iter().filter(|(of, _)| *of == class).map(|(_, count)| count).sum()
+        self.distinct
+            .iter()
+            .filter(|(of, _)| *of == class)
+            .map(|(_, count)| count)
+            .sum()
     }
 
     /// Returns the number of all distinct failures.
@@ -146,20 +201,35 @@ impl FailureSearch {
     /// Returns the number of simulations that are evidence about the controller.
     #[must_use]
     pub fn conclusive_evaluations(&self) -> u64 {
-        self.evaluations() - self.methods.iter().map(|reached| reached.collisions_of_others).sum::<u64>()
+        self.evaluations()
+            - self
+                .methods
+                .iter()
+                .map(|reached| reached.collisions_of_others)
+                .sum::<u64>()
     }
 
     /// Returns the share of listed failures for which a replay with the multi-body plant has a result.
-    pub(super) fn multi_body_share(&self, result: fn(&DistinctFailure) -> Option<bool>) -> Option<ReplayShare> {
+    pub(super) fn multi_body_share(
+        &self,
+        result: fn(&DistinctFailure) -> Option<bool>,
+    ) -> Option<ReplayShare> {
         ReplayShare::from_results(self.failures.iter().filter_map(result))
     }
 
     pub(super) fn max_impact_speed_mps(&self) -> Option<Rounded<1>> {
-        largest(self.failures.iter().map(|failure| failure.impact_speed_mps.map(Rounded::value))).map(Rounded::new)
+        largest(
+            self.failures
+                .iter()
+                .map(|failure| failure.impact_speed_mps.map(Rounded::value)),
+        )
+        .map(Rounded::new)
     }
 
     pub(super) fn method_result(&self, method: Method) -> Option<&MethodResult> {
-        self.methods.iter().find(|reached| reached.method == method.name())
+        self.methods
+            .iter()
+            .find(|reached| reached.method == method.name())
     }
 
     pub(super) fn table(&self) -> ReportTable {
@@ -167,16 +237,34 @@ impl FailureSearch {
             &self.failures,
             &[
                 ("failure", &|failure| ReportCell::text(failure.short_name())),
-                ("what happens", &|failure| ReportCell::text(failure.describe())),
-                ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
-                ("time (s)", &|failure| ReportCell::optional(failure.contact_time_s)),
-                ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
-                ("multi-body", &|failure| ReportCell::text(failure.describe_multi_body())),
-                ("delta-v (m/s)", &|failure| ReportCell::optional(failure.max_delta_v_mps)),
+                ("what happens", &|failure| {
+                    ReportCell::text(failure.describe())
+                }),
+                ("impact (m/s)", &|failure| {
+                    ReportCell::optional(failure.impact_speed_mps)
+                }),
+                ("time (s)", &|failure| {
+                    ReportCell::optional(failure.contact_time_s)
+                }),
+                ("gap of the escape (m)", &|failure| {
+                    ReportCell::text(failure.describe_escape())
+                }),
+                ("multi-body", &|failure| {
+                    ReportCell::text(failure.describe_multi_body())
+                }),
+                ("delta-v (m/s)", &|failure| {
+                    ReportCell::optional(failure.max_delta_v_mps)
+                }),
                 ("vehicles", &|failure| ReportCell::number(failure.vehicles)),
-                ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
-                ("found by", &|failure| ReportCell::text(format!("{}, run {}", failure.found_by, failure.found_at))),
-                ("changed from nominal", &|failure| ReportCell::text(failure.changed.join(", "))),
+                ("rank by likelihood", &|failure| {
+                    ReportCell::number(failure.likelihood_rank)
+                }),
+                ("found by", &|failure| {
+                    ReportCell::text(format!("{}, run {}", failure.found_by, failure.found_at))
+                }),
+                ("changed from nominal", &|failure| {
+                    ReportCell::text(failure.changed.join(", "))
+                }),
             ],
         )
     }
@@ -192,10 +280,19 @@ impl FailureSearch {
 
     /// Returns the share of failing uniform points in percent; if there are none, with its upper bound at 95 %.
     pub(super) fn format_uniform_share(&self) -> Option<String> {
-        let &MethodResult { failures, evaluations, .. } = self.method_result(Method::Uniform)?;
+        let &MethodResult {
+            failures,
+            evaluations,
+            ..
+        } = self.method_result(Method::Uniform)?;
         let share = Rounded::<1>::new(100.0 * failures as f64 / evaluations.max(1) as f64);
-        let bound = || Rounded::<2>::up(100.0 * RateInterval::clopper_pearson(0, evaluations, 0.9).upper);
-        Some(if failures == 0 { format!("{share} (< {})", bound()) } else { share.to_string() })
+        let bound =
+            || Rounded::<2>::up(100.0 * RateInterval::clopper_pearson(0, evaluations, 0.9).upper);
+        Some(if failures == 0 {
+            format!("{share} (< {})", bound())
+        } else {
+            share.to_string()
+        })
     }
 
     pub(super) fn describe_others(&self) -> Option<String> {
@@ -211,7 +308,11 @@ impl FailureSearch {
 
     /// Returns the failures that Markdown lists.
     pub(super) fn listed(&self) -> &[DistinctFailure] {
-        let most = if self.is_main { self.failures.len() } else { self.failures.len().min(MAX_LISTED) };
+        let most = if self.is_main {
+            self.failures.len()
+        } else {
+            self.failures.len().min(MAX_LISTED)
+        };
         self.failures.get(..most).unwrap_or_default()
     }
 }

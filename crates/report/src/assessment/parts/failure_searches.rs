@@ -45,9 +45,14 @@ impl FailureSearches {
     pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let plan = work.plan;
         let controllers = || plan.controllers.iter().enumerate();
-        let pairs: Vec<_> =
-            plan.search_spaces.iter().flat_map(|space| controllers().map(move |one| (space, one))).collect();
-        let found = pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(space, controller, work));
+        let pairs: Vec<_> = plan
+            .search_spaces
+            .iter()
+            .flat_map(|space| controllers().map(move |one| (space, one)))
+            .collect();
+        let found = pairs
+            .into_par_iter()
+            .map(|(space, controller)| FailureSearch::gather(space, controller, work));
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
         let spaces = plan.search_spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
@@ -55,36 +60,64 @@ impl FailureSearches {
             about: named.space.spec().about.clone(),
             controllers: found.by_ref().take(plan.controllers.len()).collect(),
         });
-        Ok(Self { spaces: spaces.collect() })
+        Ok(Self {
+            spaces: spaces.collect(),
+        })
     }
 
     /// Returns the severest failures of a controller over all spaces, for figures, under unique names.
-    pub(in crate::assessment) fn worst_failures(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
-        let own = self.spaces.iter().filter_map(|space| Some((space, space.find(controller)?)));
-        let drawn = own
-            .flat_map(|(space, search)| search.failures.iter().zip(&search.drawn_cases).map(move |one| (space, one)));
+    pub(in crate::assessment) fn worst_failures(
+        &self,
+        controller: &str,
+        most: usize,
+    ) -> Vec<ScenarioCases> {
+        let own = self
+            .spaces
+            .iter()
+            .filter_map(|space| Some((space, space.find(controller)?)));
+        let drawn = own.flat_map(|(space, search)| {
+            search
+                .failures
+                .iter()
+                .zip(&search.drawn_cases)
+                .map(move |one| (space, one))
+        });
         let mut drawn: Vec<_> = drawn.collect();
         drawn.sort_by(|(_, (a, _)), (_, (b, _))| {
-            let severity = |failure: &DistinctFailure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
+            let severity =
+                |failure: &DistinctFailure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
             severity(b).total_cmp(&severity(a))
         });
-        let named = |(rank, (space, (_, cases))): (usize, (&SpaceSearches, (&DistinctFailure, &ScenarioCases)))| {
+        let named = |(rank, (space, (_, cases))): (
+            usize,
+            (&SpaceSearches, (&DistinctFailure, &ScenarioCases)),
+        )| {
             let mut cases = cases.clone();
             cases.scenario = format!("failure {} of {}", rank + 1, space.content_id.name);
             cases
         };
-        drawn.into_iter().take(most).enumerate().map(named).collect()
+        drawn
+            .into_iter()
+            .take(most)
+            .enumerate()
+            .map(named)
+            .collect()
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let all = self
-            .spaces
-            .iter()
-            .flat_map(|space| plan.claim_subjects().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
+        let all = self.spaces.iter().flat_map(|space| {
+            plan.claim_subjects()
+                .into_iter()
+                .zip(&space.controllers)
+                .map(move |pair| (space, pair))
+        });
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
             let (runs, unanswered) = (search.conclusive_evaluations(), search.unanswered());
             let strength = match search.distinct_count() {
-                0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), runs),
+                0 => Strength::from_counts(
+                    search.methods.iter().map(|reached| reached.failures).sum(),
+                    runs,
+                ),
                 // No collision was found, only failures to answer.
                 failures if failures == search.unanswered_failures().count() => {
                     Strength::from_counts_with_unanswered(0, runs, unanswered.as_ref(), true)
@@ -95,26 +128,46 @@ impl FailureSearches {
                     reason: unanswered.map(|unanswered| unanswered.because),
                 },
             };
-            let claim = AssuranceClaim { subject, property: Property::NoContact, domain: space.domain(plan) };
-            let source = EvidenceSource::from_part("search", format!("{} simulations", search.evaluations()));
-            Evidence { claim, strength, source }
+            let claim = AssuranceClaim {
+                subject,
+                property: Property::NoContact,
+                domain: space.domain(plan),
+            };
+            let source = EvidenceSource::from_part(
+                "search",
+                format!("{} simulations", search.evaluations()),
+            );
+            Evidence {
+                claim,
+                strength,
+                source,
+            }
         };
         all.map(of).collect()
     }
 
     pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &DistinctFailure> {
-        self.spaces.iter().flat_map(|space| &space.controllers).flat_map(|search| &search.failures)
+        self.spaces
+            .iter()
+            .flat_map(|space| &space.controllers)
+            .flat_map(|search| &search.failures)
     }
 }
 
 impl SpaceSearches {
     pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
         let (seed, budget) = (plan.config.seed, plan.config.search.budget);
-        Domain::Search { space: self.content_id.clone(), seed, budget }
+        Domain::Search {
+            space: self.content_id.clone(),
+            seed,
+            budget,
+        }
     }
 
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&FailureSearch> {
-        self.controllers.iter().find(|search| search.controller == controller)
+        self.controllers
+            .iter()
+            .find(|search| search.controller == controller)
     }
 
     fn table(&self) -> ReportTable {
@@ -129,30 +182,52 @@ impl SpaceSearches {
                 ("distinct failures", &|search| {
                     ReportCell::with_verdict(search.distinct_count(), search.distinct_count() == 0)
                 }),
-                ("avoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Avoidable))),
-                ("unavoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Unavoidable))),
-                ("undecided", &|search| ReportCell::number(search.count(AvoidabilityClass::Undecided))),
+                ("avoidable", &|search| {
+                    ReportCell::number(search.count(AvoidabilityClass::Avoidable))
+                }),
+                ("unavoidable", &|search| {
+                    ReportCell::number(search.count(AvoidabilityClass::Unavoidable))
+                }),
+                ("undecided", &|search| {
+                    ReportCell::number(search.count(AvoidabilityClass::Undecided))
+                }),
                 ("multi-body: failures", &|search| {
                     describe_share(search.multi_body_share(|one| one.survives_multi_body))
                 }),
                 ("multi-body: escapes", &|search| {
                     describe_share(search.multi_body_share(DistinctFailure::escape_survives))
                 }),
-                ("max impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
-                ("first failure (run)", &|search| first(search.methods.first())),
-                ("uniform: first (run)", &|search| first(search.method_result(Method::Uniform))),
-                ("uniform: failures (%)", &|search| ReportCell::optional(search.format_uniform_share())),
-                ("Halton: first (run)", &|search| first(search.method_result(Method::Halton))),
+                ("max impact (m/s)", &|search| {
+                    ReportCell::optional(search.max_impact_speed_mps())
+                }),
+                ("first failure (run)", &|search| {
+                    first(search.methods.first())
+                }),
+                ("uniform: first (run)", &|search| {
+                    first(search.method_result(Method::Uniform))
+                }),
+                ("uniform: failures (%)", &|search| {
+                    ReportCell::optional(search.format_uniform_share())
+                }),
+                ("Halton: first (run)", &|search| {
+                    first(search.method_result(Method::Halton))
+                }),
             ],
         )
     }
 }
 
 fn describe_share(share: Option<ReplayShare>) -> ReportCell {
-    ReportCell::optional(share.map(|ReplayShare { count, replays, interval }| {
-        let [low, high] = [interval.lower, interval.upper].map(|share| 100.0 * share);
-        format!("{count} of {replays} ({low:.0} to {high:.0} %)")
-    }))
+    ReportCell::optional(share.map(
+        |ReplayShare {
+             count,
+             replays,
+             interval,
+         }| {
+            let [low, high] = [interval.lower, interval.upper].map(|share| 100.0 * share);
+            format!("{count} of {replays} ({low:.0} to {high:.0} %)")
+        },
+    ))
 }
 
 const INTRODUCTION: &str = "A search looks for collisions; uniform points and a Halton sequence get the same budget. \
@@ -171,23 +246,41 @@ const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.
 impl SpaceSearches {
     /// Writes the severest failures of all controllers into one table; HTML has a table for each controller.
     fn write_markdown(&self, out: &mut Markdown) {
-        let listed: Vec<&DistinctFailure> = self.controllers.iter().flat_map(FailureSearch::listed).collect();
+        let listed: Vec<&DistinctFailure> = self
+            .controllers
+            .iter()
+            .flat_map(FailureSearch::listed)
+            .collect();
         if !listed.is_empty() {
             let table = ReportTable::from_items(
                 listed.iter().copied(),
                 &[
-                    ("controller and file", &|failure| ReportCell::text(failure.name_with_folder())),
-                    ("what happens", &|failure| ReportCell::text(failure.describe())),
-                    ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
-                    ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
-                    ("multi-body", &|failure| ReportCell::text(failure.describe_multi_body())),
-                    ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
+                    ("controller and file", &|failure| {
+                        ReportCell::text(failure.name_with_folder())
+                    }),
+                    ("what happens", &|failure| {
+                        ReportCell::text(failure.describe())
+                    }),
+                    ("impact (m/s)", &|failure| {
+                        ReportCell::optional(failure.impact_speed_mps)
+                    }),
+                    ("gap of the escape (m)", &|failure| {
+                        ReportCell::text(failure.describe_escape())
+                    }),
+                    ("multi-body", &|failure| {
+                        ReportCell::text(failure.describe_multi_body())
+                    }),
+                    ("rank by likelihood", &|failure| {
+                        ReportCell::number(failure.likelihood_rank)
+                    }),
                 ],
             );
             table.write_markdown(out);
         }
         let unlisted = self.controllers.iter().filter_map(|search| {
-            let count = search.distinct_count().saturating_sub(search.listed().len());
+            let count = search
+                .distinct_count()
+                .saturating_sub(search.listed().len());
             (count > 0).then(|| format!("{count} of {}", search.controller))
         });
         let unlisted: Vec<_> = unlisted.collect();
@@ -203,9 +296,19 @@ impl SpaceSearches {
             }
         }
         let replay = listed.iter().find_map(|failure| failure.replay.as_ref());
-        let search = self.controllers.iter().find_map(|search| search.command.as_ref());
-        let examples = [("First counterexample: ", replay), ("First search: ", search)];
-        out.list(examples.into_iter().filter_map(|(what, command)| Some(Inline::prose(what).and_code(command?))));
+        let search = self
+            .controllers
+            .iter()
+            .find_map(|search| search.command.as_ref());
+        let examples = [
+            ("First counterexample: ", replay),
+            ("First search: ", search),
+        ];
+        out.list(
+            examples
+                .into_iter()
+                .filter_map(|(what, command)| Some(Inline::prose(what).and_code(command?))),
+        );
     }
 }
 
@@ -215,7 +318,10 @@ impl ReportPart for FailureSearches {
         for space in &self.spaces {
             out.heading(&format!("Space {}", space.name));
             out.table(&space.table());
-            space.controllers.iter().for_each(|search| search.write(out));
+            space
+                .controllers
+                .iter()
+                .for_each(|search| search.write(out));
             space.write_markdown(out.markdown_mut());
         }
     }

@@ -35,13 +35,20 @@ pub struct FileScenarios {
 }
 
 impl FileScenarios {
-    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
-        let run = |indices: &[usize], motion: MotionRetention| -> Result<Vec<ScenarioCases>, RunError> {
-            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.file_scenarios.get(index)).collect();
+        let run = |indices: &[usize],
+                   motion: MotionRetention|
+         -> Result<Vec<ScenarioCases>, RunError> {
+            let chosen: Vec<_> = indices
+                .iter()
+                .filter_map(|&index| plan.file_scenarios.get(index))
+                .collect();
             let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
             let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
             let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
@@ -51,18 +58,30 @@ impl FileScenarios {
             });
             Ok(named.collect())
         };
-        let mut scenarios = run(&(0..plan.file_scenarios.len()).collect::<Vec<_>>(), MotionRetention::Drop)?;
+        let mut scenarios = run(
+            &(0..plan.file_scenarios.len()).collect::<Vec<_>>(),
+            MotionRetention::Drop,
+        )?;
         // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
         work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
-        let best = |&index: &usize| CertifiedAvoidance::load_or_compute(&plan.file_scenarios[index].1, work);
-        let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
+        let best = |&index: &usize| {
+            CertifiedAvoidance::load_or_compute(&plan.file_scenarios[index].1, work)
+        };
+        let bests = closest_first
+            .par_iter()
+            .map(best)
+            .collect::<Result<Vec<_>, _>>()?;
         let drawn = run(&closest_first, MotionRetention::Keep)?;
         for ((&index, drawn), best) in closest_first.iter().zip(drawn).zip(bests) {
             scenarios[index] = drawn.with_avoidance(best);
         }
         let left_out = plan.left_out.iter().map(ToString::to_string).collect();
-        Ok(Some(Self { scenarios, left_out, closest_first }))
+        Ok(Some(Self {
+            scenarios,
+            left_out,
+            closest_first,
+        }))
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
@@ -74,18 +93,41 @@ impl FileScenarios {
     }
 
     fn describe_left_out(&self) -> String {
-        format!("parts of the recordings that are no scenario: {}", self.left_out.len())
+        format!(
+            "parts of the recordings that are no scenario: {}",
+            self.left_out.len()
+        )
     }
 
     fn overview_table(&self) -> ReportTable {
-        let names =
-            self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
-        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best escape found"]).collect();
+        let names = self
+            .scenarios
+            .first()
+            .map_or(&[][..], |scenario| &scenario.cases)
+            .iter()
+            .map(|c| c.controller.as_str());
+        let header: Vec<&str> = std::iter::once("scenario")
+            .chain(names)
+            .chain(["best escape found"])
+            .collect();
         let mut table = ReportTable::new(&header);
         for scenario in &self.scenarios {
-            let cells = scenario.cases.iter().map(|case| ReportCell::with_mark(format_case(case), case.verdict.mark()));
-            let best = ReportCell::text(scenario.avoidance.as_ref().map_or("–".to_owned(), RoundedAvoidance::label));
-            table.push_row(std::iter::once(ReportCell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
+            let cells = scenario
+                .cases
+                .iter()
+                .map(|case| ReportCell::with_mark(format_case(case), case.verdict.mark()));
+            let best = ReportCell::text(
+                scenario
+                    .avoidance
+                    .as_ref()
+                    .map_or("–".to_owned(), RoundedAvoidance::label),
+            );
+            table.push_row(
+                std::iter::once(ReportCell::text(&scenario.scenario))
+                    .chain(cells)
+                    .chain([best])
+                    .collect(),
+            );
         }
         table
     }
@@ -94,8 +136,13 @@ impl FileScenarios {
 /// Returns the indices of the scenarios to show in detail: the smallest gaps first.
 fn closest_scenarios(scenarios: &[ScenarioCases]) -> Vec<usize> {
     let closest_m = |index: &usize| {
-        let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
-        gaps.flatten().map(|gap| gap.value()).fold(f64::INFINITY, f64::min)
+        let gaps = scenarios[*index]
+            .cases
+            .iter()
+            .flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
+        gaps.flatten()
+            .map(|gap| gap.value())
+            .fold(f64::INFINITY, f64::min)
     };
     let mut indices: Vec<usize> = (0..scenarios.len()).collect();
     indices.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
@@ -108,10 +155,25 @@ pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
 }
 
 fn format_case(case: &CaseResult) -> String {
-    let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
-    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), &case.verdict) {
-        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
-        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: Some(ttc_s) }) => {
+    let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m]
+        .into_iter()
+        .flatten();
+    match (
+        gaps.min_by(|a, b| a.value().total_cmp(&b.value())),
+        &case.verdict,
+    ) {
+        (
+            Some(gap_m),
+            CaseVerdict::Safe {
+                closing_ttc_s: None,
+            },
+        ) => format!("{gap_m} m"),
+        (
+            Some(gap_m),
+            CaseVerdict::Safe {
+                closing_ttc_s: Some(ttc_s),
+            },
+        ) => {
             format!("{gap_m} m, closing (TTC {ttc_s} s)")
         }
         _ => case.verdict.describe(),
@@ -124,7 +186,11 @@ const INTRODUCTION: &str = "Each scenario of the configuration, and each braking
 
 impl ReportPart for FileScenarios {
     fn write(&self, out: &mut ReportDocument) {
-        let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
+        let telling: Vec<_> = self
+            .closest_first
+            .iter()
+            .filter_map(|&index| self.scenarios.get(index))
+            .collect();
         out.paragraph(INTRODUCTION);
         out.push_html(
             html! { p { (prose_to_html(REGRET_EXPLANATION)) " Escapes are computed for the scenarios with details." } },

@@ -22,7 +22,9 @@ use crate::assessment::{AssessError, ReportPart, Rounded};
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::measure::harm;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult};
+use crumple_world::sim::{
+    AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult,
+};
 
 /// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
 pub const ACTIVATION_MPS2: f64 = 2.5;
@@ -99,24 +101,42 @@ struct HarmRun {
 impl HarmRun {
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let vehicles = scenario.vehicles();
-        let ego = (0..vehicles.len()).find(|&index| scenario.is_under_test(index)).unwrap_or(0);
-        let speed_mps = vehicles.get(ego).map_or(f64::NAN, |vehicle| vehicle.speed_mps);
+        let ego = (0..vehicles.len())
+            .find(|&index| scenario.is_under_test(index))
+            .unwrap_or(0);
+        let speed_mps = vehicles
+            .get(ego)
+            .map_or(f64::NAN, |vehicle| vehicle.speed_mps);
         let gap_s = |front: Option<usize>| {
             let (front, rear) = (vehicles.get(front?)?, vehicles.get(front? + 1)?);
-            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps).filter(|gap_s| gap_s.is_finite())
+            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps)
+                .filter(|gap_s| gap_s.is_finite())
         };
         let hardest = |wanted: &dyn Fn(usize) -> bool| {
-            let found = simulated.impacts.iter().filter(|impact| wanted(impact.contact.rear_vehicle));
-            found.map(|impact| impact.contact.impact_speed_mps).reduce(f64::max)
+            let found = simulated
+                .impacts
+                .iter()
+                .filter(|impact| wanted(impact.contact.rear_vehicle));
+            found
+                .map(|impact| impact.contact.impact_speed_mps)
+                .reduce(f64::max)
         };
         let follower = vehicles.get(ego + 1);
         Self {
-            follower: follower.map_or("none".to_owned(), |one| format!("{} {}", one.driver.name(), one.class.name())),
+            follower: follower.map_or("none".to_owned(), |one| {
+                format!("{} {}", one.driver.name(), one.class.name())
+            }),
             speed_mps,
             time_gaps_s: [ego.checked_sub(1), Some(ego)].map(gap_s),
             friction: scenario.spec().environment.friction,
-            activates: simulated.vehicles.get(ego).is_some_and(|one| one.max_brake_mps2 > ACTIVATION_MPS2),
-            impacts_mps: [hardest(&|rear| rear == ego), hardest(&|rear| rear == ego + 1)],
+            activates: simulated
+                .vehicles
+                .get(ego)
+                .is_some_and(|one| one.max_brake_mps2 > ACTIVATION_MPS2),
+            impacts_mps: [
+                hardest(&|rear| rear == ego),
+                hardest(&|rear| rear == ego + 1),
+            ],
             harm: harm(&simulated.impacts, vehicles.len()),
         }
     }
@@ -127,16 +147,28 @@ impl HarmRun {
         controller: &NamedController,
         work: &GatherContext<'_>,
     ) -> Result<Vec<Self>, AssessError> {
-        let options = RunOptions::new(controller.kind.clone()).with_estimator(work.plan.config.estimator);
+        let options =
+            RunOptions::new(controller.kind.clone()).with_estimator(work.plan.config.estimator);
         let mut all = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
-        let collided: Vec<usize> = (0..all.len()).filter(|&index| all[index].harm > 0.0).collect();
-        let again: Vec<_> = collided.iter().map(|&index| scenarios[index].clone()).collect();
+        let collided: Vec<usize> = (0..all.len())
+            .filter(|&index| all[index].harm > 0.0)
+            .collect();
+        let again: Vec<_> = collided
+            .iter()
+            .map(|&index| scenarios[index].clone())
+            .collect();
         let options = options.with_after_contact(AfterContact::Continue);
-        for (index, run) in
-            collided.into_iter().zip(simulate_each(&again, &options, RecordingLevel::Summary, Self::new)?)
-        {
+        for (index, run) in collided.into_iter().zip(simulate_each(
+            &again,
+            &options,
+            RecordingLevel::Summary,
+            Self::new,
+        )?) {
             // Braking of vehicles that stick together is no activation.
-            all[index] = Self { activates: all[index].activates, ..run };
+            all[index] = Self {
+                activates: all[index].activates,
+                ..run
+            };
         }
         Ok(all)
     }
@@ -147,16 +179,25 @@ impl HarmRun {
         work: &GatherContext<'_>,
     ) -> Result<Vec<Self>, AssessError> {
         let config = &work.plan.config;
-        let inputs = json!([named.text, config.draws, config.seed, work.plan.identity(controller)]);
-        work.get_or_gather(&format!("harm of {} in {}", controller.name, named.space.name()), &inputs, || {
-            let mut all = Vec::new();
-            for draws in batches(config.draws) {
-                let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
-                all.extend(Self::simulate_all(&scenarios, controller, work)?);
-                work.add_runs(scenarios.len() as u64)?;
-            }
-            Ok(all)
-        })
+        let inputs = json!([
+            named.text,
+            config.draws,
+            config.seed,
+            work.plan.identity(controller)
+        ]);
+        work.get_or_gather(
+            &format!("harm of {} in {}", controller.name, named.space.name()),
+            &inputs,
+            || {
+                let mut all = Vec::new();
+                for draws in batches(config.draws) {
+                    let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
+                    all.extend(Self::simulate_all(&scenarios, controller, work)?);
+                    work.add_runs(scenarios.len() as u64)?;
+                }
+                Ok(all)
+            },
+        )
     }
 }
 
@@ -173,37 +214,64 @@ fn gather_avoidability(
         &json!([named.text, count, config.seed]),
         || {
             let scenarios = draw_scenarios(&named.space, config.seed, 0..count)?;
-            Ok(scenarios.par_iter().map(|one| Avoidability::classify_contact(one).is_avoidable()).collect())
+            Ok(scenarios
+                .par_iter()
+                .map(|one| Avoidability::classify_contact(one).is_avoidable())
+                .collect())
         },
     )
 }
 
 impl HarmReport {
-    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
-        let Some(config) = &plan.config.harm else { return Ok(None) };
+        let Some(config) = &plan.config.harm else {
+            return Ok(None);
+        };
         let (mut groups, mut runs_csv) = (Vec::new(), CSV_HEADER.to_owned());
         for named in &plan.rate_spaces {
             let avoidability = gather_avoidability(named, config, work)?;
             let mut runs = Vec::new();
             for controller in &plan.controllers {
                 let of_controller = HarmRun::gather(named, controller, work)?;
-                write_csv(&mut runs_csv, named.space.name(), &controller.name, &of_controller, &avoidability);
+                write_csv(
+                    &mut runs_csv,
+                    named.space.name(),
+                    &controller.name,
+                    &of_controller,
+                    &avoidability,
+                );
                 runs.push((controller.name.as_str(), of_controller));
             }
             let reference = runs.first().into_iter().flat_map(|(_, runs)| runs);
             let followers: BTreeSet<&str> = reference.map(|run| run.follower.as_str()).collect();
             let kinds = std::iter::once(None).chain(followers.into_iter().map(Some));
-            groups.extend(kinds.map(|follower| HarmGroup::new(&named.content_id, follower, &runs, &avoidability)));
+            groups.extend(
+                kinds.map(|follower| {
+                    HarmGroup::new(&named.content_id, follower, &runs, &avoidability)
+                }),
+            );
         }
-        Ok(Some(Self { emergencies_per_hour: config.emergencies_per_hour, groups, runs_csv }))
+        Ok(Some(Self {
+            emergencies_per_hour: config.emergencies_per_hour,
+            groups,
+            runs_csv,
+        }))
     }
 }
 
 const CSV_HEADER: &str = "space,controller,draw,follower,speed_mps,gap_ahead_s,gap_behind_s,friction,avoidable,\
                           activates,ahead_mps,behind_mps,harm\n";
 
-fn write_csv(out: &mut String, space: &str, controller: &str, runs: &[HarmRun], avoidability: &[Option<bool>]) {
+fn write_csv(
+    out: &mut String,
+    space: &str,
+    controller: &str,
+    runs: &[HarmRun],
+    avoidability: &[Option<bool>],
+) {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for (draw, run) in runs.iter().enumerate() {
         let avoidable = match avoidability.get(draw) {
@@ -238,26 +306,41 @@ impl HarmGroup {
     ) -> Self {
         let reference: &[HarmRun] = runs.first().map_or(&[], |(_, runs)| runs);
         let is_in = |run: &HarmRun| follower.is_none_or(|follower| run.follower == follower);
-        let examined = || reference.iter().zip(avoidability).filter(|(run, _)| is_in(run)).map(|(_, decided)| decided);
-        let count = |wanted: Option<bool>| examined().filter(|decided| **decided == wanted).count() as u64;
+        let examined = || {
+            reference
+                .iter()
+                .zip(avoidability)
+                .filter(|(run, _)| is_in(run))
+                .map(|(_, decided)| decided)
+        };
+        let count =
+            |wanted: Option<bool>| examined().filter(|decided| **decided == wanted).count() as u64;
         let controllers = runs.iter().map(|(controller, runs)| {
             let pairs = || runs.iter().zip(reference).filter(|(run, _)| is_in(run));
             let count = |wanted: &dyn Fn(&HarmRun, &HarmRun) -> bool| {
-                pairs().filter(|(run, reference)| wanted(run, reference)).count() as u64
+                pairs()
+                    .filter(|(run, reference)| wanted(run, reference))
+                    .count() as u64
             };
             let drives = pairs().count() as u64;
             let percent = |count, of| PercentInterval::clopper_pearson([count, 0], of);
             let activations = count(&|run, _| run.activates);
-            let caused =
-                |run: &HarmRun, reference: &HarmRun| run.impacts_mps[1].is_some() && reference.impacts_mps[1].is_none();
+            let caused = |run: &HarmRun, reference: &HarmRun| {
+                run.impacts_mps[1].is_some() && reference.impacts_mps[1].is_none()
+            };
             let mean = pairs().map(|(run, _)| run.harm).sum::<f64>() / drives as f64;
-            let variance = pairs().map(|(run, _)| (run.harm - mean).powi(2)).sum::<f64>() / drives as f64;
+            let variance = pairs()
+                .map(|(run, _)| (run.harm - mean).powi(2))
+                .sum::<f64>()
+                / drives as f64;
             ControllerHarm {
                 controller: (*controller).to_owned(),
                 activations,
                 ahead_percent: percent(count(&|run, _| run.impacts_mps[0].is_some()), drives),
                 behind_percent: percent(count(&|run, _| run.impacts_mps[1].is_some()), drives),
-                avoided: count(&|run, reference| run.impacts_mps[0].is_none() && reference.impacts_mps[0].is_some()),
+                avoided: count(&|run, reference| {
+                    run.impacts_mps[0].is_none() && reference.impacts_mps[0].is_some()
+                }),
                 caused: count(&caused),
                 caused_per_100_activations: percent(
                     count(&|run, reference| run.activates && caused(run, reference)),
@@ -271,15 +354,21 @@ impl HarmGroup {
             space: space.clone(),
             follower: follower.unwrap_or("all").to_owned(),
             drives: reference.iter().filter(|run| is_in(run)).count() as u64,
-            avoidable: [count(Some(true)), count(Some(false)), examined().count() as u64],
+            avoidable: [
+                count(Some(true)),
+                count(Some(false)),
+                examined().count() as u64,
+            ],
             controllers: controllers.collect(),
         }
     }
 
     fn table(&self, emergencies_per_hour: f64) -> ReportTable {
-        let percent =
-            |share: PercentInterval| ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()));
-        let per_hour = |harm: Rounded<3>| format!("{:.2e}", harm.value() / 1000.0 * emergencies_per_hour);
+        let percent = |share: PercentInterval| {
+            ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()))
+        };
+        let per_hour =
+            |harm: Rounded<3>| format!("{:.2e}", harm.value() / 1000.0 * emergencies_per_hour);
         let columns: [ReportColumn<'_, &ControllerHarm>; 9] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("activations", &|one| ReportCell::number(one.activations)),
@@ -287,11 +376,18 @@ impl HarmGroup {
             ("avoided", &|one| ReportCell::number(one.avoided)),
             ("hit from behind (%)", &|one| percent(one.behind_percent)),
             ("caused", &|one| ReportCell::number(one.caused)),
-            ("caused per 100 activations", &|one| percent(one.caused_per_100_activations)),
-            ("harm per 1000 drives", &|one| {
-                ReportCell::number(format!("{} ± {}", one.harm_per_1000[0], one.harm_per_1000[1]))
+            ("caused per 100 activations", &|one| {
+                percent(one.caused_per_100_activations)
             }),
-            ("harm per hour", &|one| ReportCell::number(per_hour(one.harm_per_1000[0]))),
+            ("harm per 1000 drives", &|one| {
+                ReportCell::number(format!(
+                    "{} ± {}",
+                    one.harm_per_1000[0], one.harm_per_1000[1]
+                ))
+            }),
+            ("harm per hour", &|one| {
+                ReportCell::number(per_hour(one.harm_per_1000[0]))
+            }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
     }
@@ -309,7 +405,10 @@ impl ReportPart for HarmReport {
         ));
         for group in &self.groups {
             let [avoidable, unavoidable, examined] = group.avoidable;
-            out.heading(&format!("{}, follower: {}", group.space.name, group.follower));
+            out.heading(&format!(
+                "{}, follower: {}",
+                group.space.name, group.follower
+            ));
             out.paragraph(&format!(
                 "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and \
                  {unavoidable} are proved to have none (`crumple avoid`).",

@@ -74,8 +74,12 @@ impl AssessmentLimits {
                 "No controller here was built for a road, and the report replaces no test on a road.",
             ),
         ];
-        let is_counted =
-            |one: &GivenCertificate| matches!(one.certificate.statement, Statement::Rate(_) | Statement::Comparison(_));
+        let is_counted = |one: &GivenCertificate| {
+            matches!(
+                one.certificate.statement,
+                Statement::Rate(_) | Statement::Comparison(_)
+            )
+        };
         if plan.certificates.iter().any(is_counted) {
             assumptions.push(limit(
                 "Counts in given certificates are correct",

@@ -30,7 +30,9 @@ mod usefulness;
 pub use answer::{FirstPage, SafetyAnswer};
 pub use argument::Argument;
 pub use certificates::{CertificateStatus, CertificateSubject, CheckedCertificate};
-pub use comparison::{AssessmentChange, AssessmentComparison, EarlierAssessment, MAX_EVIDENCE_BYTES};
+pub use comparison::{
+    AssessmentChange, AssessmentComparison, EarlierAssessment, MAX_EVIDENCE_BYTES,
+};
 pub use distinct_failure::{DistinctFailure, EscapeFile, MethodResult};
 pub use failure_search::FailureSearch;
 pub use failure_searches::{FailureSearches, SpaceSearches};

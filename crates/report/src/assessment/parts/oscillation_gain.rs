@@ -7,10 +7,12 @@ use crate::assessment::Rounded;
 use crate::assessment::claims::{Domain, MAX_GAIN, Strength};
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
 use crate::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg, draw_legend,
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg,
+    draw_legend,
 };
 use crumple_world::measure::{
-    GAIN_FREQUENCIES_RAD_PER_S, GAIN_SPEEDS_MPS, GainSurvey, NoGain, OSCILLATION_AMPLITUDE_MPS, OperatingPoint,
+    GAIN_FREQUENCIES_RAD_PER_S, GAIN_SPEEDS_MPS, GainSurvey, NoGain, OSCILLATION_AMPLITUDE_MPS,
+    OperatingPoint,
 };
 use crumple_world::sim::FailedControllerRuns;
 use maud::html;
@@ -64,19 +66,35 @@ pub struct GainCurve {
 
 impl OscillationGain {
     pub(super) fn new(survey: &GainSurvey) -> Self {
-        let count = |reason: &NoGain| survey.points.iter().filter(|point| point.gain.as_ref() == Err(reason)).count();
+        let count = |reason: &NoGain| {
+            survey
+                .points
+                .iter()
+                .filter(|point| point.gain.as_ref() == Err(reason))
+                .count()
+        };
         let mut unanswered = None;
         for point in &survey.points {
             if let Err(NoGain::Unanswered(because)) = &point.gain {
-                let failed = FailedControllerRuns { runs: 1, because: because.clone() };
+                let failed = FailedControllerRuns {
+                    runs: 1,
+                    because: because.clone(),
+                };
                 FailedControllerRuns::merge(&mut unanswered, Some(failed));
             }
         }
         let is_amplified = |gain: &f64| Rounded::<3>::new(*gain).value() > MAX_GAIN;
-        let gains = survey.points.iter().filter_map(|point| point.gain.as_ref().ok());
-        let curves = GAIN_SPEEDS_MPS.iter().map(|&speed_mps| GainCurve::new(speed_mps, survey));
+        let gains = survey
+            .points
+            .iter()
+            .filter_map(|point| point.gain.as_ref().ok());
+        let curves = GAIN_SPEEDS_MPS
+            .iter()
+            .map(|&speed_mps| GainCurve::new(speed_mps, survey));
         Self {
-            largest: survey.largest().map(|(at, gain)| LargestGain::new(at, gain)),
+            largest: survey
+                .largest()
+                .map(|(at, gain)| LargestGain::new(at, gain)),
             points: survey.points.len() as u64,
             amplified: gains.filter(|gain| is_amplified(gain)).count() as u64,
             not_settled: count(&NoGain::NotSettled) as u64,
@@ -89,7 +107,10 @@ impl OscillationGain {
 
     /// Returns the domain of claims about the gain.
     pub(super) fn domain() -> Domain {
-        let [slowest_mps, fastest_mps] = [GAIN_SPEEDS_MPS[0], GAIN_SPEEDS_MPS[GAIN_SPEEDS_MPS.len() - 1]];
+        let [slowest_mps, fastest_mps] = [
+            GAIN_SPEEDS_MPS[0],
+            GAIN_SPEEDS_MPS[GAIN_SPEEDS_MPS.len() - 1],
+        ];
         Domain::Oscillations {
             amplitude_mps: OSCILLATION_AMPLITUDE_MPS.into(),
             frequencies_rad_per_s: GAIN_FREQUENCIES_RAD_PER_S.map(Rounded::new),
@@ -100,16 +121,30 @@ impl OscillationGain {
     /// Returns the strength of the claim that no oscillation grows. Operating points without a gain are no evidence,
     /// but a collision refutes the claim.
     pub(super) fn strength(&self) -> Strength {
-        let Self { points, amplified, collisions, .. } = *self;
+        let Self {
+            points,
+            amplified,
+            collisions,
+            ..
+        } = *self;
         if self.unanswered.is_some() {
             let failures = amplified + collisions;
-            return Strength::from_counts_with_unanswered(failures, points, self.unanswered.as_ref(), false);
+            return Strength::from_counts_with_unanswered(
+                failures,
+                points,
+                self.unanswered.as_ref(),
+                false,
+            );
         }
         match self.largest {
-            _ if collisions > 0 => Strength::Refuted { failures: amplified + collisions, runs: points },
-            Some(largest) if largest.is_above_one() || self.is_complete() => {
-                Strength::Gain { largest: largest.gain, points }
-            }
+            _ if collisions > 0 => Strength::Refuted {
+                failures: amplified + collisions,
+                runs: points,
+            },
+            Some(largest) if largest.is_above_one() || self.is_complete() => Strength::Gain {
+                largest: largest.gain,
+                points,
+            },
             _ => Strength::Untried,
         }
     }
@@ -127,13 +162,27 @@ impl OscillationGain {
     pub(in crate::assessment) fn describe(&self) -> String {
         let mut parts: Vec<String> = self.largest.iter().map(LargestGain::describe).collect();
         let reasons = [
-            (self.not_settled, "the vehicles do not settle behind their leaders"),
+            (
+                self.not_settled,
+                "the vehicles do not settle behind their leaders",
+            ),
             (self.not_steady, "the oscillation does not become periodic"),
             (self.collisions, "vehicles collide"),
         ];
-        let at_points = |count: u64, reason: &str| format!("at {count} of {} operating points {reason}", self.points);
-        parts.extend(reasons.iter().filter(|(count, _)| *count > 0).map(|(count, reason)| at_points(*count, reason)));
-        parts.extend(self.unanswered.iter().map(|failed| format!("it {}", failed.describe(self.points))));
+        let at_points = |count: u64, reason: &str| {
+            format!("at {count} of {} operating points {reason}", self.points)
+        };
+        parts.extend(
+            reasons
+                .iter()
+                .filter(|(count, _)| *count > 0)
+                .map(|(count, reason)| at_points(*count, reason)),
+        );
+        parts.extend(
+            self.unanswered
+                .iter()
+                .map(|failed| format!("it {}", failed.describe(self.points))),
+        );
         parts.join("; ")
     }
 
@@ -141,22 +190,36 @@ impl OscillationGain {
         match self.largest {
             _ if self.unanswered.is_some() => ReportCell::with_mark("no answer", CellMark::Bad),
             _ if self.collisions > 0 => ReportCell::with_mark("collides", CellMark::Bad),
-            Some(largest) if largest.is_above_one() => ReportCell::with_mark(largest.gain, CellMark::Bad),
-            Some(largest) if self.is_complete() => ReportCell::with_mark(largest.gain, CellMark::Good),
+            Some(largest) if largest.is_above_one() => {
+                ReportCell::with_mark(largest.gain, CellMark::Bad)
+            }
+            Some(largest) if self.is_complete() => {
+                ReportCell::with_mark(largest.gain, CellMark::Good)
+            }
             _ => ReportCell::text("unsettled"),
         }
     }
 
     /// Returns the largest gain on the curve of a mean speed.
     fn largest_at(&self, mean_speed_mps: f64) -> Option<Rounded<3>> {
-        let curve = self.curves.iter().find(|curve| curve.mean_speed_mps == mean_speed_mps)?;
-        curve.gain.iter().copied().max_by(|one, other| one.value().total_cmp(&other.value()))
+        let curve = self
+            .curves
+            .iter()
+            .find(|curve| curve.mean_speed_mps == mean_speed_mps)?;
+        curve
+            .gain
+            .iter()
+            .copied()
+            .max_by(|one, other| one.value().total_cmp(&other.value()))
     }
 }
 
 impl LargestGain {
     fn new(at: OperatingPoint, gain: f64) -> Self {
-        let OperatingPoint { mean_speed_mps, frequency_rad_per_s } = at;
+        let OperatingPoint {
+            mean_speed_mps,
+            frequency_rad_per_s,
+        } = at;
         Self {
             gain: gain.into(),
             mean_speed_mps: mean_speed_mps.into(),
@@ -169,7 +232,11 @@ impl LargestGain {
     }
 
     fn describe(&self) -> String {
-        let Self { gain, mean_speed_mps, frequency_rad_per_s } = self;
+        let Self {
+            gain,
+            mean_speed_mps,
+            frequency_rad_per_s,
+        } = self;
         format!("largest gain {gain}, at {mean_speed_mps} m/s and {frequency_rad_per_s} rad/s")
     }
 }
@@ -177,9 +244,15 @@ impl LargestGain {
 impl GainCurve {
     fn new(mean_speed_mps: f64, survey: &GainSurvey) -> Self {
         let curve = survey.curve(mean_speed_mps);
-        let (frequency_rad_per_s, gain) =
-            curve.into_iter().map(|(frequency, gain)| (Rounded::new(frequency), Rounded::new(gain))).unzip();
-        Self { mean_speed_mps, frequency_rad_per_s, gain }
+        let (frequency_rad_per_s, gain) = curve
+            .into_iter()
+            .map(|(frequency, gain)| (Rounded::new(frequency), Rounded::new(gain)))
+            .unzip();
+        Self {
+            mean_speed_mps,
+            frequency_rad_per_s,
+            gain,
+        }
     }
 }
 
@@ -207,9 +280,16 @@ pub(super) fn gain_table(controllers: &[ControllerUsefulness]) -> ReportTable {
     for one in controllers {
         let gain = &one.oscillation_gain;
         let mut row = vec![ReportCell::text(&one.controller)];
-        row.extend(GAIN_SPEEDS_MPS.map(|speed_mps| ReportCell::optional(gain.largest_at(speed_mps))));
+        row.extend(
+            GAIN_SPEEDS_MPS.map(|speed_mps| ReportCell::optional(gain.largest_at(speed_mps))),
+        );
         row.push(gain.table_cell());
-        let at = gain.largest.map(|one| format!("{} m/s, {} rad/s", one.mean_speed_mps, one.frequency_rad_per_s));
+        let at = gain.largest.map(|one| {
+            format!(
+                "{} m/s, {} rad/s",
+                one.mean_speed_mps, one.frequency_rad_per_s
+            )
+        });
         row.push(ReportCell::text(at.unwrap_or_else(|| "–".to_owned())));
         table.push_row(row);
     }
@@ -229,11 +309,20 @@ const HIGHEST_DRAWN_GAIN: f64 = 1.3;
 /// Draws the gain of each controller over the frequency: one panel for each controller with curves, a line for each
 /// speed.
 pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg {
-    let drawn: Vec<_> = controllers.iter().filter(|one| !one.oscillation_gain.curves.is_empty()).collect();
+    let drawn: Vec<_> = controllers
+        .iter()
+        .filter(|one| !one.oscillation_gain.curves.is_empty())
+        .collect();
     let names = DRAWN_SPEEDS_MPS.map(|speed_mps| format!("{speed_mps} m/s"));
-    let entries: Vec<_> =
-        names.iter().enumerate().map(|(index, name)| (Stroke::series(index), name.as_str())).collect();
-    let step = (PANEL_SIZE.0 + LEFT_MARGIN + 24.0, PANEL_SIZE.1 + HEADING_HEIGHT + BOTTOM_MARGIN);
+    let entries: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(index, name)| (Stroke::series(index), name.as_str()))
+        .collect();
+    let step = (
+        PANEL_SIZE.0 + LEFT_MARGIN + 24.0,
+        PANEL_SIZE.1 + HEADING_HEIGHT + BOTTOM_MARGIN,
+    );
     let columns = drawn.len().clamp(1, PANELS_IN_ROW);
     let width = (columns as f64 * step.0 + 12.0).max(4.0 * 80.0);
     let (legend, legend_height) = draw_legend(&entries, width);
@@ -241,34 +330,60 @@ pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg 
         let (row, column) = (index / PANELS_IN_ROW, index % PANELS_IN_ROW);
         let left = LEFT_MARGIN + column as f64 * step.0;
         let top = legend_height + HEADING_HEIGHT + row as f64 * step.1;
-        let frame = PixelRect { left, top, width: PANEL_SIZE.0, height: PANEL_SIZE.1 };
+        let frame = PixelRect {
+            left,
+            top,
+            width: PANEL_SIZE.0,
+            height: PANEL_SIZE.1,
+        };
         gain_panel(one, frame).draw(&Svg::id(id, &format!("gain-{index}")))
     });
     let panels: Vec<_> = panels.collect();
     let rows = drawn.len().div_ceil(PANELS_IN_ROW) as f64;
-    let describe = |one: &&ControllerUsefulness| format!("{}: {}", one.controller, one.oscillation_gain.describe());
+    let describe = |one: &&ControllerUsefulness| {
+        format!("{}: {}", one.controller, one.oscillation_gain.describe())
+    };
     let description = drawn.iter().map(describe).collect::<Vec<_>>().join("; ");
     let content = html! { (legend) @for panel in &panels { (panel) } };
-    Svg::new(id, (width, legend_height + rows * step.1), "Gain over the frequency", &description, content)
+    Svg::new(
+        id,
+        (width, legend_height + rows * step.1),
+        "Gain over the frequency",
+        &description,
+        content,
+    )
 }
 
 fn gain_panel(one: &ControllerUsefulness, frame: PixelRect) -> Panel {
-    let ticks = [0.05, 0.1, 0.2, 0.5, 1.0, 2.0].map(|frequency: f64| (frequency.log10(), frequency.to_string()));
+    let ticks = [0.05, 0.1, 0.2, 0.5, 1.0, 2.0]
+        .map(|frequency: f64| (frequency.log10(), frequency.to_string()));
     let [lowest, highest] = GAIN_FREQUENCIES_RAD_PER_S.map(f64::log10);
     let x = Axis::with_ticks("frequency (rad/s)", (lowest, highest), ticks.into());
     let y = Axis::numeric("", (0.0, HIGHEST_DRAWN_GAIN), 5);
     let mut panel = Panel::new(frame, &format!("Gain, {}", one.controller), x, y);
     panel.add_horizontal_line(MAX_GAIN, Stroke::solid(Ink::Muted, 1.0));
     for (index, speed_mps) in DRAWN_SPEEDS_MPS.into_iter().enumerate() {
-        let Some(curve) = one.oscillation_gain.curves.iter().find(|curve| curve.mean_speed_mps == speed_mps) else {
+        let Some(curve) = one
+            .oscillation_gain
+            .curves
+            .iter()
+            .find(|curve| curve.mean_speed_mps == speed_mps)
+        else {
             continue;
         };
         let points = curve.frequency_rad_per_s.iter().zip(&curve.gain);
-        let points: Vec<_> = points.map(|(frequency, gain)| (frequency.value().log10(), gain.value())).collect();
+        let points: Vec<_> = points
+            .map(|(frequency, gain)| (frequency.value().log10(), gain.value()))
+            .collect();
         panel.add_line(&points, Stroke::series(index));
     }
     if let Some(largest) = one.oscillation_gain.largest {
-        panel.add_note((highest, 0.1), Anchor::End, &format!("largest {}", largest.gain), Ink::Muted);
+        panel.add_note(
+            (highest, 0.1),
+            Anchor::End,
+            &format!("largest {}", largest.gain),
+            Ink::Muted,
+        );
     }
     panel
 }
@@ -279,29 +394,67 @@ mod tests {
     use crumple_world::measure::MeasuredGain;
 
     fn measured(gains: Vec<Result<f64, NoGain>>) -> OscillationGain {
-        let at = OperatingPoint { mean_speed_mps: 8.0, frequency_rad_per_s: 0.2 };
-        OscillationGain::new(&GainSurvey { points: gains.into_iter().map(|gain| MeasuredGain { at, gain }).collect() })
+        let at = OperatingPoint {
+            mean_speed_mps: 8.0,
+            frequency_rad_per_s: 0.2,
+        };
+        OscillationGain::new(&GainSurvey {
+            points: gains
+                .into_iter()
+                .map(|gain| MeasuredGain { at, gain })
+                .collect(),
+        })
     }
 
     #[test]
     fn the_rounded_largest_gain_decides() {
         let holds = measured(vec![Ok(0.5), Ok(1.0004)]);
         assert!(holds.damps_all() && !holds.strength().is_refutation());
-        assert_eq!(holds.strength(), Strength::Gain { largest: Rounded::new(1.0), points: 2 });
+        assert_eq!(
+            holds.strength(),
+            Strength::Gain {
+                largest: Rounded::new(1.0),
+                points: 2
+            }
+        );
         let amplifies = measured(vec![Ok(1.0006), Err(NoGain::NotSettled)]);
         assert!(!amplifies.damps_all() && amplifies.strength().is_refutation());
         assert_eq!((amplifies.amplified, amplifies.not_settled), (1, 1));
-        assert!(amplifies.describe().starts_with("largest gain 1.001, at 8.0 m/s and 0.20 rad/s; at 1 of 2 "));
+        assert!(
+            amplifies
+                .describe()
+                .starts_with("largest gain 1.001, at 8.0 m/s and 0.20 rad/s; at 1 of 2 ")
+        );
     }
 
     #[test]
     fn points_without_a_gain_are_no_evidence_and_collisions_refute() {
         let unsettled = measured(vec![Ok(0.9), Err(NoGain::NotSteady)]);
-        assert_eq!((unsettled.strength(), unsettled.damps_all()), (Strength::Untried, false));
+        assert_eq!(
+            (unsettled.strength(), unsettled.damps_all()),
+            (Strength::Untried, false)
+        );
         let collides = measured(vec![Ok(0.9), Err(NoGain::Collision)]);
-        assert_eq!(collides.strength(), Strength::Refuted { failures: 1, runs: 2 });
-        let unanswered = measured(vec![Ok(0.9), Err(NoGain::Unanswered("at 1.00 s, it is gone".to_owned()))]);
-        assert!(matches!(unanswered.strength(), Strength::Unanswered { unanswered: 1, failures: 0, runs: 2, .. }));
+        assert_eq!(
+            collides.strength(),
+            Strength::Refuted {
+                failures: 1,
+                runs: 2
+            }
+        );
+        let unanswered = measured(vec![
+            Ok(0.9),
+            Err(NoGain::Unanswered("at 1.00 s, it is gone".to_owned())),
+        ]);
+        assert!(matches!(
+            unanswered.strength(),
+            Strength::Unanswered {
+                unanswered: 1,
+                failures: 0,
+                runs: 2,
+                ..
+            }
+        ));
         assert_eq!(measured(Vec::new()).strength(), Strength::Untried);
     }
 }

@@ -38,7 +38,10 @@ impl Proofs {
         scenarios: impl Iterator<Item = &'a ScenarioCases>,
     ) -> Result<Self, AssessError> {
         let scenes = scenarios.filter_map(ScenarioCases::named_certificate);
-        Ok(Self { certificates: certificates::gather_certificates(work, scenes)?, conditions: CONDITIONS })
+        Ok(Self {
+            certificates: certificates::gather_certificates(work, scenes)?,
+            conditions: CONDITIONS,
+        })
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
@@ -66,10 +69,14 @@ impl Proofs {
                 ("certificate", &|proof| ReportCell::text(&proof.name)),
                 ("about", &|proof| ReportCell::text(&proof.about)),
                 ("shown", &|proof| match proof.status {
-                    CertificateStatus::NothingShown { .. } => ReportCell::text(proof.status.describe()),
+                    CertificateStatus::NothingShown { .. } => {
+                        ReportCell::text(proof.status.describe())
+                    }
                     _ => ReportCell::with_verdict(proof.status.describe(), proof.is_accepted()),
                 }),
-                ("controller", &|proof| ReportCell::text(proof.subject.describe())),
+                ("controller", &|proof| {
+                    ReportCell::text(proof.subject.describe())
+                }),
                 ("SHA-256", &|proof| match proof.file {
                     Some(_) => ReportCell::digest(&proof.sha256),
                     None => ReportCell::text("– (not written)"),
@@ -80,8 +87,10 @@ impl Proofs {
 
     /// Returns the command that repeats the counts in the report folder; `None` if there are none that it can repeat.
     pub(in crate::assessment) fn recount_command(&self) -> Option<CrumpleCommand> {
-        let counted =
-            self.certificates.iter().filter_map(|proof| proof.recount_controllers.as_ref().zip(proof.file.clone()));
+        let counted = self
+            .certificates
+            .iter()
+            .filter_map(|proof| proof.recount_controllers.as_ref().zip(proof.file.clone()));
         let (controllers, files): (Vec<_>, Vec<_>) = counted.unzip();
         let mut arguments: Vec<String> = Vec::new();
         for controller in controllers.into_iter().flatten() {
@@ -89,7 +98,11 @@ impl Proofs {
                 arguments.extend(["--controller".to_owned(), controller.clone()]);
             }
         }
-        (!files.is_empty()).then(|| CrumpleCommand::new(["check", "--rerun"]).with_args(arguments).with_args(files))
+        (!files.is_empty()).then(|| {
+            CrumpleCommand::new(["check", "--rerun"])
+                .with_args(arguments)
+                .with_args(files)
+        })
     }
 
     /// Returns the joint confidence level of all bounds, if there are several (Bonferroni: `1 - sum of (1 - c_i)`).
@@ -97,7 +110,14 @@ impl Proofs {
         let open = |proof: &CheckedCertificate| match &proof.status {
             CertificateStatus::Accepted {
                 strength:
-                    Some(Strength::Between { confidence_percent, .. } | Strength::Counted { confidence_percent, .. }),
+                    Some(
+                        Strength::Between {
+                            confidence_percent, ..
+                        }
+                        | Strength::Counted {
+                            confidence_percent, ..
+                        },
+                    ),
                 ..
             } => Some(100.0 - confidence_percent.value()),
             _ => None,
@@ -119,12 +139,20 @@ impl Proofs {
             let own = (proof.statement, proof.assumptions.as_slice());
             if !said.contains(&own) {
                 said.push(own);
-                let all: Vec<_> = proof.assumptions.iter().map(Assumption::to_string).collect();
+                let all: Vec<_> = proof
+                    .assumptions
+                    .iter()
+                    .map(Assumption::to_string)
+                    .collect();
                 lines.push(format!("{} assumes: {}", proof.statement, all.join("; ")));
             }
         }
         lines.extend(self.joint_confidence());
-        lines.extend(self.conditions.iter().map(|condition| format!("a shield also requires: {condition}")));
+        lines.extend(
+            self.conditions
+                .iter()
+                .map(|condition| format!("a shield also requires: {condition}")),
+        );
         lines
     }
 }
@@ -141,10 +169,13 @@ impl ReportPart for Proofs {
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         out.table(&self.table());
-        out.paragraph(&format!("Repeat the checks in the folder of this report: `crumple {CHECK_ARGUMENTS}`"));
+        out.paragraph(&format!(
+            "Repeat the checks in the folder of this report: `crumple {CHECK_ARGUMENTS}`"
+        ));
         if let Some(command) = self.recount_command() {
             out.push_html(html! { p { "Repeat the counts: " code { (command) } } });
-            out.markdown_mut().paragraph(Inline::prose("Repeat the counts: ").and_code(command));
+            out.markdown_mut()
+                .paragraph(Inline::prose("Repeat the counts: ").and_code(command));
         }
         out.push_html(html! { h3 { "Assumptions of the proofs" } });
         out.list(&self.assumptions());

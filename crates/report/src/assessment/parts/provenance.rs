@@ -45,10 +45,21 @@ pub struct AssessmentProvenance {
 impl AssessmentProvenance {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, cache: &EvidenceCache) -> Self {
         // `Debug` writes every field of both, and unlike a serializer cannot fail.
-        let scenarios = plan.file_scenarios.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
-        let spaces = plan.rate_spaces.iter().chain(&plan.search_spaces).map(|named| named.text.clone());
+        let scenarios = plan
+            .file_scenarios
+            .iter()
+            .map(|(_, scenario)| format!("{:?}", scenario.spec()));
+        let spaces = plan
+            .rate_spaces
+            .iter()
+            .chain(&plan.search_spaces)
+            .map(|named| named.text.clone());
         let config = std::iter::once(format!("{:?}", plan.config));
-        let all = config.chain(scenarios).chain(spaces).collect::<Vec<_>>().join("\n");
+        let all = config
+            .chain(scenarios)
+            .chain(spaces)
+            .collect::<Vec<_>>()
+            .join("\n");
         Self {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
@@ -63,40 +74,72 @@ impl AssessmentProvenance {
             &self.evidence,
             &[
                 ("evidence", &|hash| ReportCell::text(&hash.name)),
-                ("SHA-256 of the inputs", &|hash| ReportCell::digest(&hash.inputs_sha256)),
-                ("SHA-256 of the evidence", &|hash| ReportCell::digest(&hash.evidence_sha256)),
+                ("SHA-256 of the inputs", &|hash| {
+                    ReportCell::digest(&hash.inputs_sha256)
+                }),
+                ("SHA-256 of the evidence", &|hash| {
+                    ReportCell::digest(&hash.evidence_sha256)
+                }),
             ],
         )
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
         let config = &self.config;
-        let (spaces, runs, confidence) =
-            (config.search_spaces().join(", "), config.rates.runs, config.rates.confidence);
-        let files: Vec<_> = config.scenarios.iter().map(|path| path.display().to_string()).collect();
+        let (spaces, runs, confidence) = (
+            config.search_spaces().join(", "),
+            config.rates.runs,
+            config.rates.confidence,
+        );
+        let files: Vec<_> = config
+            .scenarios
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
         let lines = vec![
             ("crumple", self.crumple.to_owned()),
             ("estimator", config.estimator.name().to_owned()),
             ("controllers", config.controllers.join(", ")),
             ("random scenarios per space", config.draws.to_string()),
             ("seed", config.seed.to_string()),
-            ("searches", format!("{spaces}, {} simulations per method", config.search.budget)),
-            ("counted runs", format!("{runs} at confidence {confidence}, with the seed in each certificate")),
-            ("drives in traffic and in high-risk", config.everyday_draws.to_string()),
+            (
+                "searches",
+                format!("{spaces}, {} simulations per method", config.search.budget),
+            ),
+            (
+                "counted runs",
+                format!("{runs} at confidence {confidence}, with the seed in each certificate"),
+            ),
+            (
+                "drives in traffic and in high-risk",
+                config.everyday_draws.to_string(),
+            ),
             ("gates", config.gates.len().to_string()),
-            ("repeat with", "crumple assess, and the configuration in assessment.json as a file".to_owned()),
+            (
+                "repeat with",
+                "crumple assess, and the configuration in assessment.json as a file".to_owned(),
+            ),
             ("scenarios from files", files.join(", ")),
             ("configuration, SHA-256", self.config_sha256.clone()),
         ];
-        lines.into_iter().filter(|(_, value)| !value.is_empty()).collect()
+        lines
+            .into_iter()
+            .filter(|(_, value)| !value.is_empty())
+            .collect()
     }
 }
 
 impl RunInfo {
     fn describe(&self) -> String {
-        let commit = self.commit.as_ref().map_or(String::new(), |commit| format!(", commit {commit}"));
+        let commit = self
+            .commit
+            .as_ref()
+            .map_or(String::new(), |commit| format!(", commit {commit}"));
         let program = self.program_sha256.get(..16).unwrap_or_default();
-        format!("{}{commit}, program {program}…, on {}, in {} s", self.at, self.machine, self.duration_s)
+        format!(
+            "{}{commit}, program {program}…, on {}, in {} s",
+            self.at, self.machine, self.duration_s
+        )
     }
 }
 
@@ -112,7 +155,12 @@ impl ReportPart for AssessmentProvenance {
         });
         out.paragraph(CACHE_NOTE);
         out.push_html(html! { details { summary { "hashes of the evidence" } (self.hash_table().to_html()) } });
-        let lines = self.run_info.iter().map(|made| ("made", made.describe())).chain(self.lines());
-        out.markdown_mut().list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
+        let lines = self
+            .run_info
+            .iter()
+            .map(|made| ("made", made.describe()))
+            .chain(self.lines());
+        out.markdown_mut()
+            .list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
     }
 }

@@ -3,7 +3,9 @@
 use crumple_verify::{Certificate, Registration, Statement};
 
 use super::certificate_subject::includes_others;
-use super::certificates::{CertificateStatus, CheckedCertificate, check_certificate, rate_strength};
+use super::certificates::{
+    CertificateStatus, CheckedCertificate, check_certificate, rate_strength,
+};
 use crate::assessment::claims::Strength;
 use crate::assessment::commands::controller_arg;
 use crate::assessment::gather_context::GatherContext;
@@ -26,44 +28,87 @@ pub(in crate::assessment) struct PlannedRateCount<'a> {
 
 pub(in crate::assessment) fn generated_certificate_names(plan: &AssessmentPlan) -> Vec<String> {
     let kernels = shipped_kernels().into_iter().map(|(name, _)| name);
-    kernels.chain(planned_rate_counts(plan).into_iter().map(|counted| counted.name)).collect()
+    kernels
+        .chain(
+            planned_rate_counts(plan)
+                .into_iter()
+                .map(|counted| counted.name),
+        )
+        .collect()
 }
 
-pub(in crate::assessment) fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
+pub(in crate::assessment) fn planned_rate_counts(
+    plan: &AssessmentPlan,
+) -> Vec<PlannedRateCount<'_>> {
     if plan.config.rates.runs == 0 {
         return Vec::new();
     }
-    let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.kind.is_learned());
-    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
-        learned.map(|(index, one)| (format!("rate-{}", plan.controller_slug(index)), one.clone(), None)).collect();
+    let learned = plan
+        .controllers
+        .iter()
+        .enumerate()
+        .filter(|(_, controller)| controller.kind.is_learned());
+    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> = learned
+        .map(|(index, one)| {
+            (
+                format!("rate-{}", plan.controller_slug(index)),
+                one.clone(),
+                None,
+            )
+        })
+        .collect();
     if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
         && plan.subject_index != 0
     {
-        let name = format!("{}-against-{}", plan.controller_slug(plan.subject_index), plan.controller_slug(0));
+        let name = format!(
+            "{}-against-{}",
+            plan.controller_slug(plan.subject_index),
+            plan.controller_slug(0)
+        );
         wanted.push((name, subject.clone(), Some(first.clone())));
     }
     // A claim needs a controller with an identity.
-    wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
+    wanted.retain(|(_, one, other)| {
+        std::iter::once(one)
+            .chain(other)
+            .all(|of| of.kind.identity().is_some())
+    });
     let several = plan.rate_spaces.len() > 1;
     let mut counted = Vec::new();
     for space in &plan.rate_spaces {
         for (name, controller, against) in wanted.clone() {
-            let name = if several { format!("{name}-{}", file_stem(space.space.name())) } else { name };
-            counted.push(PlannedRateCount { name, space, controller, against });
+            let name = if several {
+                format!("{name}-{}", file_stem(space.space.name()))
+            } else {
+                name
+            };
+            counted.push(PlannedRateCount {
+                name,
+                space,
+                controller,
+                against,
+            });
         }
     }
     counted
 }
 
 impl PlannedRateCount<'_> {
-    pub(in crate::assessment) fn gather(self, work: &GatherContext<'_>) -> Result<CheckedCertificate, AssessError> {
+    pub(in crate::assessment) fn gather(
+        self,
+        work: &GatherContext<'_>,
+    ) -> Result<CheckedCertificate, AssessError> {
         let plan = work.plan;
         let rates = RatePlan::new(RateConfig {
             second_controller: self.against,
             seed: plan.config.seed ^ COUNT_SEED_MASK,
             estimator: plan.config.estimator,
             confidence: plan.config.rates.confidence,
-            ..RateConfig::new(self.controller, self.space.space.clone(), plan.config.rates.runs)
+            ..RateConfig::new(
+                self.controller,
+                self.space.space.clone(),
+                plan.config.rates.runs,
+            )
         })?;
         // First line: the certificate. Second line, if needed: the controllers that gave no answer.
         let kept: String = work.get_or_gather(&self.name, rates.registration(), || {
@@ -73,18 +118,20 @@ impl PlannedRateCount<'_> {
                 rates.count_batch(&mut tally)?;
                 work.add_runs(tally.runs - before)?;
             }
-            let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
+            let text =
+                serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
             Ok::<_, AssessError>(match tally.missing_answers_summary() {
                 unanswered if unanswered.is_empty() => text,
                 unanswered => format!("{text}\n{unanswered}"),
             })
         })?;
         let (text, unanswered) = kept.split_once('\n').unwrap_or((&kept, ""));
-        let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
+        let certificate = Certificate::from_json(text)
+            .map_err(|error| AssessError::Certificate(error.to_string()))?;
         let mut proof = check_certificate(plan, self.name, &certificate, None)?;
         let counts_others = includes_others(plan, &certificate.statement);
-        if let Some(status) =
-            not_shown_status(&certificate.statement, counts_others, unanswered).filter(|_| !proof.is_accepted())
+        if let Some(status) = not_shown_status(&certificate.statement, counts_others, unanswered)
+            .filter(|_| !proof.is_accepted())
         {
             proof.status = status;
         }
@@ -94,7 +141,10 @@ impl PlannedRateCount<'_> {
 
 /// Returns the controllers, as arguments in the report folder, with which `check --rerun` repeats the counts of a
 /// certificate; `None` if it has no counts, or the folder lacks a controller.
-pub(super) fn recount_controllers(plan: &AssessmentPlan, certificate: &Certificate) -> Option<Vec<String>> {
+pub(super) fn recount_controllers(
+    plan: &AssessmentPlan,
+    certificate: &Certificate,
+) -> Option<Vec<String>> {
     let registration = match &certificate.statement {
         Statement::Rate(claim) => &claim.registration,
         Statement::Comparison(claim) => &claim.registration,
@@ -104,7 +154,8 @@ pub(super) fn recount_controllers(plan: &AssessmentPlan, certificate: &Certifica
         return Some(Vec::new());
     }
     Rerun::new(certificate, &plan.controllers).ok()?;
-    let identities = ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
+    let identities =
+        ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
     let argument = |identity: &String| {
         let is_it = |one: &&NamedController| one.kind.identity().as_ref() == Some(identity);
         controller_arg(&plan.controllers.iter().find(is_it)?.kind)
@@ -113,20 +164,32 @@ pub(super) fn recount_controllers(plan: &AssessmentPlan, certificate: &Certifica
 }
 
 /// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.
-fn not_shown_status(statement: &Statement, counts_others: bool, unanswered: &str) -> Option<CertificateStatus> {
+fn not_shown_status(
+    statement: &Statement,
+    counts_others: bool,
+    unanswered: &str,
+) -> Option<CertificateStatus> {
     match statement {
         Statement::Comparison(two) => {
             let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
-            let Registration { runs, confidence, .. } = two.registration;
+            let Registration {
+                runs, confidence, ..
+            } = two.registration;
             Some(CertificateStatus::NothingShown {
                 counted: format!(
                     "only the first failed in {only_first} runs, only the second in {only_second}{unanswered}"
                 ),
-                strength: Strength::NotShownByCounting { confidence_percent: Rounded::down(100.0 * confidence), runs },
+                strength: Strength::NotShownByCounting {
+                    confidence_percent: Rounded::down(100.0 * confidence),
+                    runs,
+                },
             })
         }
         Statement::Rate(rate) => Some(CertificateStatus::NothingShown {
-            counted: format!("{} of {} runs failed{unanswered}", rate.failures, rate.registration.runs),
+            counted: format!(
+                "{} of {} runs failed{unanswered}",
+                rate.failures, rate.registration.runs
+            ),
             strength: rate_strength(rate, 1.0, counts_others),
         }),
         _ => None,

@@ -8,7 +8,9 @@ use serde_json::json;
 
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
 use crate::assessment::case::{CaseVerdict, smallest};
-use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
+};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
@@ -95,9 +97,18 @@ impl ControllerSample {
     /// Returns the strength of the claim to fail less often. Scenarios without an answer of the other controller are
     /// open.
     fn strength_against(&self, other: &Self, random_scenarios: u64) -> Strength {
-        let beside = [other.ends.collisions, other.ends.ended_by_others.saturating_add(other.ends.unanswered_runs())];
+        let beside = [
+            other.ends.collisions,
+            other
+                .ends
+                .ended_by_others
+                .saturating_add(other.ends.unanswered_runs()),
+        ];
         let own = [self.ends.failures(), self.ends.ended_by_others];
-        match (Strength::from_paired_counts(own, beside, random_scenarios), &other.ends.unanswered) {
+        match (
+            Strength::from_paired_counts(own, beside, random_scenarios),
+            &other.ends.unanswered,
+        ) {
             (Strength::Untried, Some(unanswered)) => Strength::OtherUnanswered {
                 unanswered: unanswered.runs,
                 runs: random_scenarios,
@@ -122,28 +133,68 @@ impl SpaceSamples {
     pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let plan = work.plan;
         let of = |named: &NamedSpace| SpaceSample::gather(named, work);
-        Ok(Self { spaces: plan.rate_spaces.iter().map(of).collect::<Result<_, _>>()? })
+        Ok(Self {
+            spaces: plan.rate_spaces.iter().map(of).collect::<Result<_, _>>()?,
+        })
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let mut all = Vec::new();
-        for drawn in self.spaces.iter().filter(|drawn| drawn.random_scenarios > 0) {
+        for drawn in self
+            .spaces
+            .iter()
+            .filter(|drawn| drawn.random_scenarios > 0)
+        {
             let space = || drawn.space.clone();
-            let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.random_scenarios };
-            let made = format!("{} random scenarios, seed {}", drawn.random_scenarios, drawn.seed);
-            let first = plan.claim_subject(0, plan.config.estimator).zip(drawn.controllers.first());
+            let draws = || Domain::Draws {
+                space: space(),
+                seed: drawn.seed,
+                draws: drawn.random_scenarios,
+            };
+            let made = format!(
+                "{} random scenarios, seed {}",
+                drawn.random_scenarios, drawn.seed
+            );
+            let first = plan
+                .claim_subject(0, plan.config.estimator)
+                .zip(drawn.controllers.first());
             for (subject, sampled) in plan.claim_subjects().into_iter().zip(&drawn.controllers) {
                 let mut add = |property, domain, strength| {
-                    let claim = AssuranceClaim { subject: subject.clone(), property, domain };
-                    all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made.as_str()) });
+                    let claim = AssuranceClaim {
+                        subject: subject.clone(),
+                        property,
+                        domain,
+                    };
+                    all.push(Evidence {
+                        claim,
+                        strength,
+                        source: EvidenceSource::from_part(ANCHOR, made.as_str()),
+                    });
                 };
-                add(Property::NoContact, draws(), sampled.ends.strength(drawn.random_scenarios));
-                let others = Strength::from_counts(sampled.ends.ended_by_others, drawn.random_scenarios);
+                add(
+                    Property::NoContact,
+                    draws(),
+                    sampled.ends.strength(drawn.random_scenarios),
+                );
+                let others =
+                    Strength::from_counts(sampled.ends.ended_by_others, drawn.random_scenarios);
                 add(Property::OthersKeepClear, draws(), others);
-                add(Property::FailureRate, Domain::Space { space: space() }, sampled.rate_strength(drawn));
-                if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
-                    let than = Property::FailsLessOften { than: first.controller.clone() };
-                    add(than, draws(), sampled.strength_against(of_first, drawn.random_scenarios));
+                add(
+                    Property::FailureRate,
+                    Domain::Space { space: space() },
+                    sampled.rate_strength(drawn),
+                );
+                if let Some((first, of_first)) =
+                    first.as_ref().filter(|(first, _)| *first != subject)
+                {
+                    let than = Property::FailsLessOften {
+                        than: first.controller.clone(),
+                    };
+                    add(
+                        than,
+                        draws(),
+                        sampled.strength_against(of_first, drawn.random_scenarios),
+                    );
                 }
             }
         }
@@ -153,19 +204,35 @@ impl SpaceSamples {
 
 impl SpaceSample {
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerSample> {
-        self.controllers.iter().find(|sampled| sampled.controller == controller)
+        self.controllers
+            .iter()
+            .find(|sampled| sampled.controller == controller)
     }
 
-    pub(in crate::assessment) fn gather(named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(
+        named: &NamedSpace,
+        work: &GatherContext<'_>,
+    ) -> Result<Self, AssessError> {
         let plan = work.plan;
-        let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-        work.get_or_gather(&format!("draws of {}", named.space.name()), &inputs, || Self::run(named, work))
+        let inputs = json!([
+            named.text,
+            plan.config.draws,
+            plan.config.seed,
+            plan.identities()
+        ]);
+        work.get_or_gather(&format!("draws of {}", named.space.name()), &inputs, || {
+            Self::run(named, work)
+        })
     }
 
     fn run(named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let plan = work.plan;
         let config = &plan.config;
-        let mut tallies: Vec<SampleTally> = plan.controllers.iter().map(|_| SampleTally::default()).collect();
+        let mut tallies: Vec<SampleTally> = plan
+            .controllers
+            .iter()
+            .map(|_| SampleTally::default())
+            .collect();
         let mut followers = BTreeSet::new();
         for draws in batches(config.draws) {
             let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
@@ -181,7 +248,9 @@ impl SpaceSample {
             work.add_runs((scenarios.len() * plan.controllers.len()) as u64)?;
         }
         let finished = plan.controllers.iter().zip(tallies).enumerate();
-        let controllers = finished.map(|(index, (controller, tally))| tally.finish(controller, index > 0)).collect();
+        let controllers = finished
+            .map(|(index, (controller, tally))| tally.finish(controller, index > 0))
+            .collect();
         Ok(Self {
             space: named.content_id.clone(),
             followers: followers.into_iter().collect(),
@@ -205,36 +274,79 @@ impl SpaceSample {
     }
 
     fn table(&self) -> ReportTable {
-        let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
+        let first = self
+            .controllers
+            .first()
+            .map_or("", |sampled| sampled.controller.as_str());
         let only_first = format!("only {first} collides");
         let columns: [ReportColumn<'_, &ControllerSample>; 13] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("collisions", &|one| {
-                ReportCell::with_verdict(one.ends.collisions, one.ends.collisions + one.ends.ended_by_others == 0)
+                ReportCell::with_verdict(
+                    one.ends.collisions,
+                    one.ends.collisions + one.ends.ended_by_others == 0,
+                )
             }),
-            ("no answer", &|one| ReportCell::with_verdict(one.ends.unanswered_runs(), one.ends.unanswered_runs() == 0)),
-            ("rate (%)", &|one| ReportCell::number(one.rate_percent.observed)),
-            ("bounds (%)", &|one| ReportCell::number(one.rate_percent.format_bounds())),
+            ("no answer", &|one| {
+                ReportCell::with_verdict(
+                    one.ends.unanswered_runs(),
+                    one.ends.unanswered_runs() == 0,
+                )
+            }),
+            ("rate (%)", &|one| {
+                ReportCell::number(one.rate_percent.observed)
+            }),
+            ("bounds (%)", &|one| {
+                ReportCell::number(one.rate_percent.format_bounds())
+            }),
             ("hits leader", &|one| ReportCell::number(one.ends.hit)),
-            ("hit from behind", &|one| ReportCell::number(one.ends.was_hit)),
-            ("ended by others", &|one| ReportCell::number(one.ends.ended_by_others)),
-            ("min gap ahead (m)", &|one| ReportCell::optional(one.min_gap_ahead_m)),
-            ("min gap behind (m)", &|one| ReportCell::optional(one.min_gap_behind_m)),
-            ("mean impact (m/s)", &|one| ReportCell::optional(one.mean_impact_speed_mps)),
-            (&only_first, &|one| ReportCell::optional(one.paired.map(|paired| paired.only_first))),
-            ("only this collides", &|one| ReportCell::optional(one.paired.map(|paired| paired.only_this))),
+            ("hit from behind", &|one| {
+                ReportCell::number(one.ends.was_hit)
+            }),
+            ("ended by others", &|one| {
+                ReportCell::number(one.ends.ended_by_others)
+            }),
+            ("min gap ahead (m)", &|one| {
+                ReportCell::optional(one.min_gap_ahead_m)
+            }),
+            ("min gap behind (m)", &|one| {
+                ReportCell::optional(one.min_gap_behind_m)
+            }),
+            ("mean impact (m/s)", &|one| {
+                ReportCell::optional(one.mean_impact_speed_mps)
+            }),
+            (&only_first, &|one| {
+                ReportCell::optional(one.paired.map(|paired| paired.only_first))
+            }),
+            ("only this collides", &|one| {
+                ReportCell::optional(one.paired.map(|paired| paired.only_this))
+            }),
         ];
-        let all_answered = self.controllers.iter().all(|one| one.ends.unanswered.is_none());
-        ReportTable::from_items(&self.controllers, &columns).without_column(all_answered.then_some(2))
+        let all_answered = self
+            .controllers
+            .iter()
+            .all(|one| one.ends.unanswered.is_none());
+        ReportTable::from_items(&self.controllers, &columns)
+            .without_column(all_answered.then_some(2))
     }
 
     fn figure(&self) -> Svg {
         let rows = self.controllers.iter().map(|one| {
             let is_safe = one.ends.failures() == 0;
-            let (ink, marker) = if is_safe { (Ink::Series(0), Marker::Ring) } else { (Ink::Alert, Marker::Cross) };
-            (one.controller.as_str(), vec![(one.rate_percent, 0.0, ink, marker)])
+            let (ink, marker) = if is_safe {
+                (Ink::Series(0), Marker::Ring)
+            } else {
+                (Ink::Alert, Marker::Cross)
+            };
+            (
+                one.controller.as_str(),
+                vec![(one.rate_percent, 0.0, ink, marker)],
+            )
         });
-        let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
+        let description = self
+            .controllers
+            .iter()
+            .map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
         let figure = ShareFigure {
             heading: "Collision rate and its exact bounds",
             axis: "Collisions (% of random scenarios)",
@@ -242,13 +354,18 @@ impl SpaceSample {
             description: &description.collect::<Vec<_>>().join(", "),
             row_height: 30.0,
         };
-        figure.draw(&format!("rates-{}", self.space.name), &rows.collect::<Vec<_>>())
+        figure.draw(
+            &format!("rates-{}", self.space.name),
+            &rows.collect::<Vec<_>>(),
+        )
     }
 }
 
 /// Divides random scenarios into batches: enough to use all cores, and few enough for memory.
 pub(super) fn batches(draws: u64) -> impl Iterator<Item = Range<u64>> {
-    (0..draws).step_by(BATCH_SIZE as usize).map(move |from| from..draws.min(from + BATCH_SIZE))
+    (0..draws)
+        .step_by(BATCH_SIZE as usize)
+        .map(move |from| from..draws.min(from + BATCH_SIZE))
 }
 
 pub(super) fn draw_scenarios(
@@ -266,7 +383,12 @@ pub(super) fn run_samples(
     plan: &AssessmentPlan,
 ) -> Result<Vec<RunSummary>, RunError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-    simulate_each(scenarios, &options, RecordingLevel::Summary, RunSummary::new)
+    simulate_each(
+        scenarios,
+        &options,
+        RecordingLevel::Summary,
+        RunSummary::new,
+    )
 }
 
 /// Simulates each scenario, in order.
@@ -276,19 +398,36 @@ pub(super) fn simulate_each<T: Send>(
     keep: RecordingLevel,
     read: fn(&Scenario, &SimulationResult) -> T,
 ) -> Result<Vec<T>, RunError> {
-    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, keep, |index, simulated| read(runs[index].scenario(), &simulated)))
+    let runs = scenarios
+        .iter()
+        .map(|scenario| Run::new(scenario, options.clone()))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(&runs, keep, |index, simulated| {
+        read(runs[index].scenario(), &simulated)
+    }))
 }
 
 impl RunSummary {
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let gap_m = |behind: usize| {
-            let of = |index: usize| simulated.vehicles.get(index + behind).and_then(|vehicle| vehicle.min_gap_m);
-            smallest((0..simulated.vehicles.len()).filter(|&index| scenario.is_under_test(index)).map(of))
+            let of = |index: usize| {
+                simulated
+                    .vehicles
+                    .get(index + behind)
+                    .and_then(|vehicle| vehicle.min_gap_m)
+            };
+            smallest(
+                (0..simulated.vehicles.len())
+                    .filter(|&index| scenario.is_under_test(index))
+                    .map(of),
+            )
         };
         Self {
             verdict: CaseVerdict::new(simulated, scenario),
-            impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
+            impact_speed_mps: simulated
+                .outcome
+                .contact()
+                .map(|contact| contact.impact_speed_mps),
             gaps_m: [gap_m(0), gap_m(1)],
         }
     }
@@ -310,18 +449,25 @@ impl SampleTally {
         for (run, first) in runs.iter().zip(first) {
             self.random_scenarios += 1;
             self.ends.add(&run.verdict);
-            if let Some(impact_speed_mps) = run.impact_speed_mps.filter(|_| run.verdict.is_failure()) {
+            if let Some(impact_speed_mps) =
+                run.impact_speed_mps.filter(|_| run.verdict.is_failure())
+            {
                 self.impact_speed_sum_mps += impact_speed_mps;
                 self.impacts += 1;
             }
             for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(run.gaps_m) {
-                *smallest = [*smallest, gap_m].into_iter().flatten().min_by(f64::total_cmp);
+                *smallest = [*smallest, gap_m]
+                    .into_iter()
+                    .flatten()
+                    .min_by(f64::total_cmp);
             }
             match (first.verdict.is_failure(), run.verdict.is_failure()) {
                 (true, true) => self.paired.both += 1,
                 (false, true) => self.paired.only_this += 1,
                 // A scenario without an answer of the first controller does not count in favour of this one.
-                (true, false) if first.verdict.unanswered().is_none() => self.paired.only_first += 1,
+                (true, false) if first.verdict.unanswered().is_none() => {
+                    self.paired.only_first += 1
+                }
                 (_, false) => {}
             }
         }
@@ -351,7 +497,13 @@ impl ReportPart for SpaceSamples {
             out.table(&drawn.table());
             for one in &drawn.controllers {
                 let unanswered = one.ends.unanswered.iter();
-                unanswered.for_each(|of| out.paragraph(&note_unanswered(&one.controller, of, drawn.random_scenarios)));
+                unanswered.for_each(|of| {
+                    out.paragraph(&note_unanswered(
+                        &one.controller,
+                        of,
+                        drawn.random_scenarios,
+                    ))
+                });
             }
             out.figure(drawn.figure());
         }

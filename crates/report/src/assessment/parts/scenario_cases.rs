@@ -14,7 +14,8 @@ use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, CrumpleCommand, RoundedAvoidance};
 use crate::draw::{
-    MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side, vehicle_names,
+    MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
+    vehicle_names,
 };
 use crumple_world::scenario::Scenario;
 
@@ -44,16 +45,39 @@ pub struct ScenarioCases {
 }
 
 /// Returns the evidence of `NoContact` per controller, without runs in which other vehicles collide first.
-pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part: &str) -> Vec<Evidence> {
+pub(super) fn evidence(
+    plan: &AssessmentPlan,
+    scenarios: &[ScenarioCases],
+    part: &str,
+) -> Vec<Evidence> {
     let of = |(index, subject): (usize, Subject)| {
-        let verdicts: Vec<_> =
-            scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict).collect();
-        let (ends, runs) = (RunEnds::from_verdicts(verdicts.iter().copied()), verdicts.len() as u64);
-        let claim = AssuranceClaim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
-        let source = EvidenceSource::from_part(part, format!("{} runs", runs - ends.ended_by_others));
-        Evidence { claim, strength: ends.strength(runs), source }
+        let verdicts: Vec<_> = scenarios
+            .iter()
+            .filter_map(|scenario| scenario.cases.get(index))
+            .map(|case| &case.verdict)
+            .collect();
+        let (ends, runs) = (
+            RunEnds::from_verdicts(verdicts.iter().copied()),
+            verdicts.len() as u64,
+        );
+        let claim = AssuranceClaim {
+            subject,
+            property: Property::NoContact,
+            domain: domain(scenarios, part),
+        };
+        let source =
+            EvidenceSource::from_part(part, format!("{} runs", runs - ends.ended_by_others));
+        Evidence {
+            claim,
+            strength: ends.strength(runs),
+            source,
+        }
     };
-    plan.claim_subjects().into_iter().enumerate().map(of).collect()
+    plan.claim_subjects()
+        .into_iter()
+        .enumerate()
+        .map(of)
+        .collect()
 }
 
 pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
@@ -61,15 +85,24 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "scenario files and recordings",
     };
-    let known = |cases: &ScenarioCases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario);
-    Domain::Scenarios { about: UncomparedText(about.to_owned()), all: scenarios.iter().map(known).collect() }
+    let known = |cases: &ScenarioCases| {
+        ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario)
+    };
+    Domain::Scenarios {
+        about: UncomparedText(about.to_owned()),
+        all: scenarios.iter().map(known).collect(),
+    }
 }
 
 pub(super) const FURTHER_MEASURES_NOTE: &str = "assessment.html and assessment.json also have headway, time gap, DRAC, \
     required brake, TET, TIT, jerk and the gaps at standstill.";
 
 impl ScenarioCases {
-    pub(in crate::assessment) fn new(scenario: &Scenario, replay: CrumpleCommand, cases: Vec<CaseResult>) -> Self {
+    pub(in crate::assessment) fn new(
+        scenario: &Scenario,
+        replay: CrumpleCommand,
+        cases: Vec<CaseResult>,
+    ) -> Self {
         Self {
             scenario: scenario.spec().name.clone(),
             about: scenario.spec().about.clone(),
@@ -85,7 +118,10 @@ impl ScenarioCases {
     /// Adds the avoidance of the scenario, and each controller's regret.
     pub(in crate::assessment) fn with_avoidance(
         mut self,
-        CertifiedAvoidance { avoidance, certificate }: CertifiedAvoidance,
+        CertifiedAvoidance {
+            avoidance,
+            certificate,
+        }: CertifiedAvoidance,
     ) -> Self {
         for case in &mut self.cases {
             case.regret_m = avoidance.regret_m(case);
@@ -99,7 +135,10 @@ impl ScenarioCases {
     }
 
     pub(in crate::assessment) fn describe_avoidance(&self) -> String {
-        self.avoidance.as_ref().map(RoundedAvoidance::describe).unwrap_or_default()
+        self.avoidance
+            .as_ref()
+            .map(RoundedAvoidance::describe)
+            .unwrap_or_default()
     }
 
     pub(super) fn table(&self) -> ReportTable {
@@ -107,14 +146,28 @@ impl ScenarioCases {
             &self.cases,
             &[
                 ("controller", &|case| ReportCell::text(&case.controller)),
-                ("outcome", &|case| ReportCell::with_mark(case.verdict.describe(), case.verdict.mark())),
-                ("min gap ahead (m)", &|case| ReportCell::optional(case.ahead.min_gap_m)),
-                ("min gap behind (m)", &|case| ReportCell::optional(case.behind.min_gap_m)),
+                ("outcome", &|case| {
+                    ReportCell::with_mark(case.verdict.describe(), case.verdict.mark())
+                }),
+                ("min gap ahead (m)", &|case| {
+                    ReportCell::optional(case.ahead.min_gap_m)
+                }),
+                ("min gap behind (m)", &|case| {
+                    ReportCell::optional(case.behind.min_gap_m)
+                }),
                 ("regret (m)", &|case| ReportCell::optional(case.regret_m)),
-                ("min TTC (s)", &|case| ReportCell::optional(case.ahead.min_ttc_s)),
-                ("peak brake (m/s²)", &|case| ReportCell::optional(case.peak_brake_mps2)),
-                ("induced braking (m/s²)", &|case| ReportCell::optional(case.induced_brake_mps2)),
-                ("pile-up (vehicles)", &|case| ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("min TTC (s)", &|case| {
+                    ReportCell::optional(case.ahead.min_ttc_s)
+                }),
+                ("peak brake (m/s²)", &|case| {
+                    ReportCell::optional(case.peak_brake_mps2)
+                }),
+                ("induced braking (m/s²)", &|case| {
+                    ReportCell::optional(case.induced_brake_mps2)
+                }),
+                ("pile-up (vehicles)", &|case| {
+                    ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))
+                }),
                 ("max delta-v (m/s)", &|case| {
                     ReportCell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))
                 }),
@@ -128,17 +181,35 @@ impl ScenarioCases {
             &self.cases,
             &[
                 ("controller", &|case| ReportCell::text(&case.controller)),
-                ("min time headway (s)", &|case| ReportCell::optional(case.ahead.min_time_headway_s)),
-                ("min time gap (s)", &|case| ReportCell::optional(case.ahead.min_time_gap_s)),
-                ("max DRAC (m/s²)", &|case| ReportCell::optional(case.ahead.max_drac_mps2)),
-                ("required brake (m/s²)", &|case| ReportCell::optional(case.ahead.max_required_brake_mps2)),
+                ("min time headway (s)", &|case| {
+                    ReportCell::optional(case.ahead.min_time_headway_s)
+                }),
+                ("min time gap (s)", &|case| {
+                    ReportCell::optional(case.ahead.min_time_gap_s)
+                }),
+                ("max DRAC (m/s²)", &|case| {
+                    ReportCell::optional(case.ahead.max_drac_mps2)
+                }),
+                ("required brake (m/s²)", &|case| {
+                    ReportCell::optional(case.ahead.max_required_brake_mps2)
+                }),
                 ("TET (s)", &|case| ReportCell::number(case.ahead.tet_s)),
                 ("TIT (s²)", &|case| ReportCell::number(case.ahead.tit_s2)),
-                ("peak jerk (m/s³)", &|case| ReportCell::optional(case.peak_jerk_mps3)),
-                ("standstill gap ahead (m)", &|case| ReportCell::optional(case.ahead.standstill_gap_m)),
-                ("standstill gap behind (m)", &|case| ReportCell::optional(case.behind.standstill_gap_m)),
-                ("max DRAC behind (m/s²)", &|case| ReportCell::optional(case.behind.max_drac_mps2)),
-                ("TET behind (s)", &|case| ReportCell::number(case.behind.tet_s)),
+                ("peak jerk (m/s³)", &|case| {
+                    ReportCell::optional(case.peak_jerk_mps3)
+                }),
+                ("standstill gap ahead (m)", &|case| {
+                    ReportCell::optional(case.ahead.standstill_gap_m)
+                }),
+                ("standstill gap behind (m)", &|case| {
+                    ReportCell::optional(case.behind.standstill_gap_m)
+                }),
+                ("max DRAC behind (m/s²)", &|case| {
+                    ReportCell::optional(case.behind.max_drac_mps2)
+                }),
+                ("TET behind (s)", &|case| {
+                    ReportCell::number(case.behind.tet_s)
+                }),
             ],
         )
     }
@@ -149,8 +220,15 @@ impl ScenarioCases {
         out.push_html(html! { details { summary { "further measures" } (self.further_measures().to_html()) } });
     }
 
-    pub(in crate::assessment) fn replay_command(&self, case: &CaseResult) -> Option<CrumpleCommand> {
-        Some(self.replay.clone().with_args(["--controller", case.controller_arg.as_deref()?]))
+    pub(in crate::assessment) fn replay_command(
+        &self,
+        case: &CaseResult,
+    ) -> Option<CrumpleCommand> {
+        Some(
+            self.replay
+                .clone()
+                .with_args(["--controller", case.controller_arg.as_deref()?]),
+        )
     }
 
     pub(in crate::assessment) fn replay_html(&self, case: &CaseResult) -> Markup {
@@ -158,10 +236,18 @@ impl ScenarioCases {
     }
 
     pub(in crate::assessment) fn figure(&self, case: &CaseResult) -> Markup {
-        let Some((trace, impacts)) = &case.motion else { return html! {} };
+        let Some((trace, impacts)) = &case.motion else {
+            return html! {};
+        };
         let title = format!("{}, {}", self.scenario, case.controller);
         let prefix = format!("{}-{}", self.scenario, case.controller);
-        draw_motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
+        draw_motion_responsive(&MotionFigure {
+            prefix: &prefix,
+            title: &title,
+            labels: &self.labels,
+            trace,
+            impacts,
+        })
     }
 
     /// Draws the motion of several cases next to each other, on the same axes.
@@ -171,23 +257,38 @@ impl ScenarioCases {
 
     /// Draws the motion of several cases as a separate file.
     pub(in crate::assessment) fn combined_figure(&self, cases: &[&CaseResult]) -> Svg {
-        self.with_figures(cases, |figures| draw_motion_columns(&self.scenario, &self.scenario, figures))
+        self.with_figures(cases, |figures| {
+            draw_motion_columns(&self.scenario, &self.scenario, figures)
+        })
     }
 
-    fn with_figures<T>(&self, cases: &[&CaseResult], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
-        let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
+    fn with_figures<T>(
+        &self,
+        cases: &[&CaseResult],
+        draw: impl FnOnce(&[MotionFigure<'_>]) -> T,
+    ) -> T {
+        let moved: Vec<_> = cases
+            .iter()
+            .filter_map(|case| Some((*case, case.motion.as_ref()?)))
+            .collect();
         let names = |(case, _): &(&CaseResult, _)| {
             let (scenario, controller) = (&self.scenario, &case.controller);
-            (format!("{scenario}-{controller}"), format!("{scenario}, {controller}"))
+            (
+                format!("{scenario}-{controller}"),
+                format!("{scenario}, {controller}"),
+            )
         };
         let names: Vec<_> = moved.iter().map(names).collect();
-        let figures = moved.iter().zip(&names).map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
-            prefix,
-            title,
-            labels: &self.labels,
-            trace,
-            impacts,
-        });
+        let figures = moved
+            .iter()
+            .zip(&names)
+            .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
+                prefix,
+                title,
+                labels: &self.labels,
+                trace,
+                impacts,
+            });
         draw(&figures.collect::<Vec<_>>())
     }
 

@@ -12,7 +12,9 @@ use super::distinct_failure::DistinctFailure;
 use crate::assessment::case::{MotionRetention, run_cases};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand};
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, CampaignSummary};
+use crumple_search::falsify::campaign::{
+    Campaign, CampaignOptions, CampaignProgress, CampaignSummary,
+};
 use crumple_store::disk::DiskError;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
@@ -34,17 +36,27 @@ pub(super) fn run_campaign(
 ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
     work.get_or_gather(item, inputs, || {
         let folder = work.cache.scratch_folder(item, inputs)?;
-        let options = CampaignOptions { resume: campaign.controller.kind.identity().is_some(), ..Default::default() };
+        let options = CampaignOptions {
+            resume: campaign.controller.kind.identity().is_some(),
+            ..Default::default()
+        };
         let done = AtomicU64::new(0);
         let summary = campaign.run(folder.path(), options, &|progress: &CampaignProgress| {
             let more = progress.evaluations - done.swap(progress.evaluations, Ordering::Relaxed);
-            if work.add_runs(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            if work.add_runs(more).is_ok() {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
         })?;
         let shown = summary.counterexamples.iter().take(most);
         let read = |name: &String| read_file(&folder.path().join(name));
         let texts = shown.map(|found| {
             let escape = found.escape_file.as_ref().map(read).transpose()?;
-            Ok::<_, AssessError>(CounterexampleFiles { counterexample: read(&found.file)?, escape })
+            Ok::<_, AssessError>(CounterexampleFiles {
+                counterexample: read(&found.file)?,
+                escape,
+            })
         });
         let texts = texts.collect::<Result<Vec<_>, _>>()?;
         folder.remove()?;
@@ -61,18 +73,27 @@ pub(super) fn simulate_failures(
     let mut drawn = Vec::new();
     for failure in failures.iter().take(MAX_DRAWN) {
         // A file that a campaign wrote and read back can be read again.
-        let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else { continue };
+        let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else {
+            continue;
+        };
         // Add the failure's name, to be unique on the page: scenarios are named after their space.
-        let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
+        let named = scenario
+            .edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&named], one, plan.config.estimator, MotionRetention::Keep)?;
-        let replay =
-            CrumpleCommand::new(["simulate", failure.file.as_str()]).with_args(plan.estimator_args().iter().copied());
-        drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, replay.clone(), cases)));
+        let replay = CrumpleCommand::new(["simulate", failure.file.as_str()])
+            .with_args(plan.estimator_args().iter().copied());
+        drawn.extend(
+            cases
+                .into_iter()
+                .map(|cases| ScenarioCases::new(&named, replay.clone(), cases)),
+        );
     }
     Ok(drawn)
 }
 
 fn read_file(path: &Path) -> Result<String, AssessError> {
-    Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(CacheError::from)?)
+    Ok(std::fs::read_to_string(path)
+        .map_err(DiskError::at(path))
+        .map_err(CacheError::from)?)
 }

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
 use crate::draw::{
-    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, text_width,
+    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke,
+    Svg, text_width,
 };
 use crumple_evidence::RateInterval;
 
@@ -32,7 +33,11 @@ impl PercentInterval {
     /// bound only.
     pub(super) fn clopper_pearson([count, ended_by_others]: [u64; 2], total: u64) -> Self {
         let bounds = |count| RateInterval::clopper_pearson(count, total, CONFIDENCE);
-        let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
+        let observed = if total == 0 {
+            0.0
+        } else {
+            count as f64 / total as f64
+        };
         Self {
             observed: Rounded::new(100.0 * observed),
             lower: Rounded::down(100.0 * bounds(count).lower),
@@ -57,19 +62,53 @@ impl ShareFigure<'_> {
     /// Draws shares with their bounds: one row for each name, from the top.
     pub(super) fn draw(&self, id: &str, rows: &[(&str, Vec<ShareMark>)]) -> Svg {
         let names: Vec<_> = rows.iter().map(|(name, _)| *name).collect();
-        let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
+        let left = names
+            .iter()
+            .map(|name| text_width(name, SMALL_TEXT_SIZE))
+            .fold(0.0, f64::max)
+            + 16.0;
         let (width, height) = (480.0, self.row_height * names.len() as f64);
-        let frame = PixelRect { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
+        let frame = PixelRect {
+            left,
+            top: HEADING_HEIGHT,
+            width: width - left - 24.0,
+            height,
+        };
         let axis = Axis::numeric(self.axis, (0.0, 100.0), 5);
-        let mut panel = Panel::new(frame, self.heading, axis, Axis::categorical("", &names).reversed());
+        let mut panel = Panel::new(
+            frame,
+            self.heading,
+            axis,
+            Axis::categorical("", &names).reversed(),
+        );
         for (index, (_, marks)) in rows.iter().enumerate() {
-            for &(PercentInterval { observed, lower, upper }, offset, ink, marker) in marks {
+            for &(
+                PercentInterval {
+                    observed,
+                    lower,
+                    upper,
+                },
+                offset,
+                ink,
+                marker,
+            ) in marks
+            {
                 let y = (rows.len() - 1 - index) as f64 + offset;
-                panel.add_segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+                panel.add_segment(
+                    (lower.value(), y),
+                    (upper.value(), y),
+                    Stroke::solid(ink, 2.5),
+                );
                 panel.add_markers(&[(observed.value(), y)], marker, ink);
             }
         }
         let size = (width, frame.bottom() + BOTTOM_MARGIN);
-        Svg::new(id, size, self.title, self.description, panel.draw(&Svg::id(id, "panel")))
+        Svg::new(
+            id,
+            size,
+            self.title,
+            self.description,
+            panel.draw(&Svg::id(id, "panel")),
+        )
     }
 }

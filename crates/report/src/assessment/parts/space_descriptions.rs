@@ -47,7 +47,13 @@ pub struct ParameterDescription {
 
 impl SpaceDescriptions {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan) -> Self {
-        Self { spaces: plan.all_spaces().iter().map(SpaceDescription::new).collect() }
+        Self {
+            spaces: plan
+                .all_spaces()
+                .iter()
+                .map(SpaceDescription::new)
+                .collect(),
+        }
     }
 }
 
@@ -73,7 +79,9 @@ impl SpaceDescription {
             &[
                 ("parameter", &|one| ReportCell::text(&one.field)),
                 ("unit", &|one| ReportCell::text(&one.unit)),
-                ("range and distribution", &|one| ReportCell::text(&one.distribution)),
+                ("range and distribution", &|one| {
+                    ReportCell::text(&one.distribution)
+                }),
             ],
         )
     }
@@ -103,8 +111,11 @@ impl ReportPart for SpaceDescriptions {
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         for space in &self.spaces {
-            out.push_html(html! { h3 { "Space " (space.name) } p { (prose_to_html(&space.describe())) } });
-            let words = Inline::strong(&format!("Space {}.", space.name)).and_prose(&format!(" {}", space.describe()));
+            out.push_html(
+                html! { h3 { "Space " (space.name) } p { (prose_to_html(&space.describe())) } },
+            );
+            let words = Inline::strong(&format!("Space {}.", space.name))
+                .and_prose(&format!(" {}", space.describe()));
             out.markdown_mut().paragraph(words);
             out.table(&space.table());
         }

@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::distinct_failure::EscapeFile;
-use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
+};
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
@@ -15,7 +17,9 @@ use crate::assessment::planned_suite::PlannedSuite;
 use crate::assessment::run_ends::note_unanswered;
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart};
-use crate::suite::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
+use crate::suite::{
+    describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
+};
 use crumple_core::digest::sha256;
 use crumple_suites::{ControllerResult, DISCLAIMER, FailedPoint, TestVerdict, run};
 use crumple_world::scenario::file;
@@ -28,9 +32,15 @@ pub(in crate::assessment) fn gather_suite(
     work: &GatherContext<'_>,
 ) -> Result<SuiteCacheEntry, AssessError> {
     let plan = work.plan;
-    let tested: Vec<NamedController> =
-        planned.controller_indices.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
-    let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
+    let tested: Vec<NamedController> = planned
+        .controller_indices
+        .iter()
+        .filter_map(|&place| plan.controllers.get(place).cloned())
+        .collect();
+    let identities: Vec<_> = tested
+        .iter()
+        .map(|controller| plan.identity(controller))
+        .collect();
     let inputs = json!([planned.content_id.sha256, identities]);
     let name = format!("suite {}", planned.content_id.name);
     let kept = work.get_or_gather(&name, &inputs, || run_planned_suite(plan, planned, &tested))?;
@@ -149,14 +159,23 @@ pub(in crate::assessment) struct SuiteCacheEntry {
 }
 
 impl Suites {
-    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
         if plan.suites.is_empty() {
             return Ok(None);
         }
-        let mut all = Self { statement: DISCLAIMER, suites: Vec::new(), files: BTreeMap::new() };
+        let mut all = Self {
+            statement: DISCLAIMER,
+            suites: Vec::new(),
+            files: BTreeMap::new(),
+        };
         for planned in &plan.suites {
-            let SuiteCacheEntry { findings: found, files } = gather_suite(planned, work)?;
+            let SuiteCacheEntry {
+                findings: found,
+                files,
+            } = gather_suite(planned, work)?;
             all.suites.push(found);
             all.files.extend(files);
         }
@@ -167,41 +186,72 @@ impl Suites {
         let each = plan.suites.iter().zip(&self.suites);
         let of = |(planned, found): (&PlannedSuite, &SuiteFindings)| {
             let claims = claims(plan, planned);
-            let of_tested = planned.controller_indices.iter().enumerate().filter_map(|(column, &place)| {
-                let claim = claims.get(place)?.clone()?;
-                let outcomes = || found.tests.iter().filter_map(|test| test.outcomes.get(column));
-                let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
-                let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
-                let points = failed + sum(|one| one.points_passed);
-                let unanswered = |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
-                    let mut all = None;
-                    outcomes().for_each(|one| FailedControllerRuns::merge(&mut all, of(one).clone()));
-                    all
-                };
-                // A point without an answer is a failure of the controller, but no collision.
-                let strength = |failed: u64, points: u64, unanswered: Option<FailedControllerRuns>| {
-                    let touching = failed.saturating_sub(unanswered.as_ref().map_or(0, |unanswered| unanswered.runs));
-                    Strength::from_counts_with_unanswered(touching, points, unanswered.as_ref(), true)
-                };
-                // A search concentrates on failures, so its failure count is no evidence about the tests.
-                let of_tests = strength(failed, points, unanswered(|one| &one.unanswered));
-                let (strength, made) = match of_tests.is_refutation() {
-                    true => (of_tests, format!("{points} points of the tests")),
-                    false => {
-                        let failures = sum(|one| one.failures);
-                        let strength = strength(failures, runs, unanswered(|one| &one.unanswered_in_tolerance));
-                        (strength, format!("{runs} points of tests and search"))
-                    }
-                };
-                Some(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) })
-            });
+            let of_tested =
+                planned
+                    .controller_indices
+                    .iter()
+                    .enumerate()
+                    .filter_map(|(column, &place)| {
+                        let claim = claims.get(place)?.clone()?;
+                        let outcomes = || {
+                            found
+                                .tests
+                                .iter()
+                                .filter_map(|test| test.outcomes.get(column))
+                        };
+                        let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
+                        let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
+                        let points = failed + sum(|one| one.points_passed);
+                        let unanswered =
+                            |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
+                                let mut all = None;
+                                outcomes().for_each(|one| {
+                                    FailedControllerRuns::merge(&mut all, of(one).clone())
+                                });
+                                all
+                            };
+                        // A point without an answer is a failure of the controller, but no collision.
+                        let strength =
+                            |failed: u64, points: u64, unanswered: Option<FailedControllerRuns>| {
+                                let touching = failed.saturating_sub(
+                                    unanswered.as_ref().map_or(0, |unanswered| unanswered.runs),
+                                );
+                                Strength::from_counts_with_unanswered(
+                                    touching,
+                                    points,
+                                    unanswered.as_ref(),
+                                    true,
+                                )
+                            };
+                        // A search concentrates on failures, so its failure count is no evidence about the tests.
+                        let of_tests = strength(failed, points, unanswered(|one| &one.unanswered));
+                        let (strength, made) = match of_tests.is_refutation() {
+                            true => (of_tests, format!("{points} points of the tests")),
+                            false => {
+                                let failures = sum(|one| one.failures);
+                                let strength = strength(
+                                    failures,
+                                    runs,
+                                    unanswered(|one| &one.unanswered_in_tolerance),
+                                );
+                                (strength, format!("{runs} points of tests and search"))
+                            }
+                        };
+                        Some(Evidence {
+                            claim,
+                            strength,
+                            source: EvidenceSource::from_part(ANCHOR, made),
+                        })
+                    });
             of_tested.collect::<Vec<_>>()
         };
         each.flat_map(of).collect()
     }
 
     /// Returns one claim per suite and controller; `None` for controllers that the suite does not test.
-    pub(in crate::assessment) fn claims(plan: &AssessmentPlan) -> impl Iterator<Item = Vec<Option<AssuranceClaim>>> {
+    pub(in crate::assessment) fn claims(
+        plan: &AssessmentPlan,
+    ) -> impl Iterator<Item = Vec<Option<AssuranceClaim>>> {
         plan.suites.iter().map(|planned| claims(plan, planned))
     }
 
@@ -214,12 +264,17 @@ impl Suites {
         let found = self.suites.get(place).into_iter();
         found.flat_map(move |found| {
             let column = found.controllers.iter().position(|name| name == controller);
-            found.tests.iter().filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
+            found
+                .tests
+                .iter()
+                .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
         })
     }
 
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
-        self.files.iter().map(|(name, text)| (name.clone(), text.clone().into_bytes()))
+        self.files
+            .iter()
+            .map(|(name, text)| (name.clone(), text.clone().into_bytes()))
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -229,10 +284,17 @@ impl Suites {
 
 fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
     let claim = |place: usize| {
-        let subject =
-            plan.claim_subject(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
-        let domain = Domain::Suite { suite: planned.content_id.clone() };
-        Some(AssuranceClaim { subject, property: Property::PassesTests, domain })
+        let subject = plan
+            .claim_subject(place, plan.config.estimator)
+            .filter(|_| planned.controller_indices.contains(&place))?;
+        let domain = Domain::Suite {
+            suite: planned.content_id.clone(),
+        };
+        Some(AssuranceClaim {
+            subject,
+            property: Property::PassesTests,
+            domain,
+        })
     };
     (0..plan.controllers.len()).map(claim).collect()
 }
@@ -251,7 +313,12 @@ fn run_planned_suite(
             outcomes.push(SuiteOutcome::new(tested, controller, plan, &mut files)?);
         }
         let (clause, test_name) = (clause.clause.clone(), test.name.clone());
-        tests.push(SuiteTest { clause, test: test_name, is_as_stated: test.is_as_stated, outcomes });
+        tests.push(SuiteTest {
+            clause,
+            test: test_name,
+            is_as_stated: test.is_as_stated,
+            outcomes,
+        });
     }
     let found = SuiteFindings {
         suite: planned.content_id.clone(),
@@ -259,10 +326,16 @@ fn run_planned_suite(
         figures_from: result.parameter_source,
         outside: result.not_modelled,
         left_out: result.omitted_parameters,
-        controllers: tested.iter().map(|controller| controller.name.clone()).collect(),
+        controllers: tested
+            .iter()
+            .map(|controller| controller.name.clone())
+            .collect(),
         tests,
     };
-    Ok(SuiteCacheEntry { findings: found, files })
+    Ok(SuiteCacheEntry {
+        findings: found,
+        files,
+    })
 }
 
 impl SuiteOutcome {
@@ -275,8 +348,13 @@ impl SuiteOutcome {
         let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
         let within = tested.worst_in_tolerance.as_ref();
         let impact_mps = |failed: &FailedPoint| failed.verdict.impact_speed_mps();
-        let worst = tested.failures().max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
-        let (failed, passed) = (tested.failed_points.len() as u64, tested.passed_points as u64);
+        let worst = tested
+            .failures()
+            .max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
+        let (failed, passed) = (
+            tested.failed_points.len() as u64,
+            tested.passed_points as u64,
+        );
         Ok(Self {
             passed: (tested.is_passed() || !is_refused).then(|| tested.is_passed()),
             verdict: describe_verdict(&tested.verdict),
@@ -289,7 +367,9 @@ impl SuiteOutcome {
             unanswered_in_tolerance: within.and_then(|within| within.unanswered.clone()),
             margins: describe_min_margins(&tested.margins),
             worst_in_tolerance: within.map(describe_worst_in_tolerance),
-            worst: worst.map(|worst| SuiteFailure::new(worst, controller, plan, files)).transpose()?,
+            worst: worst
+                .map(|worst| SuiteFailure::new(worst, controller, plan, files))
+                .transpose()?,
         })
     }
 
@@ -302,18 +382,31 @@ impl SuiteOutcome {
 
     fn table_cell(&self) -> ReportCell {
         // The reason for no answer is below the table, because it may be long.
-        let unanswered = self.total_unanswered().map_or(0, |unanswered| unanswered.runs);
+        let unanswered = self
+            .total_unanswered()
+            .map_or(0, |unanswered| unanswered.runs);
         let contact = self.worst.as_ref().filter(|_| unanswered < self.failures);
         let mut words = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
-            (points, None, _) => format!("{} of {points}; the others cannot be run", self.points_passed),
-            (points, Some(_), Some(worst)) => format!("{} of {points}; {}", self.points_passed, worst.description),
+            (points, None, _) => format!(
+                "{} of {points}; the others cannot be run",
+                self.points_passed
+            ),
+            (points, Some(_), Some(worst)) => {
+                format!("{} of {points}; {}", self.points_passed, worst.description)
+            }
             (points, Some(_), None) => format!("{} of {points}", self.points_passed),
         };
         if unanswered > 0 {
             words += &format!("; no answer in {unanswered} of {} runs", self.runs);
         }
-        let mark = self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad });
+        let mark = self.passed.map_or(CellMark::Neutral, |passed| {
+            if passed {
+                CellMark::Good
+            } else {
+                CellMark::Bad
+            }
+        });
         ReportCell::with_mark(words, mark)
     }
 }
@@ -326,41 +419,85 @@ impl SuiteFailure {
         files: &mut BTreeMap<String, String>,
     ) -> Result<Self, CacheError> {
         let text = file::to_toml(&failed.scenario).map_err(CacheError::encoding)?;
-        let (file, sha256) = (format!("counterexamples/suites/{}.toml", failed.scenario_name), sha256(&text));
+        let (file, sha256) = (
+            format!("counterexamples/suites/{}.toml", failed.scenario_name),
+            sha256(&text),
+        );
         let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
-        let replay = controller_arg(&controller.kind).filter(|_| is_contact).map(|word| {
-            CrumpleCommand::new(["simulate", file.as_str(), "--controller", word.as_str()])
-                .with_args(plan.estimator_args().iter().copied())
-                .with_args(["--expect", "collision"])
-        });
-        let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(CacheError::encoding)?;
-        let escape = escape.map(|text| EscapeFile::new(&file, text, failed.escape_survives_multi_body));
-        files.extend(escape.iter().map(|escape| (escape.file.clone(), escape.text.clone())));
+        let replay = controller_arg(&controller.kind)
+            .filter(|_| is_contact)
+            .map(|word| {
+                CrumpleCommand::new(["simulate", file.as_str(), "--controller", word.as_str()])
+                    .with_args(plan.estimator_args().iter().copied())
+                    .with_args(["--expect", "collision"])
+            });
+        let escape = failed
+            .escape
+            .as_ref()
+            .map(file::to_toml)
+            .transpose()
+            .map_err(CacheError::encoding)?;
+        let escape =
+            escape.map(|text| EscapeFile::new(&file, text, failed.escape_survives_multi_body));
+        files.extend(
+            escape
+                .iter()
+                .map(|escape| (escape.file.clone(), escape.text.clone())),
+        );
         files.insert(file.clone(), text);
         let (point, description) = (failed.point.clone(), describe_verdict(&failed.verdict));
-        Ok(Self { file, sha256, replay, point, description, preventable: describe_preventability(failed), escape })
+        Ok(Self {
+            file,
+            sha256,
+            replay,
+            point,
+            description,
+            preventable: describe_preventability(failed),
+            escape,
+        })
     }
 
     fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
-        self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
+        self.replay
+            .iter()
+            .chain(self.escape.iter().map(|escape| &escape.replay))
     }
 }
 
 impl SuiteFindings {
     fn matrix(&self) -> ReportTable {
         let names = self.controllers.iter().map(String::as_str);
-        let mut table = ReportTable::new(&["test", "clause"].into_iter().chain(names).collect::<Vec<_>>());
+        let mut table = ReportTable::new(
+            &["test", "clause"]
+                .into_iter()
+                .chain(names)
+                .collect::<Vec<_>>(),
+        );
         for test in &self.tests {
-            let chosen = if test.is_as_stated { "" } else { " (some parameters chosen)" };
-            let head = [ReportCell::text(format!("{}{chosen}", test.test)), ReportCell::text(&test.clause)];
-            table.push_row(head.into_iter().chain(test.outcomes.iter().map(SuiteOutcome::table_cell)).collect());
+            let chosen = if test.is_as_stated {
+                ""
+            } else {
+                " (some parameters chosen)"
+            };
+            let head = [
+                ReportCell::text(format!("{}{chosen}", test.test)),
+                ReportCell::text(&test.clause),
+            ];
+            table.push_row(
+                head.into_iter()
+                    .chain(test.outcomes.iter().map(SuiteOutcome::table_cell))
+                    .collect(),
+            );
         }
         table
     }
 
     fn details_table(&self) -> ReportTable {
         let each = self.tests.iter().flat_map(|test| {
-            self.controllers.iter().zip(&test.outcomes).map(move |(controller, outcome)| (test, controller, outcome))
+            self.controllers
+                .iter()
+                .zip(&test.outcomes)
+                .map(move |(controller, outcome)| (test, controller, outcome))
         });
         let dash = || "–".to_owned();
         let prevented = |worst: &SuiteFailure| format!("{}: {}", worst.point, worst.preventable);
@@ -368,10 +505,18 @@ impl SuiteFindings {
             each,
             &[
                 ("test", &|(test, ..)| ReportCell::text(&test.test)),
-                ("controller", &|(_, controller, _)| ReportCell::text(controller)),
-                ("verdict", &|(.., outcome)| ReportCell::text(&outcome.verdict)),
+                ("controller", &|(_, controller, _)| {
+                    ReportCell::text(controller)
+                }),
+                ("verdict", &|(.., outcome)| {
+                    ReportCell::text(&outcome.verdict)
+                }),
                 ("margins", &|(.., outcome)| {
-                    ReportCell::text(if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") })
+                    ReportCell::text(if outcome.margins.is_empty() {
+                        dash()
+                    } else {
+                        outcome.margins.join("; ")
+                    })
                 }),
                 ("worst within tolerances", &|(.., outcome)| {
                     ReportCell::text(outcome.worst_in_tolerance.clone().unwrap_or_else(dash))
@@ -386,7 +531,11 @@ impl SuiteFindings {
     fn unanswered_notes(&self) -> Vec<String> {
         let of = |(column, controller): (usize, &String)| {
             let (mut all, mut runs) = (None, 0);
-            for outcome in self.tests.iter().filter_map(|test| test.outcomes.get(column)) {
+            for outcome in self
+                .tests
+                .iter()
+                .filter_map(|test| test.outcomes.get(column))
+            {
                 FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
                 runs += outcome.runs;
             }
@@ -396,12 +545,17 @@ impl SuiteFindings {
     }
 
     fn describe(&self) -> String {
-        format!("Modelled on {}. Source of the parameters: {} {DISCLAIMER}", self.document, self.figures_from)
+        format!(
+            "Modelled on {}. Source of the parameters: {} {DISCLAIMER}",
+            self.document, self.figures_from
+        )
     }
 
     fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
-        outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
+        outcomes
+            .filter_map(|outcome| outcome.worst.as_ref())
+            .flat_map(SuiteFailure::commands)
     }
 }
 
@@ -415,10 +569,14 @@ impl ReportPart for Suites {
             out.heading(&found.suite.name);
             out.paragraph(&found.describe());
             out.table(&found.matrix());
-            found.unanswered_notes().iter().for_each(|line| out.paragraph(line));
-            out.collapsible("verdicts, margins and worst points within tolerances", |out| {
-                out.table(&found.details_table())
-            });
+            found
+                .unanswered_notes()
+                .iter()
+                .for_each(|line| out.paragraph(line));
+            out.collapsible(
+                "verdicts, margins and worst points within tolerances",
+                |out| out.table(&found.details_table()),
+            );
             out.markdown_mut().paragraph("Not modelled, or omitted:");
             out.collapsible("not modelled, or omitted", |out| {
                 out.list(&[&found.outside[..], &found.left_out].concat())

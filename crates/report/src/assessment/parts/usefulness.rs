@@ -112,20 +112,28 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
 }
 
 impl UsefulnessReport {
-    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
         if plan.config.everyday_draws == 0 {
             return Ok(None);
         }
-        let inputs =
-            json!([plan.config.everyday_draws, plan.config.seed, plan.config.estimator.name(), plan.identities()]);
+        let inputs = json!([
+            plan.config.everyday_draws,
+            plan.config.seed,
+            plan.config.estimator.name(),
+            plan.identities()
+        ]);
         work.get_or_gather("usefulness", &inputs, || Self::run(work))
     }
 
     fn run(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
         let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
-        let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else { return Ok(None) };
+        let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else {
+            return Ok(None);
+        };
         let content_id = |space: &ScenarioSpace| {
             let text = space_file::to_toml(space).map_err(CacheError::encoding)?;
             Ok::<_, CacheError>(ContentId::new(space.name(), text))
@@ -133,10 +141,17 @@ impl UsefulnessReport {
         let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
         let traffic = draw_scenarios(&traffic, seed, 0..count)?;
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
-        let followers = [&traffic, &high_risk].map(|scenarios| follower_drivers(scenarios).into_iter().collect());
+        let followers = [&traffic, &high_risk]
+            .map(|scenarios| follower_drivers(scenarios).into_iter().collect());
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
-            let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-            let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
+            let options =
+                RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+            let drives = simulate_each(
+                &traffic,
+                &options,
+                RecordingLevel::Trace,
+                EverydayDrive::new,
+            )?;
             let danger = run_samples(&high_risk, controller, plan)?;
             let gain = OscillationGain::new(&GainSurvey::new(&controller.kind)?);
             let mut useful = ControllerUsefulness::new(controller, &drives, &danger, gain);
@@ -144,21 +159,40 @@ impl UsefulnessReport {
             work.add_runs(2 * count)?;
             Ok(useful)
         };
-        let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, followers, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
+        let controllers = plan
+            .controllers
+            .iter()
+            .map(useful)
+            .collect::<Result<_, _>>()?;
+        Ok(Some(Self {
+            spaces,
+            followers,
+            random_scenarios: count,
+            seed,
+            confidence: CONFIDENCE,
+            controllers,
+        }))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
         let (seed, draws) = (self.seed, self.random_scenarios);
-        self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
+        self.spaces
+            .clone()
+            .map(|space| Domain::Draws { space, seed, draws })
     }
 
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerUsefulness> {
-        self.controllers.iter().find(|useful| useful.controller == controller)
+        self.controllers
+            .iter()
+            .find(|useful| useful.controller == controller)
     }
 
     /// Returns the number and the ends of the runs of a controller in a space, if it is one of the two.
-    pub(in crate::assessment) fn space_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
+    pub(in crate::assessment) fn space_ends(
+        &self,
+        controller: &str,
+        space: &str,
+    ) -> Option<(u64, RunEnds)> {
         let place = EVERYDAY_SPACES.iter().position(|known| *known == space)?;
         Some((self.random_scenarios, self.find(controller)?.ends(place)))
     }
@@ -170,26 +204,58 @@ impl UsefulnessReport {
         for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
             let gain = &useful.oscillation_gain;
             let claim = AssuranceClaim {
-                subject: Subject { estimator: EstimatorKind::Truth, ..subject.clone() },
+                subject: Subject {
+                    estimator: EstimatorKind::Truth,
+                    ..subject.clone()
+                },
                 property: Property::NoGrowingOscillation,
                 domain: OscillationGain::domain(),
             };
-            let source = EvidenceSource::from_part(ANCHOR, format!("{} operating points", gain.points));
-            all.push(Evidence { claim, strength: gain.strength(), source });
+            let source =
+                EvidenceSource::from_part(ANCHOR, format!("{} operating points", gain.points));
+            all.push(Evidence {
+                claim,
+                strength: gain.strength(),
+                source,
+            });
             let mut add = |property, domain: &Domain, strength, made: &str| {
-                let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
-                all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) });
+                let claim = AssuranceClaim {
+                    subject: subject.clone(),
+                    property,
+                    domain: domain.clone(),
+                };
+                all.push(Evidence {
+                    claim,
+                    strength,
+                    source: EvidenceSource::from_part(ANCHOR, made),
+                });
             };
-            let (runs, [in_traffic, in_danger]) = (self.random_scenarios, [0, 1].map(|place| useful.ends(place)));
-            add(Property::NoContact, &traffic, in_traffic.strength(runs), &made);
-            let driving =
-                [(Property::NoUnnecessaryBraking, useful.unnecessary_braking), (Property::KeepsUp, useful.left_behind)];
+            let (runs, [in_traffic, in_danger]) = (
+                self.random_scenarios,
+                [0, 1].map(|place| useful.ends(place)),
+            );
+            add(
+                Property::NoContact,
+                &traffic,
+                in_traffic.strength(runs),
+                &made,
+            );
+            let driving = [
+                (Property::NoUnnecessaryBraking, useful.unnecessary_braking),
+                (Property::KeepsUp, useful.left_behind),
+            ];
             for (property, failures) in driving {
                 let unanswered = in_traffic.unanswered.as_ref();
-                let strength = Strength::from_counts_with_unanswered(failures, runs, unanswered, false);
+                let strength =
+                    Strength::from_counts_with_unanswered(failures, runs, unanswered, false);
                 add(property, &traffic, strength, &made);
             }
-            add(Property::NoContact, &danger, in_danger.strength(runs), &made);
+            add(
+                Property::NoContact,
+                &danger,
+                in_danger.strength(runs),
+                &made,
+            );
         }
         all
     }
@@ -212,24 +278,50 @@ impl UsefulnessReport {
     fn table(&self) -> ReportTable {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 13] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
-            ("failures", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
-            ("unnecessary braking (%)", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
-                // A drive without an answer is no evidence for the absence of unnecessary braking.
-                (0, [unanswered, _]) if unanswered > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
-                (needless, _) => ReportCell::with_verdict(one.unnecessary_braking_percent.observed, needless == 0),
+            ("failures", &|one| {
+                ReportCell::with_verdict(one.failures, one.failures == 0)
             }),
-            ("bounds (%)", &|one| ReportCell::number(one.unnecessary_braking_percent.format_bounds())),
-            ("per drive (s)", &|one| ReportCell::optional(one.unnecessary_braking_s)),
+            ("unnecessary braking (%)", &|one| match (
+                one.unnecessary_braking,
+                one.unanswered_runs(),
+            ) {
+                // A drive without an answer is no evidence for the absence of unnecessary braking.
+                (0, [unanswered, _]) if unanswered > 0 => {
+                    ReportCell::number(one.unnecessary_braking_percent.observed)
+                }
+                (needless, _) => ReportCell::with_verdict(
+                    one.unnecessary_braking_percent.observed,
+                    needless == 0,
+                ),
+            }),
+            ("bounds (%)", &|one| {
+                ReportCell::number(one.unnecessary_braking_percent.format_bounds())
+            }),
+            ("per drive (s)", &|one| {
+                ReportCell::optional(one.unnecessary_braking_s)
+            }),
             ("hard braking", &|one| ReportCell::number(one.hard_braking)),
             ("falls behind", &|one| ReportCell::number(one.left_behind)),
             ("progress", &|one| ReportCell::optional(one.progress)),
             ("time gap (s)", &|one| {
-                ReportCell::number(format!("{} ± {}", or_dash(one.time_gap_s), or_dash(one.time_gap_deviation_s)))
+                ReportCell::number(format!(
+                    "{} ± {}",
+                    or_dash(one.time_gap_s),
+                    or_dash(one.time_gap_deviation_s)
+                ))
             }),
-            ("rms acceleration (m/s²)", &|one| ReportCell::optional(one.rms_acceleration_mps2)),
-            ("rms jerk (m/s³)", &|one| ReportCell::optional(one.rms_jerk_mps3)),
-            ("induced braking (m/s²)", &|one| ReportCell::optional(one.induced_brake_mps2)),
-            ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
+            ("rms acceleration (m/s²)", &|one| {
+                ReportCell::optional(one.rms_acceleration_mps2)
+            }),
+            ("rms jerk (m/s³)", &|one| {
+                ReportCell::optional(one.rms_jerk_mps3)
+            }),
+            ("induced braking (m/s²)", &|one| {
+                ReportCell::optional(one.induced_brake_mps2)
+            }),
+            ("failures in high-risk (%)", &|one| {
+                ReportCell::number(one.high_risk_percent.observed)
+            }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
     }
@@ -238,12 +330,20 @@ impl UsefulnessReport {
     pub(super) fn both_sides_table(&self) -> ReportTable {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 8] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
-            ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
-            ("in traffic", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
-            ("unnecessary braking (%)", &|one| ReportCell::number(one.unnecessary_braking_percent.observed)),
+            ("failures in high-risk (%)", &|one| {
+                ReportCell::number(one.high_risk_percent.observed)
+            }),
+            ("in traffic", &|one| {
+                ReportCell::with_verdict(one.failures, one.failures == 0)
+            }),
+            ("unnecessary braking (%)", &|one| {
+                ReportCell::number(one.unnecessary_braking_percent.observed)
+            }),
             ("hard", &|one| ReportCell::number(one.hard_braking)),
             ("falls behind", &|one| ReportCell::number(one.left_behind)),
-            ("rms jerk (m/s³)", &|one| ReportCell::optional(one.rms_jerk_mps3)),
+            ("rms jerk (m/s³)", &|one| {
+                ReportCell::optional(one.rms_jerk_mps3)
+            }),
             ("time gap (s)", &|one| ReportCell::optional(one.time_gap_s)),
         ];
         ReportTable::from_items(&self.controllers, &columns)
@@ -262,8 +362,9 @@ impl UsefulnessReport {
 
     fn describe_followers(&self) -> String {
         let described = EVERYDAY_SPACES.into_iter().zip(&self.followers);
-        let described: Vec<_> =
-            described.map(|(space, drivers)| format!("`{space}`, {}", describe_followers(drivers))).collect();
+        let described: Vec<_> = described
+            .map(|(space, drivers)| format!("`{space}`, {}", describe_followers(drivers)))
+            .collect();
         format!("In {}", described.join("; in "))
     }
 
@@ -273,25 +374,45 @@ impl UsefulnessReport {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("no answer (traffic, high-risk)", &|one| {
-                ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
+                ReportCell::with_verdict(
+                    pair(one.unanswered_runs()),
+                    one.unanswered_runs() == [0, 0],
+                )
             }),
-            ("hits leader (traffic, high-risk)", &|one| ReportCell::number(pair(one.hit))),
-            ("hit from behind (traffic, high-risk)", &|one| ReportCell::number(pair(one.was_hit))),
+            ("hits leader (traffic, high-risk)", &|one| {
+                ReportCell::number(pair(one.hit))
+            }),
+            ("hit from behind (traffic, high-risk)", &|one| {
+                ReportCell::number(pair(one.was_hit))
+            }),
         ];
-        let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
-        ReportTable::from_items(&self.controllers, &columns).without_column(all_answered.then_some(1))
+        let all_answered = self
+            .controllers
+            .iter()
+            .all(|one| all_answered(&one.unanswered));
+        ReportTable::from_items(&self.controllers, &columns)
+            .without_column(all_answered.then_some(1))
     }
 
     /// Unnecessary braking per hour, without and with sensor faults.
     fn braking_rate_table(&self) -> ReportTable {
         let cell = |one: &ControllerUsefulness, sensors: &str| {
-            let rate = one.unnecessary_braking_rates.iter().find(|rate| rate.sensors == sensors);
-            ReportCell::optional(
-                rate.map(|BrakingRate { per_hour, interval: [low, high], .. }| format!("{per_hour} ({low} to {high})")),
-            )
+            let rate = one
+                .unnecessary_braking_rates
+                .iter()
+                .find(|rate| rate.sensors == sensors);
+            ReportCell::optional(rate.map(
+                |BrakingRate {
+                     per_hour,
+                     interval: [low, high],
+                     ..
+                 }| format!("{per_hour} ({low} to {high})"),
+            ))
         };
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
-            ("unnecessary braking per hour", &|one| ReportCell::text(&one.controller)),
+            ("unnecessary braking per hour", &|one| {
+                ReportCell::text(&one.controller)
+            }),
             ("no fault", &|one| cell(one, "no fault")),
             ("degraded", &|one| cell(one, "degraded")),
             ("ghost", &|one| cell(one, "ghost")),
@@ -308,7 +429,11 @@ impl UsefulnessReport {
             });
             let gain = &useful.oscillation_gain;
             let line = gain.unanswered.as_ref().map(|failed| {
-                format!("{} behind an oscillating leader: {}", useful.controller, failed.describe(gain.points))
+                format!(
+                    "{} behind an oscillating leader: {}",
+                    useful.controller,
+                    failed.describe(gain.points)
+                )
             });
             words.chain(line).collect::<Vec<_>>()
         };
@@ -319,19 +444,34 @@ impl UsefulnessReport {
     pub(super) fn figure(&self, id: &str) -> Svg {
         let rows = self.controllers.iter().map(|useful| {
             let failures = (useful.high_risk_percent, 0.15, Ink::Alert, Marker::Cross);
-            let braking = (useful.unnecessary_braking_percent, -0.15, Ink::Series(0), Marker::Ring);
+            let braking = (
+                useful.unnecessary_braking_percent,
+                -0.15,
+                Ink::Series(0),
+                Marker::Ring,
+            );
             (useful.controller.as_str(), vec![failures, braking])
         });
         let of = |useful: &ControllerUsefulness| {
-            let (fails, brakes) = (useful.high_risk_percent.observed, useful.unnecessary_braking_percent.observed);
+            let (fails, brakes) = (
+                useful.high_risk_percent.observed,
+                useful.unnecessary_braking_percent.observed,
+            );
             let name = &useful.controller;
-            format!("{name} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic")
+            format!(
+                "{name} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic"
+            )
         };
         let figure = ShareFigure {
             heading: "Failures in high-risk (×), unnecessary braking (○)",
             axis: "Share of random scenarios (%)",
             title: "Safety and usefulness",
-            description: &self.controllers.iter().map(of).collect::<Vec<_>>().join("; "),
+            description: &self
+                .controllers
+                .iter()
+                .map(of)
+                .collect::<Vec<_>>()
+                .join("; "),
             row_height: 36.0,
         };
         figure.draw(id, &rows.collect::<Vec<_>>())
@@ -342,7 +482,9 @@ impl ControllerUsefulness {
     /// Returns the number of everyday drives and of dangerous scenarios in which the controller gave no answer.
     #[must_use]
     pub fn unanswered_runs(&self) -> [u64; 2] {
-        self.unanswered.each_ref().map(|unanswered| unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
+        self.unanswered
+            .each_ref()
+            .map(|unanswered| unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
     }
 
     /// Returns the ends of the everyday drives (0) or of the dangerous scenarios (1).
@@ -368,7 +510,9 @@ impl ReportPart for UsefulnessReport {
         out.paragraph(SENSOR_CONDITIONS);
         out.table(&self.braking_rate_table());
         out.table(&self.failure_table());
-        self.unanswered_notes().iter().for_each(|line| out.paragraph(line));
+        self.unanswered_notes()
+            .iter()
+            .for_each(|line| out.paragraph(line));
         out.figure(self.figure(ANCHOR));
         out.paragraph(&gain_introduction());
         out.table(&gain_table(&self.controllers));

@@ -24,21 +24,33 @@ pub(super) struct ScriptedVehicle {
 
 enum ScriptedAction {
     /// Braking from a time on, at a rate, to a speed.
-    Brake { onset_s: f64, rate_mps2: f64, final_speed_mps: f64 },
+    Brake {
+        onset_s: f64,
+        rate_mps2: f64,
+        final_speed_mps: f64,
+    },
     /// Pairs of a time after the previous entry, in seconds, and a speed.
     Profile(Vec<(f64, f64)>),
     /// Constant speed.
     KeepSpeed,
 }
 
-pub(super) fn scripted_vehicles(scenario: &Scenario) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
+pub(super) fn scripted_vehicles(
+    scenario: &Scenario,
+) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
     let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
-        Driver::Profile(profile) => {
-            Some(scripted_action(scenario, index, profile).map(|action| ScriptedVehicle { index, action }))
-        }
+        Driver::Profile(profile) => Some(
+            scripted_action(scenario, index, profile)
+                .map(|action| ScriptedVehicle { index, action }),
+        ),
         _ => None,
     };
-    scenario.vehicles().iter().enumerate().filter_map(scripted).collect()
+    scenario
+        .vehicles()
+        .iter()
+        .enumerate()
+        .filter_map(scripted)
+        .collect()
 }
 
 fn scripted_action(
@@ -47,30 +59,55 @@ fn scripted_action(
     profile: &LeadProfile,
 ) -> Result<ScriptedAction, OpenScenarioError> {
     let usable_mps2 = scenario.usable_brake_mps2(index);
-    let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
+    let start_mps = scenario
+        .vehicles()
+        .get(index)
+        .map_or(0.0, |vehicle| vehicle.speed_mps);
     let step_s = scenario.spec().step_s;
-    let brake = |onset_s: f64, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
+    let brake = |onset_s: f64, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2)
+    {
         // With a rate of 0 the action would never end; after the end of the scenario it would never begin.
-        rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps && onset_s < scenario.spec().duration_s => {
+        rate_mps2
+            if rate_mps2 > 0.0
+                && final_speed_mps < start_mps
+                && onset_s < scenario.spec().duration_s =>
+        {
             // In the step of the onset, the limit applies to the mean of the script: less braking is cut off.
             let step_end_s = ((onset_s / step_s).floor() + 1.0) * step_s;
             let braking_s = ((step_end_s - onset_s) * wanted_mps2 / rate_mps2).min(step_s);
-            let onset_s = if wanted_mps2 > rate_mps2 { step_end_s - braking_s } else { onset_s };
-            ScriptedAction::Brake { onset_s, rate_mps2, final_speed_mps }
+            let onset_s = if wanted_mps2 > rate_mps2 {
+                step_end_s - braking_s
+            } else {
+                onset_s
+            };
+            ScriptedAction::Brake {
+                onset_s,
+                rate_mps2,
+                final_speed_mps,
+            }
         }
         _ => ScriptedAction::KeepSpeed,
     };
     match profile {
         LeadProfile::ConstantSpeed => Ok(ScriptedAction::KeepSpeed),
         LeadProfile::Brake(script) => Ok(brake(script.onset_s, script.rate_mps2, 0.0)),
-        LeadProfile::BrakeToSpeed(script) => Ok(brake(script.onset_s, script.rate_mps2, script.final_speed_mps)),
+        LeadProfile::BrakeToSpeed(script) => Ok(brake(
+            script.onset_s,
+            script.rate_mps2,
+            script.final_speed_mps,
+        )),
         LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) | LeadProfile::Recorded(_) => {
-            let why = |why: String| OpenScenarioError::Script { vehicle: index, why };
+            let why = |why: String| OpenScenarioError::Script {
+                vehicle: index,
+                why,
+            };
             let alone = isolate_vehicle(scenario, index).map_err(why)?;
             let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
             let run = Run::new(&alone, options).map_err(|error| why(error.to_string()))?;
             let trace = simulate(&run, RecordingLevel::Trace).trace;
-            let motion = trace.and_then(|trace| Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps)));
+            let motion = trace.and_then(|trace| {
+                Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps))
+            });
             let (time_s, speed_mps) = motion.unwrap_or_default();
             if let LeadProfile::Recorded(recorded) = profile
                 && let Some(entries) = recorded_entries(recorded, &time_s, &speed_mps)
@@ -90,23 +127,37 @@ fn scripted_action(
 
 /// Returns the entries of recorded speeds as they are, if the vehicle follows them: an imported profile is exported
 /// unchanged.
-fn recorded_entries(recorded: &RecordedSpeeds, time_s: &[f64], speed_mps: &[f64]) -> Option<Vec<(f64, f64)>> {
+fn recorded_entries(
+    recorded: &RecordedSpeeds,
+    time_s: &[f64],
+    speed_mps: &[f64],
+) -> Option<Vec<(f64, f64)>> {
     let off_mps = |(time_s, mps): (&f64, &f64)| (recorded.speed_at_mps(*time_s) - mps).abs();
-    let follows = time_s.iter().zip(speed_mps).map(off_mps).all(|off_mps| off_mps <= 2.0 * PROFILE_TOLERANCE_MPS);
+    let follows = time_s
+        .iter()
+        .zip(speed_mps)
+        .map(off_mps)
+        .all(|off_mps| off_mps <= 2.0 * PROFILE_TOLERANCE_MPS);
     let (first_s, last_s) = (recorded.time_s.first()?, recorded.time_s.last()?);
     // The recorded time is a sum of rounded durations.
     if !follows || *first_s != 0.0 || *last_s > *time_s.last()? + 1e-9 {
         return None;
     }
     let before_s = std::iter::once(&0.0).chain(&recorded.time_s);
-    let after_s = recorded.time_s.iter().zip(before_s).map(|(now_s, before_s)| now_s - before_s);
+    let after_s = recorded
+        .time_s
+        .iter()
+        .zip(before_s)
+        .map(|(now_s, before_s)| now_s - before_s);
     Some(after_s.zip(recorded.speed_mps.iter().copied()).collect())
 }
 
 /// Returns the scripted vehicle alone on the same road, without noise.
 fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String> {
     let edited = scenario.edited(|spec| {
-        let Some(mut scripted) = spec.vehicles.get(index).cloned() else { return };
+        let Some(mut scripted) = spec.vehicles.get(index).cloned() else {
+            return;
+        };
         scripted.acceleration_noise_mps2 = 0.0;
         scripted.position_m = 0.0;
         let still = Driver::Profile(LeadProfile::ConstantSpeed);
@@ -120,7 +171,11 @@ fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String
 impl ScriptedVehicle {
     /// Returns the entries of the speed profile; empty for another action.
     pub(super) fn profile(&self) -> &[(f64, f64)] {
-        if let ScriptedAction::Profile(entries) = &self.action { entries } else { &[] }
+        if let ScriptedAction::Profile(entries) = &self.action {
+            entries
+        } else {
+            &[]
+        }
     }
 }
 
@@ -140,17 +195,26 @@ impl VehicleManeuver for ScriptedVehicle {
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
         write_element(xml, "LongitudinalAction", &[], |xml| match &self.action {
             ScriptedAction::KeepSpeed => Ok(()),
-            ScriptedAction::Brake { rate_mps2, final_speed_mps, .. } => {
-                write_speed_action(xml, ("linear", "rate", *rate_mps2), *final_speed_mps)
-            }
-            ScriptedAction::Profile(entries) => {
-                write_element(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
+            ScriptedAction::Brake {
+                rate_mps2,
+                final_speed_mps,
+                ..
+            } => write_speed_action(xml, ("linear", "rate", *rate_mps2), *final_speed_mps),
+            ScriptedAction::Profile(entries) => write_element(
+                xml,
+                "SpeedProfileAction",
+                &[("followingMode", "position")],
+                |xml| {
                     entries.iter().try_for_each(|&(after_s, mps)| {
                         let (time, speed) = (format_number(after_s), format_number(mps));
-                        write_empty_element(xml, "SpeedProfileEntry", &[("time", &time), ("speed", &speed)])
+                        write_empty_element(
+                            xml,
+                            "SpeedProfileEntry",
+                            &[("time", &time), ("speed", &speed)],
+                        )
                     })
-                })
-            }
+                },
+            ),
         })
     }
 }

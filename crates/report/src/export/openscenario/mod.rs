@@ -43,7 +43,9 @@ pub struct OpenScenario {
 #[non_exhaustive]
 pub enum OpenScenarioError {
     /// There are more vertices than the limit.
-    #[error("takes {found} vertices, and an OpenSCENARIO file may have {MAX_VERTICES}: shorten the scenario")]
+    #[error(
+        "takes {found} vertices, and an OpenSCENARIO file may have {MAX_VERTICES}: shorten the scenario"
+    )]
     TooLong {
         /// Number of vertices.
         found: usize,
@@ -52,7 +54,9 @@ pub enum OpenScenarioError {
     #[error("vehicles enter or leave the lane, and the road that is exported has one lane")]
     LaneChanges,
     /// Players of OpenSCENARIO files move vehicles as point masses.
-    #[error("a vehicle has the plant `multi-body`, which OpenSCENARIO files cannot state: export the trajectories")]
+    #[error(
+        "a vehicle has the plant `multi-body`, which OpenSCENARIO files cannot state: export the trajectories"
+    )]
     Plant,
     /// A script cannot be simulated alone.
     #[error("vehicle {vehicle}: cannot be driven alone: {why}")]
@@ -71,7 +75,11 @@ type Xml = Writer<Vec<u8>>;
 
 /// Rejects vehicles outside the lane: on a road of one lane they would drive through others.
 fn check_single_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
-    if scenario.keeps_lanes() { Ok(()) } else { Err(OpenScenarioError::LaneChanges) }
+    if scenario.keeps_lanes() {
+        Ok(())
+    } else {
+        Err(OpenScenarioError::LaneChanges)
+    }
 }
 
 /// Exports the motion of every vehicle as one polyline each, in absolute time. Polylines end where the run ended; a
@@ -94,13 +102,24 @@ pub fn export_trajectories(
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
     let trajectory = |(index, track)| {
         let vertex_indices = polyline::vertex_indices(&trace.time_s, track);
-        polyline::Trajectory { index, trace, vertex_indices, end_s }
+        polyline::Trajectory {
+            index,
+            trace,
+            vertex_indices,
+            end_s,
+        }
     };
     let moves: Vec<_> = trace.vehicles.iter().enumerate().map(trajectory).collect();
     let vertices = check_vertex_count(moves.iter().map(|one| one.vertex_indices.len()).sum())?;
     let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
     let about = &format!("what every vehicle did{under}, as trajectories");
-    let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: false };
+    let file = storyboard::OpenScenarioFile {
+        scenario,
+        road,
+        about,
+        end_s,
+        uses_controllers: false,
+    };
     Ok(OpenScenario {
         scenario: write_document(|xml| file.write(xml, &moves))?,
         road: road::road_for_trace(scenario, trace)?,
@@ -125,8 +144,18 @@ pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, O
     let moves = actions::scripted_vehicles(scenario)?;
     let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
-    let scripts_mps = moves.iter().flat_map(|one| one.profile()).map(|(_, mps)| *mps).fold(0.0, f64::max);
-    let file = storyboard::OpenScenarioFile { scenario, road, about: ABOUT_ACTIONS, end_s, uses_controllers: true };
+    let scripts_mps = moves
+        .iter()
+        .flat_map(|one| one.profile())
+        .map(|(_, mps)| *mps)
+        .fold(0.0, f64::max);
+    let file = storyboard::OpenScenarioFile {
+        scenario,
+        road,
+        about: ABOUT_ACTIONS,
+        end_s,
+        uses_controllers: true,
+    };
     Ok(OpenScenario {
         scenario: write_document(|xml| file.write(xml, &moves))?,
         road: road::road_for_scenario(scenario, scripts_mps)?,
@@ -155,7 +184,11 @@ fn round(value: f64) -> f64 {
 }
 
 fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
-    if found > MAX_VERTICES { Err(OpenScenarioError::TooLong { found }) } else { Ok(found) }
+    if found > MAX_VERTICES {
+        Err(OpenScenarioError::TooLong { found })
+    } else {
+        Ok(found)
+    }
 }
 
 fn write_document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Result<Vec<u8>> {
@@ -176,23 +209,38 @@ fn write_element(
     content: impl FnOnce(&mut Xml) -> io::Result<()>,
 ) -> io::Result<()> {
     write_inside(xml, path, |xml, name| {
-        xml.create_element(name).with_attributes(attributes.iter().copied()).write_inner_content(content).map(drop)
+        xml.create_element(name)
+            .with_attributes(attributes.iter().copied())
+            .write_inner_content(content)
+            .map(drop)
     })
 }
 
 /// Writes an element without content, as [`write_element`] does.
 fn write_empty_element(xml: &mut Xml, path: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
     write_inside(xml, path, |xml, name| {
-        xml.create_element(name).with_attributes(attributes.iter().copied()).write_empty().map(drop)
+        xml.create_element(name)
+            .with_attributes(attributes.iter().copied())
+            .write_empty()
+            .map(drop)
     })
 }
 
-fn write_inside(xml: &mut Xml, path: &str, write: impl FnOnce(&mut Xml, &str) -> io::Result<()>) -> io::Result<()> {
+fn write_inside(
+    xml: &mut Xml,
+    path: &str,
+    write: impl FnOnce(&mut Xml, &str) -> io::Result<()>,
+) -> io::Result<()> {
     let (around, name) = path.rsplit_once('/').unwrap_or(("", path));
     let around: Vec<&str> = around.split('/').filter(|name| !name.is_empty()).collect();
-    around.iter().try_for_each(|name| xml.write_event(Event::Start(BytesStart::new(*name))))?;
+    around
+        .iter()
+        .try_for_each(|name| xml.write_event(Event::Start(BytesStart::new(*name))))?;
     write(xml, name)?;
-    around.iter().rev().try_for_each(|name| xml.write_event(Event::End(BytesEnd::new(*name))))
+    around
+        .iter()
+        .rev()
+        .try_for_each(|name| xml.write_event(Event::End(BytesEnd::new(*name))))
 }
 
 /// Formats a number with at most nine decimals, more than any position needs.
@@ -204,7 +252,11 @@ fn format_number(value: f64) -> String {
 /// parameter name in OpenSCENARIO, so a blank is put before it.
 fn attribute_text(written: &str) -> String {
     let text = strip_unprintable(written);
-    if text.starts_with('$') { format!(" {text}") } else { text }
+    if text.starts_with('$') {
+        format!(" {text}")
+    } else {
+        text
+    }
 }
 
 fn entity_name(index: usize) -> String {
@@ -217,6 +269,12 @@ fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
 
 fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
-    let own = if spec.about.is_empty() { String::new() } else { format!("{DESCRIPTION_ABOUT}{}", spec.about) };
-    attribute_text(&format!("{DESCRIPTION_START}{}: {about}.{own}", spec.name)).trim_end().to_owned()
+    let own = if spec.about.is_empty() {
+        String::new()
+    } else {
+        format!("{DESCRIPTION_ABOUT}{}", spec.about)
+    };
+    attribute_text(&format!("{DESCRIPTION_START}{}: {about}.{own}", spec.name))
+        .trim_end()
+        .to_owned()
 }

@@ -19,8 +19,12 @@ const HOLD_S: f64 = 1.0;
 
 /// Returns the indices of the samples that are vertices, always including the first and last.
 pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
-    let spread =
-        |index: usize| track.speed_mps.get(index).map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS]);
+    let spread = |index: usize| {
+        track
+            .speed_mps
+            .get(index)
+            .map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS])
+    };
     let mut kept = simplify_polyline(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
     // A collision may be a nanosecond after a step.
     if let [.., before, last] = *kept
@@ -60,7 +64,10 @@ pub(super) fn simplify_polyline(
             kept.push(from);
             allowed = own(from);
         }
-        allowed = meet(meet(allowed, own(to)), [slope(from, to, -tolerance), slope(from, to, tolerance)]);
+        allowed = meet(
+            meet(allowed, own(to)),
+            [slope(from, to, -tolerance), slope(from, to, tolerance)],
+        );
     }
     if count > 1 {
         kept.push(count - 1);
@@ -87,13 +94,24 @@ impl VehicleManeuver for Trajectory<'_> {
 
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
         let name = format!("{}_path", super::entity_name(self.index));
-        let absolute = [("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")];
+        let absolute = [
+            ("domainAbsoluteRelative", "absolute"),
+            ("scale", "1"),
+            ("offset", "0"),
+        ];
         write_element(xml, "RoutingAction/FollowTrajectoryAction", &[], |xml| {
-            write_element(xml, "TrajectoryRef/Trajectory", &[("name", &name), ("closed", "false")], |xml| {
-                write_element(xml, "Shape/Polyline", &[], |xml| self.write_vertices(xml))
-            })?;
+            write_element(
+                xml,
+                "TrajectoryRef/Trajectory",
+                &[("name", &name), ("closed", "false")],
+                |xml| write_element(xml, "Shape/Polyline", &[], |xml| self.write_vertices(xml)),
+            )?;
             write_empty_element(xml, "TimeReference/Timing", &absolute)?;
-            write_empty_element(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
+            write_empty_element(
+                xml,
+                "TrajectoryFollowingMode",
+                &[("followingMode", "position")],
+            )
         })
     }
 }
@@ -101,15 +119,25 @@ impl VehicleManeuver for Trajectory<'_> {
 impl Trajectory<'_> {
     /// Writes one line of text per vertex, without an XML writer: numbers need no escapes, and there are thousands.
     fn write_vertices(&self, xml: &mut Xml) -> io::Result<()> {
-        let Some(track) = self.trace.vehicles.get(self.index) else { return Ok(()) };
-        let samples = self
-            .vertex_indices
-            .iter()
-            .filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
-        let held = track.position_m.last().map(|&front_m| (self.end_s + HOLD_S, front_m));
+        let Some(track) = self.trace.vehicles.get(self.index) else {
+            return Ok(());
+        };
+        let samples = self.vertex_indices.iter().filter_map(|&index| {
+            Some((
+                *self.trace.time_s.get(index)?,
+                *track.position_m.get(index)?,
+            ))
+        });
+        let held = track
+            .position_m
+            .last()
+            .map(|&front_m| (self.end_s + HOLD_S, front_m));
         let mut lines = String::from("\n");
         for (time_s, front_m) in samples.chain(held) {
-            let (time, x) = (format_number(time_s), format_number(reference_point_m(front_m, track.length_m)));
+            let (time, x) = (
+                format_number(time_s),
+                format_number(reference_point_m(front_m, track.length_m)),
+            );
             let place = format!("<Position><WorldPosition x=\"{x}\" y=\"0\"/></Position>");
             lines += &format!("<Vertex time=\"{time}\">{place}</Vertex>\n");
         }
@@ -125,10 +153,19 @@ mod tests {
     fn a_straight_line_is_two_vertices_and_a_corner_is_kept() {
         let time_s: Vec<f64> = (0..=100).map(|k| f64::from(k) * 0.01).collect();
         let straight: Vec<f64> = time_s.iter().map(|t| 5.0 + 20.0 * t).collect();
-        assert_eq!(simplify_polyline(&time_s, &straight, 1e-3, |_| None), [0, 100]);
+        assert_eq!(
+            simplify_polyline(&time_s, &straight, 1e-3, |_| None),
+            [0, 100]
+        );
         let corner: Vec<f64> = time_s.iter().map(|t| (t - 0.5).abs()).collect();
-        assert_eq!(simplify_polyline(&time_s, &corner, 1e-6, |_| None), [0, 50, 100]);
-        assert_eq!(simplify_polyline(&time_s[..1], &straight[..1], 1e-3, |_| None), [0]);
+        assert_eq!(
+            simplify_polyline(&time_s, &corner, 1e-6, |_| None),
+            [0, 50, 100]
+        );
+        assert_eq!(
+            simplify_polyline(&time_s[..1], &straight[..1], 1e-3, |_| None),
+            [0]
+        );
         assert_eq!(simplify_polyline(&[], &[], 1e-3, |_| None), [0usize; 0]);
     }
 }

@@ -3,7 +3,8 @@
 use std::io;
 
 use super::{
-    Xml, describe_scenario, entities, entity_name, format_number, reference_point_m, write_element, write_empty_element,
+    Xml, describe_scenario, entities, entity_name, format_number, reference_point_m, write_element,
+    write_empty_element,
 };
 use crumple_world::scenario::Scenario;
 
@@ -31,8 +32,16 @@ impl OpenScenarioFile<'_> {
         write_element(xml, "OpenSCENARIO", &[], |xml| {
             let description = describe_scenario(self.scenario, self.about);
             // A fixed date: the same scenario gives the same file.
-            let made = [("author", "crumple"), ("date", "1970-01-01T00:00:00"), ("description", &description)];
-            write_empty_element(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
+            let made = [
+                ("author", "crumple"),
+                ("date", "1970-01-01T00:00:00"),
+                ("description", &description),
+            ];
+            write_empty_element(
+                xml,
+                "FileHeader",
+                &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat(),
+            )?;
             write_empty_element(xml, "ParameterDeclarations", &[])?;
             write_empty_element(xml, "CatalogLocations", &[])?;
             write_empty_element(xml, "RoadNetwork/LogicFile", &[("filepath", self.road)])?;
@@ -47,30 +56,47 @@ impl OpenScenarioFile<'_> {
 
     fn write_init(&self, xml: &mut Xml) -> io::Result<()> {
         let friction = format_number(self.scenario.spec().environment.friction);
-        write_element(xml, "GlobalAction/EnvironmentAction/Environment", &[("name", "road")], |xml| {
-            write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)])
-        })?;
+        write_element(
+            xml,
+            "GlobalAction/EnvironmentAction/Environment",
+            &[("name", "road")],
+            |xml| write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)]),
+        )?;
         for (index, vehicle) in self.scenario.vehicles().iter().enumerate() {
-            write_element(xml, "Private", &[("entityRef", &entity_name(index))], |xml| {
-                let x = format_number(reference_point_m(vehicle.position_m, vehicle.length_m()));
-                let position = "PrivateAction/TeleportAction/Position/WorldPosition";
-                write_empty_element(xml, position, &[("x", &x), ("y", "0")])?;
-                write_element(xml, "PrivateAction/LongitudinalAction", &[], |xml| {
-                    write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
-                })?;
-                if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
-                    return Ok(());
-                }
-                let activate = "PrivateAction/ControllerAction/ActivateControllerAction";
-                write_empty_element(xml, activate, &[("longitudinal", "true"), ("lateral", "true")])
-            })?;
+            write_element(
+                xml,
+                "Private",
+                &[("entityRef", &entity_name(index))],
+                |xml| {
+                    let x =
+                        format_number(reference_point_m(vehicle.position_m, vehicle.length_m()));
+                    let position = "PrivateAction/TeleportAction/Position/WorldPosition";
+                    write_empty_element(xml, position, &[("x", &x), ("y", "0")])?;
+                    write_element(xml, "PrivateAction/LongitudinalAction", &[], |xml| {
+                        write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
+                    })?;
+                    if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
+                        return Ok(());
+                    }
+                    let activate = "PrivateAction/ControllerAction/ActivateControllerAction";
+                    write_empty_element(
+                        xml,
+                        activate,
+                        &[("longitudinal", "true"), ("lateral", "true")],
+                    )
+                },
+            )?;
         }
         Ok(())
     }
 }
 
 fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
-    let moving = || moves.iter().filter_map(|one| Some((one, one.start_event()?)));
+    let moving = || {
+        moves
+            .iter()
+            .filter_map(|one| Some((one, one.start_event()?)))
+    };
     if moving().next().is_none() {
         return Ok(());
     }
@@ -81,16 +107,32 @@ fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> 
                 let named = |what: &str| format!("{entity}_{what}");
                 let group = [("maximumExecutionCount", "1"), ("name", &*named("group"))];
                 write_element(xml, "ManeuverGroup", &group, |xml| {
-                    write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
-                        write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
-                    })?;
+                    write_element(
+                        xml,
+                        "Actors",
+                        &[("selectTriggeringEntities", "false")],
+                        |xml| write_empty_element(xml, "EntityRef", &[("entityRef", &entity)]),
+                    )?;
                     write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
-                        write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
-                            write_element(xml, "Action", &[("name", &named(name))], |xml| {
-                                write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
-                            })?;
-                            write_time_trigger(xml, "StartTrigger", &named("starts"), "greaterOrEqual", from_s)
-                        })
+                        write_element(
+                            xml,
+                            "Event",
+                            &[("name", &named("event")), ("priority", "override")],
+                            |xml| {
+                                write_element(xml, "Action", &[("name", &named(name))], |xml| {
+                                    write_element(xml, "PrivateAction", &[], |xml| {
+                                        one.write_action(xml)
+                                    })
+                                })?;
+                                write_time_trigger(
+                                    xml,
+                                    "StartTrigger",
+                                    &named("starts"),
+                                    "greaterOrEqual",
+                                    from_s,
+                                )
+                            },
+                        )
                     })
                 })?;
             }
@@ -99,12 +141,23 @@ fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> 
     })
 }
 
-fn write_time_trigger(xml: &mut Xml, trigger: &str, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
+fn write_time_trigger(
+    xml: &mut Xml,
+    trigger: &str,
+    name: &str,
+    rule: &str,
+    time_s: f64,
+) -> io::Result<()> {
     let condition = [("name", name), ("delay", "0"), ("conditionEdge", "none")];
-    write_element(xml, &format!("{trigger}/ConditionGroup/Condition"), &condition, |xml| {
-        let time = [("value", &*format_number(time_s)), ("rule", rule)];
-        write_empty_element(xml, "ByValueCondition/SimulationTimeCondition", &time)
-    })
+    write_element(
+        xml,
+        &format!("{trigger}/ConditionGroup/Condition"),
+        &condition,
+        |xml| {
+            let time = [("value", &*format_number(time_s)), ("rule", rule)];
+            write_empty_element(xml, "ByValueCondition/SimulationTimeCondition", &time)
+        },
+    )
 }
 
 /// Writes a speed action. Arguments of the dynamics: shape, dimension, and value.
@@ -114,9 +167,17 @@ pub(super) fn write_speed_action(
     target_mps: f64,
 ) -> io::Result<()> {
     write_element(xml, "SpeedAction", &[], |xml| {
-        let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &format_number(value))];
+        let dynamics = [
+            ("dynamicsShape", shape),
+            ("dynamicsDimension", dimension),
+            ("value", &format_number(value)),
+        ];
         write_empty_element(xml, "SpeedActionDynamics", &dynamics)?;
         let target = format_number(target_mps);
-        write_empty_element(xml, "SpeedActionTarget/AbsoluteTargetSpeed", &[("value", &target)])
+        write_empty_element(
+            xml,
+            "SpeedActionTarget/AbsoluteTargetSpeed",
+            &[("value", &target)],
+        )
     })
 }

@@ -125,7 +125,10 @@ impl CampaignRecord {
             budget: campaign.budget,
             seed: campaign.seed,
             log,
-            failure_criterion: campaign.failure_criterion.as_ref().map(FailureCriterion::to_record),
+            failure_criterion: campaign
+                .failure_criterion
+                .as_ref()
+                .map(FailureCriterion::to_record),
             space: campaign.space.spec().clone(),
         }
     }
@@ -137,18 +140,33 @@ impl CampaignRecord {
 
 pub(in crate::falsify) fn with_reference_methods(requested: &Method) -> Vec<Method> {
     let mut methods = vec![requested.clone()];
-    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != requested));
+    methods.extend(
+        [Method::Uniform, Method::Halton]
+            .into_iter()
+            .filter(|method| method != requested),
+    );
     methods
 }
 
 impl Campaign {
     #[cfg(test)]
-    pub(in crate::falsify) fn of_match_leader(space: &str, method: Method, budget: u64, seed: u64) -> Self {
+    pub(in crate::falsify) fn of_match_leader(
+        space: &str,
+        method: Method,
+        budget: u64,
+        seed: u64,
+    ) -> Self {
         use crumple_world::control::ControllerSpec;
         use crumple_world::scenario::space::built_in_space;
         let controller = ControllerSpec::from_name("match-leader").unwrap();
         let campaign = Self::new(controller, built_in_space(space).unwrap());
-        Self { estimator: EstimatorKind::Truth, method, budget, seed, ..campaign }
+        Self {
+            estimator: EstimatorKind::Truth,
+            method,
+            budget,
+            seed,
+            ..campaign
+        }
     }
 
     /// Creates the default campaign: a search for collisions by `auto`, 2000 evaluations, Kalman filter, seed 0.
@@ -190,7 +208,10 @@ impl Campaign {
 
     /// Returns the controller under test, and the partner controller of a differential criterion.
     pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
-        let other = self.failure_criterion.as_ref().map(FailureCriterion::partner_controller);
+        let other = self
+            .failure_criterion
+            .as_ref()
+            .map(FailureCriterion::partner_controller);
         std::iter::once(&self.controller).chain(other)
     }
 

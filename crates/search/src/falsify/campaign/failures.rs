@@ -49,7 +49,9 @@ impl FailureKind {
                 ego_braking: struck.ego_braking,
                 rear_class: struck.rear_class,
             },
-            (_, contact) => Self::Violation { has_contact: contact.is_some() },
+            (_, contact) => Self::Violation {
+                has_contact: contact.is_some(),
+            },
         })
     }
 
@@ -57,7 +59,11 @@ impl FailureKind {
     #[must_use]
     pub fn vehicles(&self) -> Option<[u32; 2]> {
         match self {
-            Self::Contact { front_vehicle, rear_vehicle, .. } => Some([*front_vehicle, *rear_vehicle]),
+            Self::Contact {
+                front_vehicle,
+                rear_vehicle,
+                ..
+            } => Some([*front_vehicle, *rear_vehicle]),
             Self::ControllerFailed { .. } | Self::Violation { .. } => None,
         }
     }
@@ -66,8 +72,17 @@ impl FailureKind {
     #[must_use]
     pub fn is_same_failure_mode(&self, other: &Self) -> bool {
         match (self, other) {
-            (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
-            (Self::ControllerFailed { vehicle: a }, Self::ControllerFailed { vehicle: b }) => a == b,
+            (
+                Self::Contact {
+                    rear_vehicle: a, ..
+                },
+                Self::Contact {
+                    rear_vehicle: b, ..
+                },
+            ) => a == b,
+            (Self::ControllerFailed { vehicle: a }, Self::ControllerFailed { vehicle: b }) => {
+                a == b
+            }
             (Self::Violation { .. }, Self::Violation { .. }) => true,
             _ => false,
         }
@@ -77,16 +92,21 @@ impl FailureKind {
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
-            Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
+            Self::ControllerFailed { vehicle } => {
+                return format!("the controller of vehicle {vehicle} fails");
+            }
             Self::Violation { has_contact: false } => {
                 return "the specification is violated without a collision".to_owned();
             }
             Self::Violation { has_contact: true } => {
                 return "the specification is violated with a collision".to_owned();
             }
-            Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
-                (front_vehicle, rear_vehicle, ego_braking, rear_class)
-            }
+            Self::Contact {
+                front_vehicle,
+                rear_vehicle,
+                ego_braking,
+                rear_class,
+            } => (front_vehicle, rear_vehicle, ego_braking, rear_class),
         };
         let is_ego = |index: u32| scenario.is_under_test(index as usize);
         let class = rear_class.name();
@@ -96,9 +116,13 @@ impl FailureKind {
             BrakingLevel::Full => "braking fully",
         };
         match (is_ego(*rear_vehicle), is_ego(*front_vehicle)) {
-            (true, _) => format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}"),
+            (true, _) => {
+                format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}")
+            }
             (false, true) => {
-                format!("vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braked}")
+                format!(
+                    "vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braked}"
+                )
             }
             _ => format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}"),
         }
@@ -141,11 +165,16 @@ pub(super) struct Failures {
 
 impl Failures {
     pub(super) fn new(specification: Specification) -> Self {
-        Self { specification, groups: Vec::new() }
+        Self {
+            specification,
+            groups: Vec::new(),
+        }
     }
 
     pub(super) fn add(&mut self, method: &Method, evaluated: &EvaluatedPoint) {
-        let Some(kind) = FailureKind::from_verdict(&evaluated.verdict, &self.specification) else { return };
+        let Some(kind) = FailureKind::from_verdict(&evaluated.verdict, &self.specification) else {
+            return;
+        };
         let candidate = FailureCandidate {
             method: method.clone(),
             number: evaluated.number,
@@ -177,7 +206,11 @@ impl Failures {
     }
 
     pub(super) fn examination_candidates(&self, kinds: usize) -> Vec<&FailureCandidate> {
-        self.by_frequency().into_iter().take(kinds).flat_map(FailureGroup::examination_candidates).collect()
+        self.by_frequency()
+            .into_iter()
+            .take(kinds)
+            .flat_map(FailureGroup::examination_candidates)
+            .collect()
     }
 
     /// Returns the kinds by descending frequency; equally frequent ones in the order of discovery.

@@ -33,7 +33,14 @@ pub(super) struct CampaignFindings {
 
 impl MethodResults {
     pub(super) fn new(method: Method) -> Self {
-        Self { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, other_unanswered: None }
+        Self {
+            method,
+            evaluations: 0,
+            first: None,
+            failures: 0,
+            best: f64::INFINITY,
+            other_unanswered: None,
+        }
     }
 
     pub(super) fn add(&mut self, evaluated: &EvaluatedPoint, fails: bool) {
@@ -44,12 +51,14 @@ impl MethodResults {
         }
         // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
-            let silent = self.other_unanswered.get_or_insert_with(|| UnansweredPartnerRuns {
-                runs: 0,
-                first: evaluated.number,
-                values: evaluated.values.clone(),
-                because: String::new(),
-            });
+            let silent = self
+                .other_unanswered
+                .get_or_insert_with(|| UnansweredPartnerRuns {
+                    runs: 0,
+                    first: evaluated.number,
+                    values: evaluated.values.clone(),
+                    because: String::new(),
+                });
             silent.runs += 1;
         }
         self.best = self.best.min(evaluated.verdict.robustness);
@@ -58,11 +67,15 @@ impl MethodResults {
 
 impl CampaignFindings {
     pub(super) fn new(terms: &ResolvedConfig) -> Self {
-        Self { method_results: Vec::new(), failures: Failures::new(terms.specification.clone()) }
+        Self {
+            method_results: Vec::new(),
+            failures: Failures::new(terms.specification.clone()),
+        }
     }
 
     pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &EvaluatedPoint) {
-        let fails = FailureKind::from_verdict(&evaluated.verdict, &self.failures.specification).is_some();
+        let fails =
+            FailureKind::from_verdict(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
         self.failures.add(&reached.method, evaluated);
     }

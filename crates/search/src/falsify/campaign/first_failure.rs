@@ -22,7 +22,10 @@ impl Campaign {
     ///
     /// # Errors
     /// [`CampaignError`] if a scenario cannot be run, or `observer` stops the search.
-    pub fn find_first_failure(&self, observer: &dyn Observer<CampaignProgress>) -> Result<FirstFailure, CampaignError> {
+    pub fn find_first_failure(
+        &self,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<FirstFailure, CampaignError> {
         let config = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
         self.check(&config.nominal)?;
         let mut search = self.method.start(&config.cube, config.record.seed);
@@ -44,11 +47,17 @@ impl Campaign {
             })?;
             done += up_to as u64;
             if first.is_some() {
-                return Ok(FirstFailure { simulations: Some(done), least_robustness: best });
+                return Ok(FirstFailure {
+                    simulations: Some(done),
+                    least_robustness: best,
+                });
             }
             search.tell(&robustness);
         }
-        Ok(FirstFailure { simulations: None, least_robustness: best })
+        Ok(FirstFailure {
+            simulations: None,
+            least_robustness: best,
+        })
     }
 }
 
@@ -64,14 +73,28 @@ mod tests {
     fn the_first_failure_is_that_of_the_campaign() {
         for method in [Method::Halton, Method::CmaEs] {
             let controller = ControllerSpec::from_name("predictive").unwrap().into();
-            let campaign = Campaign { controller, ..Campaign::of_match_leader("high-risk", method, 80, 3) };
+            let campaign = Campaign {
+                controller,
+                ..Campaign::of_match_leader("high-risk", method, 80, 3)
+            };
             let folder = tempfile::tempdir().unwrap();
-            let summary = campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
+            let summary = campaign
+                .run(folder.path(), CampaignOptions::default(), &Quiet)
+                .unwrap();
             let found = campaign.find_first_failure(&Quiet).unwrap();
-            assert_eq!(found.simulations, summary.methods[0].first_falsification, "{}", campaign.method);
+            assert_eq!(
+                found.simulations, summary.methods[0].first_falsification,
+                "{}",
+                campaign.method
+            );
             let budget = found.simulations.unwrap() - 1;
-            let short = Campaign { budget, ..campaign }.find_first_failure(&Quiet).unwrap();
-            assert!(budget > 0 && short.simulations.is_none() && short.least_robustness >= 0.0, "{budget}: {short:?}");
+            let short = Campaign { budget, ..campaign }
+                .find_first_failure(&Quiet)
+                .unwrap();
+            assert!(
+                budget > 0 && short.simulations.is_none() && short.least_robustness >= 0.0,
+                "{budget}: {short:?}"
+            );
         }
     }
 }

@@ -33,7 +33,9 @@ mod summarise;
 mod summary;
 mod table;
 
-pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED};
+pub use config::{
+    CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED,
+};
 pub use failures::{FailureCandidate, FailureKind};
 pub use first_failure::FirstFailure;
 pub use objective::{SearchObjective, UnknownObjective};
@@ -41,7 +43,8 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, ExaminationStep, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary,
+    FailuresByMethod, MethodSummary,
 };
 
 use std::ops::RangeInclusive;
@@ -123,7 +126,9 @@ pub enum CampaignError {
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
     /// A controller is compared with itself.
-    #[error("the controller `{0}` is compared with itself: choose another controller to compare with")]
+    #[error(
+        "the controller `{0}` is compared with itself: choose another controller to compare with"
+    )]
     ComparedWithItself(String),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
@@ -141,8 +146,20 @@ impl CampaignError {
     ///
     /// # Errors
     /// [`CampaignError::OutOfRange`] if it is not.
-    pub fn check_range(field: &'static str, found: u64, range: RangeInclusive<u64>) -> Result<(), Self> {
-        if range.contains(&found) { Ok(()) } else { Err(Self::OutOfRange { field, range, found }) }
+    pub fn check_range(
+        field: &'static str,
+        found: u64,
+        range: RangeInclusive<u64>,
+    ) -> Result<(), Self> {
+        if range.contains(&found) {
+            Ok(())
+        } else {
+            Err(Self::OutOfRange {
+                field,
+                range,
+                found,
+            })
+        }
     }
 
     pub(crate) fn from_encoding_error(error: impl std::fmt::Display) -> Self {

@@ -63,7 +63,11 @@ impl SearchObjective {
 
 /// Maps all numbers, infinite ones included, monotonically to -1..1.
 fn squash(x: f64) -> f64 {
-    if x.is_infinite() { x.signum() } else { x / (1.0 + x.abs()) }
+    if x.is_infinite() {
+        x.signum()
+    } else {
+        x / (1.0 + x.abs())
+    }
 }
 
 impl fmt::Display for SearchObjective {
@@ -77,7 +81,9 @@ impl FromStr for SearchObjective {
 
     fn from_str(name: &str) -> Result<Self, UnknownObjective> {
         let found = Self::ALL.into_iter().find(|aim| aim.name() == name);
-        found.ok_or_else(|| UnknownObjective { name: name.to_owned() })
+        found.ok_or_else(|| UnknownObjective {
+            name: name.to_owned(),
+        })
     }
 }
 

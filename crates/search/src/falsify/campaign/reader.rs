@@ -33,20 +33,27 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError`] if there is none, it is incomplete, or it is damaged.
     pub fn open(folder: &Path) -> Result<Self, CampaignError> {
-        let refused = |problem: &str| CampaignError::Folder(format!("{}: {problem}", folder.display()));
+        let refused =
+            |problem: &str| CampaignError::Folder(format!("{}: {problem}", folder.display()));
         let finished = match run_folder::read_state(folder)? {
             RunState::Missing => return Err(refused("the folder holds no campaign")),
             RunState::InProgress(kind) if kind == CAMPAIGN_KIND => {
-                return Err(refused("the campaign is not complete: `crumple falsify --resume` completes it"));
+                return Err(refused(
+                    "the campaign is not complete: `crumple falsify --resume` completes it",
+                ));
             }
             RunState::Complete(finished) if finished.kind() == CAMPAIGN_KIND => finished,
             RunState::InProgress(found) => return Err(other_kind(folder, found).into()),
-            RunState::Complete(finished) => return Err(other_kind(folder, finished.kind().to_owned()).into()),
+            RunState::Complete(finished) => {
+                return Err(other_kind(folder, finished.kind().to_owned()).into());
+            }
         };
-        let damaged = |problem: String| RunFolderError::damaged(&folder.join(CONFIGURATION_FILE), problem);
+        let damaged =
+            |problem: String| RunFolderError::damaged(&folder.join(CONFIGURATION_FILE), problem);
         let summary = CampaignSummary::from_json(&finished.read(SUMMARY_FILE)?)?;
-        let record: CampaignRecord = toml::from_str(&finished.read_configuration(CONFIGURATION_FILE)?)
-            .map_err(|error| damaged(error.message().to_owned()))?;
+        let record: CampaignRecord =
+            toml::from_str(&finished.read_configuration(CONFIGURATION_FILE)?)
+                .map_err(|error| damaged(error.message().to_owned()))?;
         let config = ResolvedConfig::from_record(record, false).map_err(damaged)?;
         let mut parts = finished.file_names();
         parts.retain(|name| name.starts_with("evaluations/"));
@@ -54,11 +61,21 @@ impl CampaignReader {
         let mut evaluations = Vec::new();
         for name in parts {
             if evaluations.len() < MAX_READ_EVALUATIONS {
-                evaluations.extend(table::decode_part(&name, &finished.read_bytes(&name)?, &config)?);
+                evaluations.extend(table::decode_part(
+                    &name,
+                    &finished.read_bytes(&name)?,
+                    &config,
+                )?);
             }
         }
         evaluations.truncate(MAX_READ_EVALUATIONS);
-        Ok(Self { folder: folder.to_owned(), config, evaluations, finished, summary })
+        Ok(Self {
+            folder: folder.to_owned(),
+            config,
+            evaluations,
+            finished,
+            summary,
+        })
     }
 
     /// Returns the first evaluations, in the order in which they were made.
@@ -109,7 +126,10 @@ impl CampaignReader {
     /// Returns the number of evaluations of all methods in the complete campaign.
     #[must_use]
     pub fn total_evaluations(&self) -> u64 {
-        self.config.record.budget.saturating_mul(self.methods().len() as u64)
+        self.config
+            .record
+            .budget
+            .saturating_mul(self.methods().len() as u64)
     }
 
     /// Returns the summary.
@@ -123,10 +143,14 @@ impl CampaignReader {
     pub fn describe_failure(&self, evaluated: &EvaluatedPoint) -> Option<String> {
         let verdict = &evaluated.verdict;
         // A table does not state which controller failed.
-        if verdict.robustness == f64::NEG_INFINITY && verdict.contact.is_none() && verdict.failure.is_none() {
+        if verdict.robustness == f64::NEG_INFINITY
+            && verdict.contact.is_none()
+            && verdict.failure.is_none()
+        {
             return Some("a controller fails".to_owned());
         }
-        FailureKind::from_verdict(verdict, &self.config.specification).map(|kind| kind.describe(&self.config.nominal))
+        FailureKind::from_verdict(verdict, &self.config.specification)
+            .map(|kind| kind.describe(&self.config.nominal))
     }
 
     /// Returns the scenario of these values, with the campaign's noise.
@@ -142,15 +166,23 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError`] if it is not as it was written.
     pub fn counterexample(&self, place: usize) -> Result<Option<Scenario>, CampaignError> {
-        let Some(found) = self.summary.counterexamples.get(place) else { return Ok(None) };
+        let Some(found) = self.summary.counterexamples.get(place) else {
+            return Ok(None);
+        };
         let text = self.finished.read(&found.file)?;
         let scenario = file::from_toml(&text, &self.folder.join(&found.file));
-        Ok(Some(scenario.map_err(|error| CampaignError::Encoding(error.to_string()))?))
+        Ok(Some(scenario.map_err(|error| {
+            CampaignError::Encoding(error.to_string())
+        })?))
     }
 }
 
 fn other_kind(folder: &Path, found: String) -> RunFolderError {
-    RunFolderError::OtherKind { path: folder.join(run_folder::MANIFEST_FILE), found, kind: CAMPAIGN_KIND.to_owned() }
+    RunFolderError::OtherKind {
+        path: folder.join(run_folder::MANIFEST_FILE),
+        found,
+        kind: CAMPAIGN_KIND.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -173,28 +205,63 @@ mod tests {
             ..200 => ControlFlow::Continue(()),
             _ => ControlFlow::Break(()),
         };
-        campaign.run(&folder, CampaignOptions::default(), &stop).unwrap_err();
-        assert!(refused().contains("the campaign is not complete"), "{}", refused());
-        let resume = CampaignOptions { resume: true, ..CampaignOptions::default() };
+        campaign
+            .run(&folder, CampaignOptions::default(), &stop)
+            .unwrap_err();
+        assert!(
+            refused().contains("the campaign is not complete"),
+            "{}",
+            refused()
+        );
+        let resume = CampaignOptions {
+            resume: true,
+            ..CampaignOptions::default()
+        };
         let summary = campaign.run(&folder, resume, &Quiet).unwrap();
         let reader = CampaignReader::open(&folder).unwrap();
-        assert_eq!((reader.summary(), reader.evaluations().len() as u64), (&summary, reader.total_evaluations()));
+        assert_eq!(
+            (reader.summary(), reader.evaluations().len() as u64),
+            (&summary, reader.total_evaluations())
+        );
         let failing = |method: &str| {
-            let own = reader.evaluations().iter().filter(|(of, _)| of.name() == method);
-            own.filter(|(_, evaluated)| reader.describe_failure(evaluated).is_some()).count() as u64
+            let own = reader
+                .evaluations()
+                .iter()
+                .filter(|(of, _)| of.name() == method);
+            own.filter(|(_, evaluated)| reader.describe_failure(evaluated).is_some())
+                .count() as u64
         };
-        assert!(summary.methods.iter().all(|method| failing(&method.method) == method.failures));
+        assert!(
+            summary
+                .methods
+                .iter()
+                .all(|method| failing(&method.method) == method.failures)
+        );
         for (place, found) in summary.counterexamples.iter().enumerate() {
             let expected = file::load(&folder.join(&found.file)).unwrap();
             assert_eq!(reader.counterexample(place).unwrap(), Some(expected));
         }
-        assert!(reader.counterexample(summary.counterexamples.len()).unwrap().is_none());
+        assert!(
+            reader
+                .counterexample(summary.counterexamples.len())
+                .unwrap()
+                .is_none()
+        );
 
-        let table = fs::read_dir(folder.join("evaluations")).unwrap().next().unwrap().unwrap().path();
+        let table = fs::read_dir(folder.join("evaluations"))
+            .unwrap()
+            .next()
+            .unwrap()
+            .unwrap()
+            .path();
         let mut damaged = fs::read(&table).unwrap();
         let middle = damaged.len() / 2;
         damaged[middle] ^= 1;
         fs::write(&table, damaged).unwrap();
-        assert!(refused().ends_with("has changed since it was written"), "{}", refused());
+        assert!(
+            refused().ends_with("has changed since it was written"),
+            "{}",
+            refused()
+        );
     }
 }

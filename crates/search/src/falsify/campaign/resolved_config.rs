@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use super::config::{CampaignRecord, with_reference_methods};
-use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective};
+use super::{
+    CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective,
+};
 use crate::falsify::{Method, UnitCube};
 use crumple_world::measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_world::scenario::Scenario;
@@ -24,26 +26,41 @@ pub(in crate::falsify) struct ResolvedConfig {
 }
 
 impl ResolvedConfig {
-    pub(super) fn from_campaign(campaign: &Campaign, log: EvaluationLog) -> Result<Self, CampaignError> {
+    pub(super) fn from_campaign(
+        campaign: &Campaign,
+        log: EvaluationLog,
+    ) -> Result<Self, CampaignError> {
         let record = CampaignRecord::from_campaign(campaign, log);
-        let is_deterministic = campaign.controllers().all(|driver| driver.kind.is_deterministic());
-        Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
+        let is_deterministic = campaign
+            .controllers()
+            .all(|driver| driver.kind.is_deterministic());
+        Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| {
+            Ok(campaign.specification.clone())
+        })
     }
 
-    pub(super) fn from_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
+    pub(super) fn from_record(
+        record: CampaignRecord,
+        nondeterministic: bool,
+    ) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
-            return Err(format!("version: {} is not supported: this release reads {CAMPAIGN_VERSION}", record.version));
+            return Err(format!(
+                "version: {} is not supported: this release reads {CAMPAIGN_VERSION}",
+                record.version
+            ));
         }
         // The record contains the space with its base scenario, so no folder is searched.
-        let space =
-            ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
+        let space = ScenarioSpace::new(record.space.clone(), Path::new(""))
+            .map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
             return Err("space: differs from what crumple writes for this space".to_owned());
         }
         let text = record.specification.clone();
-        let specification =
-            |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error);
-        Self::resolve(record, nondeterministic, space, specification).map_err(|error| error.to_string())
+        let specification = |nominal: &Scenario| {
+            Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error)
+        };
+        Self::resolve(record, nondeterministic, space, specification)
+            .map_err(|error| error.to_string())
     }
 
     fn resolve(
@@ -57,14 +74,27 @@ impl ResolvedConfig {
         let specification = specification(&nominal)?;
         let cube = UnitCube::from_space(&space).map_err(CampaignError::from_encoding_error)?;
         let nominal_point = space.point(&space.nominal());
-        Ok(Self { record, nondeterministic, space, specification, cube, nominal, nominal_point })
+        Ok(Self {
+            record,
+            nondeterministic,
+            space,
+            specification,
+            cube,
+            nominal,
+            nominal_point,
+        })
     }
 
     pub(super) fn methods(&self) -> Vec<Method> {
         with_reference_methods(&self.record.method)
     }
 
-    pub(super) fn evaluated_point(&self, number: u64, point: Vec<f64>, verdict: RunVerdict) -> EvaluatedPoint {
+    pub(super) fn evaluated_point(
+        &self,
+        number: u64,
+        point: Vec<f64>,
+        verdict: RunVerdict,
+    ) -> EvaluatedPoint {
         EvaluatedPoint {
             number,
             values: self.space.values(&point),
@@ -77,11 +107,16 @@ impl ResolvedConfig {
     }
 
     fn harm(&self, point: &[f64], verdict: &RunVerdict) -> f64 {
-        let contact = verdict.contact.filter(|_| self.record.objective == SearchObjective::Harm);
+        let contact = verdict
+            .contact
+            .filter(|_| self.record.objective == SearchObjective::Harm);
         let harm = contact.and_then(|contact| {
             let scenario = self.space.scenario_at(point).ok()?;
             let mass_kg = |vehicle: u32| Some(scenario.vehicles().get(vehicle as usize)?.mass_kg());
-            let masses_kg = [mass_kg(contact.front_vehicle)?, mass_kg(contact.rear_vehicle)?];
+            let masses_kg = [
+                mass_kg(contact.front_vehicle)?,
+                mass_kg(contact.rear_vehicle)?,
+            ];
             Some(harm_of_pair(contact.impact_speed_mps, masses_kg))
         });
         harm.unwrap_or(0.0)

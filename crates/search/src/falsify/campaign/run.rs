@@ -83,7 +83,10 @@ impl Campaign {
         CampaignOptions { log, resume }: CampaignOptions,
         observer: &dyn Observer<CampaignProgress>,
     ) -> Result<CampaignSummary, CampaignError> {
-        if let Some(unknown) = self.controllers().find(|driver| resume && driver.kind.identity().is_none()) {
+        if let Some(unknown) = self
+            .controllers()
+            .find(|driver| resume && driver.kind.identity().is_none())
+        {
             return Err(CampaignError::NoIdentity(unknown.name.clone()));
         }
         let terms = ResolvedConfig::from_campaign(self, log)?;
@@ -91,9 +94,14 @@ impl Campaign {
         let configuration = terms.record.to_toml()?;
         let work = open_run_folder(folder, &configuration, resume)?;
         if work.is_complete() {
-            return CampaignSummary::from_json(&String::from_utf8_lossy(&work.read_required(SUMMARY_FILE)?));
+            return CampaignSummary::from_json(&String::from_utf8_lossy(
+                &work.read_required(SUMMARY_FILE)?,
+            ));
         }
-        work.transaction().write(CONFIGURATION_FILE, configuration).append_only(JOURNAL_FILE).commit()?;
+        work.transaction()
+            .write(CONFIGURATION_FILE, configuration)
+            .append_only(JOURNAL_FILE)
+            .commit()?;
         let mut searching = CampaignRun {
             campaign: self,
             config: &terms,
@@ -104,16 +112,26 @@ impl Campaign {
         };
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
-        let CampaignRun { table, findings, .. } = &mut searching;
+        let CampaignRun {
+            table, findings, ..
+        } = &mut searching;
         // The journal stays until all results are written.
         let mut results = work.transaction();
-        table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
+        table
+            .take()
+            .map_or(Ok(()), |table| table.finish(&mut results))?;
         let searched = campaign_progress(None, &findings.method_results, self.total_evaluations());
-        let notify = |step| observer.notify(&CampaignProgress { examination: Some(step), ..searched.clone() });
+        let notify = |step| {
+            observer.notify(&CampaignProgress {
+                examination: Some(step),
+                ..searched.clone()
+            })
+        };
         notify(ExaminationStep::Shrinking)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
-        let mut distinct = recorder
-            .select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
+        let mut distinct = recorder.select_distinct(
+            examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?,
+        );
         notify(ExaminationStep::Classifying)?;
         examiner.classify_all(&mut distinct);
         notify(ExaminationStep::Confirming)?;
@@ -140,10 +158,18 @@ impl Campaign {
         CampaignError::check_range("budget", self.budget, 1..=MAX_BUDGET)?;
         CampaignError::check_range("seed", self.seed, 0..=MAX_SEED)?;
         if !nominal.has_vehicle_under_test() {
-            return Err(CampaignError::NoVehicleUnderTest(self.space.name().to_owned()));
+            return Err(CampaignError::NoVehicleUnderTest(
+                self.space.name().to_owned(),
+            ));
         }
-        if self.failure_criterion.as_ref().is_some_and(|criterion| criterion.is_self_comparison(&self.controller)) {
-            return Err(CampaignError::ComparedWithItself(self.controller.name.clone()));
+        if self
+            .failure_criterion
+            .as_ref()
+            .is_some_and(|criterion| criterion.is_self_comparison(&self.controller))
+        {
+            return Err(CampaignError::ComparedWithItself(
+                self.controller.name.clone(),
+            ));
         }
         self.evaluator().evaluate(nominal, 1)?;
         self.ensure_all_trusted()
@@ -151,7 +177,9 @@ impl Campaign {
 
     /// Checks that the controllers are deterministic and available, before results are written or reported.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), CampaignError> {
-        Ok(self.controllers().try_for_each(NamedController::ensure_trusted)?)
+        Ok(self
+            .controllers()
+            .try_for_each(NamedController::ensure_trusted)?)
     }
 
     pub(super) fn evaluate(
@@ -159,16 +187,26 @@ impl Campaign {
         space: &ScenarioSpace,
         points: &[Vec<f64>],
     ) -> Result<Vec<RunVerdict>, CampaignError> {
-        let scenarios = points.iter().map(|point| space.scenario_at(point)).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = points
+            .iter()
+            .map(|point| space.scenario_at(point))
+            .collect::<Result<Vec<_>, _>>()?;
         let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
-        let verdicts = self.evaluator().evaluate_all(&asked).into_iter().collect::<Result<_, _>>()?;
+        let verdicts = self
+            .evaluator()
+            .evaluate_all(&asked)
+            .into_iter()
+            .collect::<Result<_, _>>()?;
         self.ensure_all_trusted()?;
         Ok(verdicts)
     }
 }
 
 impl CampaignRun<'_> {
-    pub(super) fn search_all(&mut self, observer: &dyn Observer<CampaignProgress>) -> Result<(), CampaignError> {
+    pub(super) fn search_all(
+        &mut self,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<(), CampaignError> {
         for method in self.campaign.methods() {
             let reached = self.search(method, observer)?;
             self.findings.method_results.push(reached);
@@ -180,16 +218,23 @@ impl CampaignRun<'_> {
     pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
         for reached in &mut self.findings.method_results {
             if let Some(silent) = &mut reached.other_unanswered {
-                let because =
-                    self.campaign.evaluator().partner_failure_reason(&self.config.space.scenario(&silent.values)?);
-                silent.because = because.unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
+                let because = self
+                    .campaign
+                    .evaluator()
+                    .partner_failure_reason(&self.config.space.scenario(&silent.values)?);
+                silent.because = because
+                    .unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
             }
         }
         self.campaign.ensure_all_trusted()
     }
 
     pub(super) fn progress(&self, current: Option<&MethodResults>) -> CampaignProgress {
-        campaign_progress(current, &self.findings.method_results, self.campaign.total_evaluations())
+        campaign_progress(
+            current,
+            &self.findings.method_results,
+            self.campaign.total_evaluations(),
+        )
     }
 
     fn search(
@@ -203,8 +248,17 @@ impl CampaignRun<'_> {
         let budget = self.campaign.budget;
         while reached.evaluations < budget {
             // The points of a non-adaptive method do not depend on values, so many batches can be requested at once.
-            let batches = if method.is_non_adaptive() { BLIND_BATCHES } else { 1 };
-            let points = next_points(&mut *search, (&method, batches), terms, budget - reached.evaluations)?;
+            let batches = if method.is_non_adaptive() {
+                BLIND_BATCHES
+            } else {
+                1
+            };
+            let points = next_points(
+                &mut *search,
+                (&method, batches),
+                terms,
+                budget - reached.evaluations,
+            )?;
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
                 && let Some(verdict) = self.journal.next_verdict()?
@@ -212,10 +266,16 @@ impl CampaignRun<'_> {
                 verdicts.push(verdict);
             }
             let known = verdicts.len();
-            verdicts.extend(self.campaign.evaluate(space, points.get(known..).unwrap_or_default())?);
+            verdicts.extend(
+                self.campaign
+                    .evaluate(space, points.get(known..).unwrap_or_default())?,
+            );
             // If the observer stops the campaign, this batch is dropped: some of its simulations may have ended early.
             observer.notify(&self.progress(Some(&reached)))?;
-            if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
+            if let Some(durable) = self
+                .journal
+                .append(verdicts.get(known..).unwrap_or_default())?
+            {
                 self.run_folder.record_prefix(JOURNAL_FILE, durable)?;
             }
             let mut costs = Vec::with_capacity(points.len());
@@ -245,14 +305,23 @@ pub(super) fn next_points(
     let mut points = search.ask();
     (1..batches).for_each(|_| points.extend(search.ask()));
     points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
-    let invalid = |problem| CampaignError::InvalidPoints { method: method.name().to_owned(), problem };
+    let invalid = |problem| CampaignError::InvalidPoints {
+        method: method.name().to_owned(),
+        problem,
+    };
     config.cube.check_points(&points).map_err(invalid)?;
-    points.iter_mut().for_each(|point| *point = config.space.search_point(point));
+    points
+        .iter_mut()
+        .for_each(|point| *point = config.space.search_point(point));
     Ok(points)
 }
 
 /// Opens the run folder of a campaign. If it contains another campaign, the error names the first field that differs.
-pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) -> Result<RunFolder, CampaignError> {
+pub(super) fn open_run_folder(
+    folder: &Path,
+    configuration: &str,
+    resume: bool,
+) -> Result<RunFolder, CampaignError> {
     let asked = RunFolderOptions {
         kind: CAMPAIGN_KIND,
         configuration,
@@ -276,9 +345,18 @@ pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) 
 ///
 /// # Errors
 /// [`RunFolderError::Disk`] if it cannot be read. Damage is reported in the examination, as for every other file.
-pub fn verify_journal(folder: &Path, mut found: FolderExamination) -> Result<FolderExamination, RunFolderError> {
-    let Some(identity) = &found.identity else { return Ok(found) };
-    if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL_FILE) {
+pub fn verify_journal(
+    folder: &Path,
+    mut found: FolderExamination,
+) -> Result<FolderExamination, RunFolderError> {
+    let Some(identity) = &found.identity else {
+        return Ok(found);
+    };
+    if let Some((_, state @ Ok(()))) = found
+        .files
+        .iter_mut()
+        .find(|(name, _)| name == JOURNAL_FILE)
+    {
         match Journal::verify(&folder.join(JOURNAL_FILE), identity) {
             Err(RunFolderError::Damaged { problem, .. }) => *state = Err(problem),
             looked => looked?,
@@ -295,7 +373,11 @@ pub(super) const JOURNAL_FILE: &str = "evaluations.journal";
 pub(super) const SUMMARY_FILE: &str = "summary.json";
 pub(super) const SUMMARY_TEXT_FILE: &str = "summary.txt";
 
-fn campaign_progress(current: Option<&MethodResults>, done: &[MethodResults], total: u64) -> CampaignProgress {
+fn campaign_progress(
+    current: Option<&MethodResults>,
+    done: &[MethodResults],
+    total: u64,
+) -> CampaignProgress {
     let all = || done.iter().chain(current);
     CampaignProgress {
         method: current.map(|reached| reached.method.clone()),
@@ -303,7 +385,9 @@ fn campaign_progress(current: Option<&MethodResults>, done: &[MethodResults], to
         evaluations: all().map(|reached| reached.evaluations).sum(),
         total,
         failures: all().map(|reached| reached.failures).sum(),
-        best_robustness: all().map(|reached| reached.best).fold(f64::INFINITY, f64::min),
+        best_robustness: all()
+            .map(|reached| reached.best)
+            .fold(f64::INFINITY, f64::min),
     }
 }
 
@@ -318,15 +402,32 @@ mod tests {
     #[test]
     fn numbers_out_of_range_are_refused_before_any_file_is_written() {
         let folder = tempfile::tempdir().unwrap();
-        let campaign = |budget, seed| Campaign::of_match_leader("high-risk", Method::Halton, budget, seed);
+        let campaign =
+            |budget, seed| Campaign::of_match_leader("high-risk", Method::Halton, budget, seed);
         for (campaign, expected) in [
-            (campaign(0, 0), "budget: must be from 1 to 1000000000, found 0"),
-            (campaign(MAX_BUDGET + 1, 0), "budget: must be from 1 to 1000000000, found 1000000001"),
-            (campaign(1, MAX_SEED + 1), "seed: must be from 0 to 9223372036854775807, found 9223372036854775808"),
+            (
+                campaign(0, 0),
+                "budget: must be from 1 to 1000000000, found 0",
+            ),
+            (
+                campaign(MAX_BUDGET + 1, 0),
+                "budget: must be from 1 to 1000000000, found 1000000001",
+            ),
+            (
+                campaign(1, MAX_SEED + 1),
+                "seed: must be from 0 to 9223372036854775807, found 9223372036854775808",
+            ),
         ] {
-            let refused = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet);
+            let refused = campaign.run(
+                &folder.path().join("campaign"),
+                CampaignOptions::default(),
+                &Quiet,
+            );
             assert_eq!(refused.unwrap_err().to_string(), expected);
-            assert_eq!(campaign.find_first_failure(&Quiet).unwrap_err().to_string(), expected);
+            assert_eq!(
+                campaign.find_first_failure(&Quiet).unwrap_err().to_string(),
+                expected
+            );
         }
         assert!(!folder.path().join("campaign").exists());
     }
@@ -343,9 +444,22 @@ mod tests {
                 seen.lock().unwrap().push(progress.examination);
             }
         });
-        let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &observer).unwrap();
+        let summary = campaign
+            .run(
+                &folder.path().join("campaign"),
+                CampaignOptions::default(),
+                &observer,
+            )
+            .unwrap();
         assert!(summary.falsified);
-        let steps = [ExaminationStep::Shrinking, ExaminationStep::Classifying, ExaminationStep::Confirming];
-        assert_eq!(seen.into_inner().unwrap(), [steps.map(Some).as_slice(), &[None]].concat());
+        let steps = [
+            ExaminationStep::Shrinking,
+            ExaminationStep::Classifying,
+            ExaminationStep::Confirming,
+        ];
+        assert_eq!(
+            seen.into_inner().unwrap(),
+            [steps.map(Some).as_slice(), &[None]].concat()
+        );
     }
 }

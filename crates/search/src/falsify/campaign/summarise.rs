@@ -5,8 +5,8 @@ use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
-    SUMMARY_VERSION,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary,
+    FailuresByMethod, MethodSummary, SUMMARY_VERSION,
 };
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
@@ -19,7 +19,10 @@ impl CampaignSummary {
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
     ) -> Result<Self, CampaignError> {
-        let CampaignFindings { method_results: reached, failures } = findings;
+        let CampaignFindings {
+            method_results: reached,
+            failures,
+        } = findings;
         let record = &terms.record;
         let main = reached.first();
         Ok(Self {
@@ -62,24 +65,34 @@ impl MethodSummary {
             first_falsification: reached.first,
             failures: reached.failures,
             best_robustness: finite_or_none(reached.best),
-            other_unanswered: reached
-                .other_unanswered
-                .as_ref()
-                .map(|silent| FailedControllerRuns { runs: silent.runs, because: silent.because.clone() }),
+            other_unanswered: reached.other_unanswered.as_ref().map(|silent| {
+                FailedControllerRuns {
+                    runs: silent.runs,
+                    because: silent.because.clone(),
+                }
+            }),
         }
     }
 }
 
 impl FailureKindSummary {
-    fn from_failures(kind: &FailureGroup, terms: &ResolvedConfig, examined: &[Counterexample]) -> Self {
-        let by_method = |(method, count, first): &(crate::falsify::Method, u64, u64)| FailuresByMethod {
-            method: method.name().to_owned(),
-            count: *count,
-            first: *first,
-        };
+    fn from_failures(
+        kind: &FailureGroup,
+        terms: &ResolvedConfig,
+        examined: &[Counterexample],
+    ) -> Self {
+        let by_method =
+            |(method, count, first): &(crate::falsify::Method, u64, u64)| FailuresByMethod {
+                method: method.name().to_owned(),
+                count: *count,
+                first: *first,
+            };
         let words = kind.kind.describe(&terms.nominal);
         Self {
-            because: examined.iter().find(|one| one.kind == words).and_then(|one| one.because.clone()),
+            because: examined
+                .iter()
+                .find(|one| one.kind == words)
+                .and_then(|one| one.because.clone()),
             kind: words,
             failed_vehicle: match kind.kind {
                 super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),

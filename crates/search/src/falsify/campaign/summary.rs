@@ -95,12 +95,26 @@ impl AvoidabilitySummary {
     /// Counts the classes of distinct failures; `None` if none was classified.
     #[must_use]
     pub fn from_counterexamples(found: &[Counterexample]) -> Option<Self> {
-        let count = |class| found.iter().filter(|one| one.avoidability.class() == class).count();
-        let [avoidable, unavoidable, undecided] =
-            [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided].map(count);
+        let count = |class| {
+            found
+                .iter()
+                .filter(|one| one.avoidability.class() == class)
+                .count()
+        };
+        let [avoidable, unavoidable, undecided] = [
+            AvoidabilityClass::Avoidable,
+            AvoidabilityClass::Unavoidable,
+            AvoidabilityClass::Undecided,
+        ]
+        .map(count);
         let all = avoidable + unavoidable + undecided;
         let avoidable_percent = 100.0 * avoidable as f64 / all as f64;
-        (all > 0).then_some(Self { avoidable, unavoidable, undecided, avoidable_percent })
+        (all > 0).then_some(Self {
+            avoidable,
+            unavoidable,
+            undecided,
+            avoidable_percent,
+        })
     }
 }
 
@@ -118,15 +132,26 @@ impl ConfirmationSummary {
     #[must_use]
     pub fn from_counterexamples(found: &[Counterexample]) -> Self {
         Self {
-            failures: ReplayShare::from_results(found.iter().filter_map(|one| one.survives_multi_body)),
-            escapes: ReplayShare::from_results(found.iter().filter_map(|one| one.escape_survives_multi_body)),
+            failures: ReplayShare::from_results(
+                found.iter().filter_map(|one| one.survives_multi_body),
+            ),
+            escapes: ReplayShare::from_results(
+                found
+                    .iter()
+                    .filter_map(|one| one.escape_survives_multi_body),
+            ),
         }
     }
 
     /// Describes each share that is present, as a noun phrase.
     pub fn describe(&self) -> impl Iterator<Item = String> {
-        let shares = [(self.failures, "failures survive"), (self.escapes, "escapes have no collision")];
-        shares.into_iter().filter_map(|(share, what)| Some(share?.describe(what)))
+        let shares = [
+            (self.failures, "failures survive"),
+            (self.escapes, "escapes have no collision"),
+        ];
+        shares
+            .into_iter()
+            .filter_map(|(share, what)| Some(share?.describe(what)))
     }
 }
 
@@ -210,7 +235,8 @@ impl CampaignSummary {
     }
 
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
-        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion else {
+        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion
+        else {
             return Ok(());
         };
         for method in &self.methods {
@@ -241,7 +267,11 @@ impl CampaignSummary {
             writeln!(out, "  objective of the search: {}", self.objective)?;
         }
         if let Some(criterion) = &self.failure_criterion {
-            writeln!(out, "  the search counts only failures {}", TerminalText(&criterion.describe()))?;
+            writeln!(
+                out,
+                "  the search counts only failures {}",
+                TerminalText(&criterion.describe())
+            )?;
         }
         if self.nondeterministic {
             writeln!(
@@ -250,14 +280,31 @@ impl CampaignSummary {
             )?;
         }
         if self.falsified {
-            let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };
-            writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
-            let silent = match self.counterexamples.iter().filter(|one| one.because.is_some()).count() {
+            let failures = if self.counterexamples.len() == 1 {
+                "failure"
+            } else {
+                "failures"
+            };
+            writeln!(
+                out,
+                "  FALSIFIED: {} distinct {failures}",
+                self.counterexamples.len()
+            )?;
+            let silent = match self
+                .counterexamples
+                .iter()
+                .filter(|one| one.because.is_some())
+                .count()
+            {
                 0 => String::new(),
                 silent => format!("; {silent} not analysed, because the controller gave no answer"),
             };
-            if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
-                self.avoidability
+            if let Some(AvoidabilitySummary {
+                avoidable,
+                unavoidable,
+                undecided,
+                avoidable_percent,
+            }) = self.avoidability
             {
                 writeln!(
                     out,
@@ -265,9 +312,14 @@ impl CampaignSummary {
                      {undecided} undecided{silent}"
                 )?;
             }
-            self.multi_body.describe().try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))?;
+            self.multi_body
+                .describe()
+                .try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))?;
         } else {
-            writeln!(out, "  no failure found; this does not prove that none exists")?;
+            writeln!(
+                out,
+                "  no failure found; this does not prove that none exists"
+            )?;
         }
         writeln!(
             out,
@@ -275,9 +327,17 @@ impl CampaignSummary {
             "method", "evaluations", "first failure", "failures", "best robustness"
         )?;
         for (index, method) in self.methods.iter().enumerate() {
-            let first = method.first_falsification.map_or("-".to_owned(), |first| first.to_string());
-            let best = method.best_robustness.map_or("-".to_owned(), |best| format!("{best:.3}"));
-            let note = if index > 0 { "  (reference search)" } else { "" };
+            let first = method
+                .first_falsification
+                .map_or("-".to_owned(), |first| first.to_string());
+            let best = method
+                .best_robustness
+                .map_or("-".to_owned(), |best| format!("{best:.3}"));
+            let note = if index > 0 {
+                "  (reference search)"
+            } else {
+                ""
+            };
             writeln!(
                 out,
                 "  {:<14} {:>11} {first:>14} {:>9} {best:>16}{note}",
@@ -286,10 +346,23 @@ impl CampaignSummary {
         }
         self.write_unanswered(out)?;
         if !self.failures.is_empty() {
-            writeln!(out, "\n  kinds of failures, and the evaluation at which each method found them first")?;
+            writeln!(
+                out,
+                "\n  kinds of failures, and the evaluation at which each method found them first"
+            )?;
             for kind in &self.failures {
-                let by: Vec<_> = kind.by_method.iter().map(|by| format!("{} {}", by.method, by.first)).collect();
-                writeln!(out, "  {:>9} x  {}  [{}]", kind.count, kind.kind, by.join(", "))?;
+                let by: Vec<_> = kind
+                    .by_method
+                    .iter()
+                    .map(|by| format!("{} {}", by.method, by.first))
+                    .collect();
+                writeln!(
+                    out,
+                    "  {:>9} x  {}  [{}]",
+                    kind.count,
+                    kind.kind,
+                    by.join(", ")
+                )?;
                 if let Some(because) = &kind.because {
                     writeln!(out, "               {because}")?;
                 }
@@ -298,7 +371,10 @@ impl CampaignSummary {
         if !self.counterexamples.is_empty() {
             writeln!(out, "\n  distinct failures, shrunk, severest first")?;
             for found in &self.counterexamples {
-                found.write(out, self.specification.parse() != Ok(Specification::NoContact))?;
+                found.write(
+                    out,
+                    self.specification.parse() != Ok(Specification::NoContact),
+                )?;
             }
         }
         Ok(())

@@ -38,10 +38,19 @@ pub(super) struct EvaluationTable<'a> {
 
 impl<'a> EvaluationTable<'a> {
     pub(super) fn new(space: &'a ScenarioSpace, work: &'a RunFolder) -> Self {
-        Self { space, run_folder: work, part_count: 0, rows: Vec::new() }
+        Self {
+            space,
+            run_folder: work,
+            part_count: 0,
+            rows: Vec::new(),
+        }
     }
 
-    pub(super) fn add(&mut self, method: &Method, evaluated: &EvaluatedPoint) -> Result<(), CampaignError> {
+    pub(super) fn add(
+        &mut self,
+        method: &Method,
+        evaluated: &EvaluatedPoint,
+    ) -> Result<(), CampaignError> {
         self.rows.push((method.clone(), evaluated.clone()));
         if self.rows.len() < ROWS_PER_PART {
             return Ok(());
@@ -63,7 +72,11 @@ impl<'a> EvaluationTable<'a> {
 
     fn encode_part(&self) -> Result<(String, Vec<u8>), CampaignError> {
         let name = format!("evaluations/part-{:05}{EXTENSION}", self.part_count);
-        Ok((name, self.encode_rows().map_err(CampaignError::from_encoding_error)?))
+        Ok((
+            name,
+            self.encode_rows()
+                .map_err(CampaignError::from_encoding_error)?,
+        ))
     }
 
     fn encode_rows(&self) -> Result<Vec<u8>, csv::Error> {
@@ -100,8 +113,18 @@ impl<'a> EvaluationTable<'a> {
 }
 
 fn columns(space: &ScenarioSpace) -> Vec<String> {
-    let texts = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
-    [texts(&KEY_COLUMNS), space.coordinate_names(), texts(&RESULT_COLUMNS)].concat()
+    let texts = |names: &[&str]| {
+        names
+            .iter()
+            .map(|name| (*name).to_owned())
+            .collect::<Vec<_>>()
+    };
+    [
+        texts(&KEY_COLUMNS),
+        space.coordinate_names(),
+        texts(&RESULT_COLUMNS),
+    ]
+    .concat()
 }
 
 /// Formats a number so that it reads back exactly, with an exponent if decimals would be long.
@@ -120,7 +143,9 @@ pub(super) fn decode_part(
 ) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
-        return Err(damaged("an earlier release wrote this log, in a format that this release does not read"));
+        return Err(damaged(
+            "an earlier release wrote this log, in a format that this release does not read",
+        ));
     }
     let columns = columns(&terms.space);
     let header: usize = columns.iter().map(|column| column.len() + 3).sum();
@@ -129,7 +154,9 @@ pub(super) fn decode_part(
     let mut table = csv::Reader::from_reader(GzDecoder::new(part).take(most as u64));
     let unreadable = |error: csv::Error| damaged(&error.to_string());
     if table.headers().map_err(unreadable)? != columns {
-        return Err(damaged("the columns differ from the parameters of the campaign's space"));
+        return Err(damaged(
+            "the columns differ from the parameters of the campaign's space",
+        ));
     }
     let parameters: Vec<_> = terms.space.coordinate_parameters().collect();
     let (mut record, mut rows) = (StringRecord::new(), Vec::new());
@@ -153,9 +180,16 @@ fn parse_row(
     let number = fields.next()?.parse().ok()?;
     let coordinate = |parameter: &&SpaceParameter| {
         let field = fields.next()?;
-        if parameter.has_named_values() { parse_named_value(parameter, field) } else { field.parse().ok() }
+        if parameter.has_named_values() {
+            parse_named_value(parameter, field)
+        } else {
+            field.parse().ok()
+        }
     };
-    let values = parameters.iter().map(coordinate).collect::<Option<Vec<f64>>>()?;
+    let values = parameters
+        .iter()
+        .map(coordinate)
+        .collect::<Option<Vec<f64>>>()?;
     let ln_likelihood = fields.next()?.parse().ok()?;
     let robustness = fields.next()?.parse().ok()?;
     let contact = match fields.collect::<Vec<_>>()[..] {
@@ -165,8 +199,13 @@ fn parse_row(
             front_vehicle: front.parse().ok()?,
             rear_vehicle: rear.parse().ok()?,
             impact_speed_mps: impact.parse().ok()?,
-            ego_braking: BrakingLevel::ALL.into_iter().find(|known| known.name() == braking)?,
-            rear_class: VehicleClass::ALL.iter().copied().find(|known| known.name() == class)?,
+            ego_braking: BrakingLevel::ALL
+                .into_iter()
+                .find(|known| known.name() == braking)?,
+            rear_class: VehicleClass::ALL
+                .iter()
+                .copied()
+                .find(|known| known.name() == class)?,
         }),
         _ => return None,
     };
@@ -178,12 +217,17 @@ fn parse_row(
         values,
         ln_likelihood,
         harm: 0.0,
-        verdict: RunVerdict { contact, ..RunVerdict::new(robustness) },
+        verdict: RunVerdict {
+            contact,
+            ..RunVerdict::new(robustness)
+        },
     };
     Some((method, evaluated))
 }
 
 fn parse_named_value(parameter: &SpaceParameter, name: &str) -> Option<f64> {
     let [low, high] = parameter.range();
-    (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.format_value(number) == name)
+    (low as u64..=high as u64)
+        .map(|number| number as f64)
+        .find(|&number| parameter.format_value(number) == name)
 }

@@ -59,7 +59,11 @@ pub struct AvoidabilityAnalysis {
 impl AvoidabilityAnalysis {
     /// Analyses a failure if the specification is [`Specification::NoContact`] and the verdict is a collision.
     #[must_use]
-    pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+    pub fn classify(
+        specification: &Specification,
+        verdict: &RunVerdict,
+        scenario: &Scenario,
+    ) -> Self {
         match (specification, verdict.contact) {
             (Specification::NoContact, Some(_)) => Self::classify_contact(scenario),
             _ => Self::default(),
@@ -69,27 +73,43 @@ impl AvoidabilityAnalysis {
     /// Analyses a scenario that ends in a collision.
     #[must_use]
     pub fn classify_contact(scenario: &Scenario) -> Self {
-        let options = AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() };
+        let options = AvoidOptions {
+            effort: SearchEffort::Decide,
+            ..AvoidOptions::default()
+        };
         let avoidability = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 return Self {
-                    avoidability: Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m },
+                    avoidability: Avoidability::Avoidable {
+                        best_min_gap_m: escape.min_gap_m,
+                    },
                     escape_survives: escape_survives(scenario, &escape.acceleration_mps2),
                     escape: Some(escape.scenario),
                 };
             }
             Ok(AvoidanceVerdict::Unavoidable(_)) => Avoidability::Unavoidable,
-            Ok(AvoidanceVerdict::Undecided(reason)) => Avoidability::Undecided { reason: reason.to_string() },
-            Err(error) => Avoidability::Undecided { reason: error.to_string() },
+            Ok(AvoidanceVerdict::Undecided(reason)) => Avoidability::Undecided {
+                reason: reason.to_string(),
+            },
+            Err(error) => Avoidability::Undecided {
+                reason: error.to_string(),
+            },
         };
-        Self { avoidability, ..Self::default() }
+        Self {
+            avoidability,
+            ..Self::default()
+        }
     }
 }
 
 impl Avoidability {
     /// Returns the avoidability if the specification is [`Specification::NoContact`] and the verdict is a collision.
     #[must_use]
-    pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+    pub fn classify(
+        specification: &Specification,
+        verdict: &RunVerdict,
+        scenario: &Scenario,
+    ) -> Self {
         AvoidabilityAnalysis::classify(specification, verdict, scenario).avoidability
     }
 
@@ -123,12 +143,20 @@ impl Avoidability {
     /// Returns the smallest gap of the best escape found, in metres.
     #[must_use]
     pub fn best_min_gap_m(&self) -> Option<f64> {
-        if let Self::Avoidable { best_min_gap_m } = self { Some(*best_min_gap_m) } else { None }
+        if let Self::Avoidable { best_min_gap_m } = self {
+            Some(*best_min_gap_m)
+        } else {
+            None
+        }
     }
 
     #[must_use]
     pub(crate) fn undecided_because(&self) -> Option<&str> {
-        if let Self::Undecided { reason } = self { Some(reason) } else { None }
+        if let Self::Undecided { reason } = self {
+            Some(reason)
+        } else {
+            None
+        }
     }
 
     /// Describes the result; `None` if it was not analysed.
@@ -136,7 +164,9 @@ impl Avoidability {
     pub fn describe(&self) -> Option<String> {
         match self {
             Self::NotAsked => None,
-            Self::Avoidable { best_min_gap_m } => Some(format!("avoidable: an escape keeps {best_min_gap_m:.2} m")),
+            Self::Avoidable { best_min_gap_m } => {
+                Some(format!("avoidable: an escape keeps {best_min_gap_m:.2} m"))
+            }
             Self::Unavoidable => Some("unavoidable: proved for every controller".to_owned()),
             Self::Undecided { reason } => Some(format!("undecided whether avoidable: {reason}")),
         }
@@ -176,9 +206,13 @@ impl From<Avoidability> for AvoidabilityOutput {
 impl From<AvoidabilityInput> for Avoidability {
     fn from(read: AvoidabilityInput) -> Self {
         match (read.avoidability, read.best_min_gap_m) {
-            (AvoidabilityClass::Avoidable, Some(best_min_gap_m)) => Self::Avoidable { best_min_gap_m },
+            (AvoidabilityClass::Avoidable, Some(best_min_gap_m)) => {
+                Self::Avoidable { best_min_gap_m }
+            }
             (AvoidabilityClass::Unavoidable, _) => Self::Unavoidable,
-            (AvoidabilityClass::Undecided, _) => Self::Undecided { reason: read.undecided_because.unwrap_or_default() },
+            (AvoidabilityClass::Undecided, _) => Self::Undecided {
+                reason: read.undecided_because.unwrap_or_default(),
+            },
             (AvoidabilityClass::NotAsked | AvoidabilityClass::Avoidable, _) => Self::NotAsked,
         }
     }
@@ -192,13 +226,26 @@ mod tests {
     fn every_class_round_trips_and_old_files_have_none() {
         let all = [
             (Avoidability::NotAsked, "null"),
-            (Avoidability::Avoidable { best_min_gap_m: 0.1 + 0.2 }, "true"),
+            (
+                Avoidability::Avoidable {
+                    best_min_gap_m: 0.1 + 0.2,
+                },
+                "true",
+            ),
             (Avoidability::Unavoidable, "false"),
-            (Avoidability::Undecided { reason: "noise".to_owned() }, "null"),
+            (
+                Avoidability::Undecided {
+                    reason: "noise".to_owned(),
+                },
+                "null",
+            ),
         ];
         for (one, avoidable) in all {
             let text = serde_json::to_string(&one).unwrap();
-            assert!(text.starts_with(&format!(r#"{{"avoidable":{avoidable},"#)), "{text}");
+            assert!(
+                text.starts_with(&format!(r#"{{"avoidable":{avoidable},"#)),
+                "{text}"
+            );
             assert_eq!(serde_json::from_str::<Avoidability>(&text).unwrap(), one);
         }
         let old: Avoidability = serde_json::from_str(r#"{"avoidable":"not-asked"}"#).unwrap();

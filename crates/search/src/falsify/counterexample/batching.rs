@@ -40,7 +40,10 @@ pub(super) fn run_batched<M: Sync, Q: Send, A: Send, R: Send>(
     work: impl Fn(&M, &mut dyn FnMut(Q) -> Option<A>) -> R + Sync,
     answer: impl Fn(&[Q]) -> Vec<A>,
 ) -> Vec<R> {
-    members.chunks(MAX_BATCH_SIZE).flat_map(|members| run_one_batch(members, &work, &answer)).collect()
+    members
+        .chunks(MAX_BATCH_SIZE)
+        .flat_map(|members| run_one_batch(members, &work, &answer))
+        .collect()
 }
 
 fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
@@ -54,13 +57,19 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
         for (index, member) in members.iter().enumerate() {
             let (answer_sender, answers) = channel();
             answer_senders.push(Some(answer_sender));
-            let sender = QuestionSender { index, questions: questions.clone(), answers };
+            let sender = QuestionSender {
+                index,
+                questions: questions.clone(),
+                answers,
+            };
             threads.push(scope.spawn(move || work(member, &mut |question| sender.ask(question))));
         }
         drop(questions);
         serve(&asked, answer_senders, answer);
         let joined = threads.into_iter().map(|thread| thread.join());
-        joined.map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+        joined
+            .map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            .collect()
     })
 }
 
@@ -73,7 +82,9 @@ fn serve<Q, A>(
     loop {
         while waiting.len() < answer_senders.iter().flatten().count() {
             match asked.recv() {
-                Ok((index, Some(question))) if answer_senders[index].is_some() => waiting.push((index, question)),
+                Ok((index, Some(question))) if answer_senders[index].is_some() => {
+                    waiting.push((index, question))
+                }
                 Ok((index, _)) => answer_senders[index] = None,
                 Err(_) => return,
             }
@@ -106,25 +117,47 @@ mod tests {
         let asked = RefCell::new(Vec::new());
         let learned = run_batched(
             &members,
-            |&member, ask| (0..member).map(|step| ask(10 * member + step).unwrap()).sum::<u64>(),
+            |&member, ask| {
+                (0..member)
+                    .map(|step| ask(10 * member + step).unwrap())
+                    .sum::<u64>()
+            },
             |questions| {
                 asked.borrow_mut().push(questions.len());
-                questions.iter().map(|question| question * question).collect()
+                questions
+                    .iter()
+                    .map(|question| question * question)
+                    .collect()
             },
         );
-        let alone = members.iter().map(|m| (0..*m).map(|step| (10 * m + step).pow(2)).sum::<u64>());
+        let alone = members
+            .iter()
+            .map(|m| (0..*m).map(|step| (10 * m + step).pow(2)).sum::<u64>());
         assert_eq!(learned, alone.collect::<Vec<_>>());
         let asked = asked.into_inner();
-        assert_eq!(asked.iter().sum::<usize>() as u64, members.iter().sum::<u64>());
+        assert_eq!(
+            asked.iter().sum::<usize>() as u64,
+            members.iter().sum::<u64>()
+        );
         assert!(asked.len() <= 3 * 22 && asked[0] > 50, "{asked:?}");
     }
 
     #[test]
     fn a_missing_answer_is_reported_and_blocks_no_thread() {
-        let learned =
-            run_batched(&[1, 2, 3], |_, ask| ask(0).is_some() && ask(0).is_some(), |all| vec![(); all.len() - 1]);
+        let learned = run_batched(
+            &[1, 2, 3],
+            |_, ask| ask(0).is_some() && ask(0).is_some(),
+            |all| vec![(); all.len() - 1],
+        );
         assert_eq!(learned.len(), 3);
         assert!(!learned[2]);
-        assert!(run_batched(&[0; 0], |_, _: &mut dyn FnMut(u8) -> Option<u8>| 1, |_| Vec::new()).is_empty());
+        assert!(
+            run_batched(
+                &[0; 0],
+                |_, _: &mut dyn FnMut(u8) -> Option<u8>| 1,
+                |_| Vec::new()
+            )
+            .is_empty()
+        );
     }
 }

@@ -139,7 +139,11 @@ impl ExpectedFile {
     pub fn load_from_folder(folder: &Path) -> Result<Self, FileError> {
         let earlier = folder.join(file::LEGACY_EXPECTED_FILE_NAME);
         let path = folder.join(file::EXPECTED_FILE_NAME);
-        Self::load(if !path.exists() && earlier.exists() { &earlier } else { &path })
+        Self::load(if !path.exists() && earlier.exists() {
+            &earlier
+        } else {
+            &path
+        })
     }
 
     /// Reads recorded verdicts.
@@ -152,9 +156,15 @@ impl ExpectedFile {
         if read.version == EXPECTED_VERSION {
             return Ok(read);
         }
-        let message =
-            format!("version: version {} is not supported: this release reads {EXPECTED_VERSION}", read.version);
-        Err(FileError::Syntax { path: path.to_owned(), line: file::line_in_toml(&text, "version"), message })
+        let message = format!(
+            "version: version {} is not supported: this release reads {EXPECTED_VERSION}",
+            read.version
+        );
+        Err(FileError::Syntax {
+            path: path.to_owned(),
+            line: file::line_in_toml(&text, "version"),
+            message,
+        })
     }
 }
 
@@ -167,10 +177,18 @@ impl ExpectedVerdict {
     pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
-        let criterion = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
+        let criterion = self
+            .failure_criterion
+            .as_ref()
+            .map(|record| record.resolve(folder))
+            .transpose()?;
         if let (
             Some(FailureCriterion::Differential(other)),
-            Some(FailureCriterionRecord::Differential { policy_sha256, controller_sha256, .. }),
+            Some(FailureCriterionRecord::Differential {
+                policy_sha256,
+                controller_sha256,
+                ..
+            }),
         ) = (&criterion, &self.failure_criterion)
         {
             self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
@@ -182,9 +200,13 @@ impl ExpectedVerdict {
             estimator: self.estimator,
             failure_criterion: criterion.as_ref(),
         };
-        let (nominal, finer) = (judging.evaluate(&scenario, 1)?, judging.evaluate(&scenario, FINER_STEP_DIVISOR)?);
+        let (nominal, finer) = (
+            judging.evaluate(&scenario, 1)?,
+            judging.evaluate(&scenario, FINER_STEP_DIVISOR)?,
+        );
         let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
-        let vehicles = |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
+        let vehicles =
+            |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
         let recorded = self.front_vehicle.zip(self.rear_vehicle);
         let on_time = match (nominal.contact, self.contact_time_s) {
             (Some(contact), Some(time_s)) => (contact.time_s - time_s).abs() < 1e-3,
@@ -196,7 +218,11 @@ impl ExpectedVerdict {
             && vehicles(&nominal) == recorded
             && on_time
             && finer_agrees != self.dt_fragile;
-        Ok(ReplayResult { nominal, finer, as_recorded })
+        Ok(ReplayResult {
+            nominal,
+            finer,
+            as_recorded,
+        })
     }
 
     /// Finds the controller of the verdict. Relative paths start at `folder`.
@@ -205,7 +231,11 @@ impl ExpectedVerdict {
     /// [`ReplayError`] if the controller is unknown or not the recorded one.
     pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
         let found = NamedController::find(&self.controller, folder)?;
-        self.check_identity(&found, self.policy_sha256.as_ref(), self.controller_sha256.as_ref())?;
+        self.check_identity(
+            &found,
+            self.policy_sha256.as_ref(),
+            self.controller_sha256.as_ref(),
+        )?;
         Ok(found)
     }
 
@@ -216,7 +246,8 @@ impl ExpectedVerdict {
         policy_sha256: Option<&String>,
         controller_sha256: Option<&String>,
     ) -> Result<(), ReplayError> {
-        let policy = policy_sha256.map(|expected| (expected, found.policy().map(|policy| policy.digest())));
+        let policy =
+            policy_sha256.map(|expected| (expected, found.policy().map(|policy| policy.digest())));
         let controller = controller_sha256.map(|expected| (expected, found.disambiguating_hash()));
         for (expected, own) in policy.into_iter().chain(controller) {
             let own = own.unwrap_or_default();
@@ -244,10 +275,19 @@ impl ExpectedVerdict {
         let policy_sha256 = found.policy().map(|policy| policy.digest());
         let controller_sha256 = found.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let criterion = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
+        let criterion = self
+            .failure_criterion
+            .as_ref()
+            .map(|record| record.resolve(folder))
+            .transpose()?;
         let criterion = criterion.as_ref().map(FailureCriterion::to_record);
-        let mut renewed =
-            Self { policy_sha256, controller_sha256, failure_criterion: criterion, dt_fragile: false, ..self.clone() };
+        let mut renewed = Self {
+            policy_sha256,
+            controller_sha256,
+            failure_criterion: criterion,
+            dt_fragile: false,
+            ..self.clone()
+        };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::classify(&specification, &verdict, &scenario);

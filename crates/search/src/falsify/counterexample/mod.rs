@@ -117,14 +117,24 @@ pub struct ChangedParameter {
 /// Writes the parameter as `name value unit`, with the observed range if the value is outside it.
 impl fmt::Display for ChangedParameter {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { parameter, value, unit, outside_observed } = self;
+        let Self {
+            parameter,
+            value,
+            unit,
+            outside_observed,
+        } = self;
         write!(out, "{parameter} {value}")?;
         if !matches!(unit.as_str(), "1" | "") {
             write!(out, " {unit}")?;
         }
         match outside_observed {
             Some([low, high]) => {
-                write!(out, " (outside the observed {} to {})", format_rounded(*low, 3), format_rounded(*high, 3))
+                write!(
+                    out,
+                    " (outside the observed {} to {})",
+                    format_rounded(*low, 3),
+                    format_rounded(*high, 3)
+                )
             }
             None => Ok(()),
         }
@@ -139,13 +149,26 @@ impl Counterexample {
         let severity = match (&self.because, of_formula, contact) {
             (Some(because), ..) => because.clone(),
             (None, false, Some(contact)) => contact,
-            (None, true, Some(contact)) => format!("robustness {:.3}; first collision {contact}", self.robustness),
+            (None, true, Some(contact)) => format!(
+                "robustness {:.3}; first collision {contact}",
+                self.robustness
+            ),
             (None, _, None) => format!("robustness {:.3}", self.robustness),
         };
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
-        writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
-        let delta = self.max_delta_v_mps.map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
-        let harm = if self.harm > 0.0 { format!("harm {:.3}, ", self.harm) } else { String::new() };
+        writeln!(
+            out,
+            "  {}\n      {}: {severity}{fragile}",
+            self.file, self.kind
+        )?;
+        let delta = self
+            .max_delta_v_mps
+            .map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
+        let harm = if self.harm > 0.0 {
+            format!("harm {:.3}, ", self.harm)
+        } else {
+            String::new()
+        };
         let involved = match self.vehicles_involved {
             0 => "no vehicle collided".to_owned(),
             many => format!("{many} vehicles involved"),
@@ -158,15 +181,26 @@ impl Counterexample {
         )?;
         if let Some(words) = self.avoidability.describe() {
             let collides = self.escape_survives_multi_body == Some(false);
-            let mark = if collides { "; with the multi-body plant this escape COLLIDES" } else { "" };
+            let mark = if collides {
+                "; with the multi-body plant this escape COLLIDES"
+            } else {
+                ""
+            };
             writeln!(out, "      {words}{mark}")?;
         }
         if let Some(survives) = self.survives_multi_body {
-            writeln!(out, "      with the multi-body plant: {}", if survives { "fails" } else { "no failure" })?;
+            writeln!(
+                out,
+                "      with the multi-body plant: {}",
+                if survives { "fails" } else { "no failure" }
+            )?;
         }
         let changed: Vec<_> = self.changed.iter().map(ToString::to_string).collect();
-        let changed =
-            if changed.is_empty() { "nothing: the nominal scenario fails".to_owned() } else { changed.join(", ") };
+        let changed = if changed.is_empty() {
+            "nothing: the nominal scenario fails".to_owned()
+        } else {
+            changed.join(", ")
+        };
         writeln!(out, "      differs from nominal: {changed}")
     }
 }

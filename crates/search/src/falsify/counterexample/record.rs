@@ -43,11 +43,17 @@ pub(in crate::falsify) struct Recorder<'a> {
 
 impl Recorder<'_> {
     /// Returns the distinct failures, the severest first. Of equally severe ones the earlier stays.
-    pub(in crate::falsify) fn select_distinct(&self, mut examined: Vec<ExaminedFailure>) -> Vec<ExaminedFailure> {
+    pub(in crate::falsify) fn select_distinct(
+        &self,
+        mut examined: Vec<ExaminedFailure>,
+    ) -> Vec<ExaminedFailure> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<ExaminedFailure> = Vec::new();
         for one in examined {
-            if !distinct.iter().any(|known| self.is_same_failure(known, &one)) {
+            if !distinct
+                .iter()
+                .any(|known| self.is_same_failure(known, &one))
+            {
                 distinct.push(one);
             }
         }
@@ -60,7 +66,10 @@ impl Recorder<'_> {
         distinct: &[ExaminedFailure],
         results: &mut FolderTransaction<'_>,
     ) -> Result<Vec<Counterexample>, CampaignError> {
-        let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
+        let mut index = ExpectedFile {
+            version: EXPECTED_VERSION,
+            expected: Vec::new(),
+        };
         let (mut found, mut files) = (Vec::new(), Vec::new());
         for (place, one) in (1..).zip(distinct) {
             found.push(self.record(place, one, &mut files, &mut index)?);
@@ -68,7 +77,13 @@ impl Recorder<'_> {
         rank_by_likelihood(&mut found);
         if !found.is_empty() {
             let text = toml::to_string(&index).map_err(CampaignError::from_encoding_error)?;
-            files.insert(0, (format!("counterexamples/{}", file::EXPECTED_FILE_NAME), text));
+            files.insert(
+                0,
+                (
+                    format!("counterexamples/{}", file::EXPECTED_FILE_NAME),
+                    text,
+                ),
+            );
         }
         for (name, text) in files {
             results.write(&name, text);
@@ -77,10 +92,18 @@ impl Recorder<'_> {
     }
 
     fn severity(&self, one: &ExaminedFailure) -> Severity {
-        let goes_by_violation = self.config.specification != Specification::NoContact || one.verdict.failure.is_some();
+        let goes_by_violation =
+            self.config.specification != Specification::NoContact || one.verdict.failure.is_some();
         Severity {
-            violation: if goes_by_violation { -one.verdict.robustness } else { 0.0 },
-            impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
+            violation: if goes_by_violation {
+                -one.verdict.robustness
+            } else {
+                0.0
+            },
+            impact_speed_mps: one
+                .verdict
+                .contact
+                .map_or(0.0, |contact| contact.impact_speed_mps),
             max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
             vehicles_involved: one.vehicles_involved,
         }
@@ -89,7 +112,8 @@ impl Recorder<'_> {
     fn is_same_failure(&self, one: &ExaminedFailure, other: &ExaminedFailure) -> bool {
         let ResolvedConfig { space, cube, .. } = self.config;
         let (a, b) = (space.point(&one.values), space.point(&other.values));
-        one.kind == other.kind && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
+        one.kind == other.kind
+            && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
     }
 
     /// Returns a counterexample and adds its files, without writing them.
@@ -102,11 +126,18 @@ impl Recorder<'_> {
     ) -> Result<Counterexample, CampaignError> {
         let kind = one.kind.describe(&one.scenario);
         let slug = match one.kind {
-            FailureKind::Contact { front_vehicle, rear_vehicle, .. } => format!("{rear_vehicle}-hits-{front_vehicle}"),
+            FailureKind::Contact {
+                front_vehicle,
+                rear_vehicle,
+                ..
+            } => format!("{rear_vehicle}-hits-{front_vehicle}"),
             FailureKind::ControllerFailed { vehicle } => format!("controller-{vehicle}-fails"),
             FailureKind::Violation { .. } => "violation".to_owned(),
         };
-        let (file, original) = (format!("{place:02}-{slug}.toml"), format!("originals/{place:02}-{slug}.toml"));
+        let (file, original) = (
+            format!("{place:02}-{slug}.toml"),
+            format!("originals/{place:02}-{slug}.toml"),
+        );
         let terms = &self.config.record;
         let policy = terms.policy_sha256.clone();
         let driver = match &policy {
@@ -120,9 +151,14 @@ impl Recorder<'_> {
         };
         let beside = match &terms.failure_criterion {
             None => String::new(),
-            Some(FailureCriterionRecord::Differential { controller, .. }) => format!(", and `{controller}` passes it"),
+            Some(FailureCriterionRecord::Differential { controller, .. }) => {
+                format!(", and `{controller}` passes it")
+            }
         };
-        let why = one.because.as_ref().map_or(String::new(), |because| format!(" {because}"));
+        let why = one
+            .because
+            .as_ref()
+            .map_or(String::new(), |because| format!(" {because}"));
         let found = format!(
             "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{why}{beside}.{formula}",
             self.config.space.name(),
@@ -130,13 +166,22 @@ impl Recorder<'_> {
             one.number,
             terms.seed
         );
-        let how =
-            if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
-        let class =
-            one.analysis.avoidability.describe().map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
+        let how = if one.dt_fragile {
+            " It disappears at a tenth of the step: kept as it was found."
+        } else {
+            " Shrunk."
+        };
+        let class = one
+            .analysis
+            .avoidability
+            .describe()
+            .map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
         let changed = self.changed_parameters(&one.values);
-        let outside: Vec<_> =
-            changed.iter().filter(|one| one.outside_observed.is_some()).map(ToString::to_string).collect();
+        let outside: Vec<_> = changed
+            .iter()
+            .filter(|one| one.outside_observed.is_some())
+            .map(ToString::to_string)
+            .collect();
         let outside = match outside[..] {
             [] => String::new(),
             _ => format!(" Values beyond the recordings: {}.", outside.join(", ")),
@@ -144,31 +189,42 @@ impl Recorder<'_> {
         let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
         let named_file = |path: String, scenario: &Scenario, name, about| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
-            Ok::<_, CampaignError>((path, file::to_toml(&named).map_err(CampaignError::from_encoding_error)?))
+            Ok::<_, CampaignError>((
+                path,
+                file::to_toml(&named).map_err(CampaignError::from_encoding_error)?,
+            ))
         };
-        let mut write =
-            |file: &str, (scenario, verdict): (&Scenario, &RunVerdict), name, about, class: &Avoidability| {
-                files.push(named_file(format!("counterexamples/{file}"), scenario, name, about)?);
-                index.expected.push(ExpectedVerdict {
-                    scenario: file.to_owned(),
-                    controller: terms.controller.clone(),
-                    policy_sha256: policy.clone(),
-                    controller_sha256: terms.controller_sha256.clone(),
-                    estimator: terms.estimator,
-                    specification: self.config.specification.to_string(),
-                    violated: verdict.robustness < 0.0,
-                    robustness: verdict.robustness,
-                    contact_time_s: verdict.contact.map(|contact| contact.time_s),
-                    front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
-                    rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
-                    dt_fragile: one.dt_fragile,
-                    avoidable: class.class(),
-                    best_min_gap_m: class.best_min_gap_m(),
-                    undecided_because: class.undecided_because().map(str::to_owned),
-                    failure_criterion: terms.failure_criterion.clone(),
-                });
-                Ok::<(), CampaignError>(())
-            };
+        let mut write = |file: &str,
+                         (scenario, verdict): (&Scenario, &RunVerdict),
+                         name,
+                         about,
+                         class: &Avoidability| {
+            files.push(named_file(
+                format!("counterexamples/{file}"),
+                scenario,
+                name,
+                about,
+            )?);
+            index.expected.push(ExpectedVerdict {
+                scenario: file.to_owned(),
+                controller: terms.controller.clone(),
+                policy_sha256: policy.clone(),
+                controller_sha256: terms.controller_sha256.clone(),
+                estimator: terms.estimator,
+                specification: self.config.specification.to_string(),
+                violated: verdict.robustness < 0.0,
+                robustness: verdict.robustness,
+                contact_time_s: verdict.contact.map(|contact| contact.time_s),
+                front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+                rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+                dt_fragile: one.dt_fragile,
+                avoidable: class.class(),
+                best_min_gap_m: class.best_min_gap_m(),
+                undecided_because: class.undecided_because().map(str::to_owned),
+                failure_criterion: terms.failure_criterion.clone(),
+            });
+            Ok::<(), CampaignError>(())
+        };
         let (verdict, as_found) = (&one.verdict, &one.original_verdict);
         write(
             &file,
@@ -178,12 +234,28 @@ impl Recorder<'_> {
             &one.analysis.avoidability,
         )?;
         let original_name = format!("{name}-original");
-        write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
-        let escape_file =
-            one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
+        write(
+            &original,
+            (&one.original, as_found),
+            original_name,
+            found,
+            &Avoidability::NotAsked,
+        )?;
+        let escape_file = one
+            .analysis
+            .escape
+            .as_ref()
+            .map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
-            let about = format!("An escape from {file}: a driver who knows the future avoids the collision like this.");
-            files.push(named_file(path.clone(), escape, format!("{name}-escape"), about)?);
+            let about = format!(
+                "An escape from {file}: a driver who knows the future avoids the collision like this."
+            );
+            files.push(named_file(
+                path.clone(),
+                escape,
+                format!("{name}-escape"),
+                about,
+            )?);
         }
         let point = self.config.space.point(&one.values);
         Ok(Counterexample {
@@ -233,11 +305,15 @@ impl Recorder<'_> {
                 });
             };
             match own {
-                [first, rest @ ..] if rest.iter().all(|value| value == first) => say(parameter.name(), *first),
+                [first, rest @ ..] if rest.iter().all(|value| value == first) => {
+                    say(parameter.name(), *first)
+                }
                 _ => {
                     let pieces = names.get(parameter.coordinates()).unwrap_or_default();
                     let differs = pieces.iter().zip(own.iter().zip(parameter.nominal()));
-                    differs.filter(|(_, (a, b))| a != b).for_each(|(name, (value, _))| say(name, *value));
+                    differs
+                        .filter(|(_, (a, b))| a != b)
+                        .for_each(|(name, (value, _))| say(name, *value));
                 }
             }
         }
@@ -248,7 +324,11 @@ impl Recorder<'_> {
 fn rank_by_likelihood(found: &mut [Counterexample]) {
     let mut order: Vec<&mut Counterexample> = found.iter_mut().collect();
     let key = |one: &Counterexample| (-one.ln_likelihood, one.distance_from_nominal);
-    order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
+    order.sort_by(|a, b| {
+        key(a)
+            .partial_cmp(&key(b))
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
     for (rank, one) in (1..).zip(order) {
         one.likelihood_rank = rank;
     }
@@ -256,5 +336,10 @@ fn rank_by_likelihood(found: &mut [Counterexample]) {
 
 fn capitalise(words: &str) -> String {
     let mut letters = words.chars();
-    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
+    letters
+        .next()
+        .into_iter()
+        .flat_map(char::to_uppercase)
+        .chain(letters)
+        .collect()
 }

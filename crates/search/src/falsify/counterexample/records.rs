@@ -29,7 +29,9 @@ impl VerdictRecordReader {
     /// # Errors
     /// [`FileError`] for a record that cannot be read or parsed.
     pub fn find(&mut self, scenario: &Path) -> Result<Option<RecordedVerdicts<'_>>, FileError> {
-        let Ok(path) = fs::canonicalize(scenario) else { return Ok(None) };
+        let Ok(path) = fs::canonicalize(scenario) else {
+            return Ok(None);
+        };
         let folders: Vec<&Path> = path.ancestors().skip(1).take(2).collect();
         for folder in &folders {
             self.read_folder(folder)?;
@@ -37,16 +39,26 @@ impl VerdictRecordReader {
         let records = &self.folders;
         Ok(folders.into_iter().find_map(|folder| {
             let recorded = records.get(folder)?.expected.iter();
-            let verdicts: Vec<_> = recorded.filter(|one| folder.join(&one.scenario) == path).collect();
-            (!verdicts.is_empty()).then(|| RecordedVerdicts { folder: folder.to_owned(), verdicts })
+            let verdicts: Vec<_> = recorded
+                .filter(|one| folder.join(&one.scenario) == path)
+                .collect();
+            (!verdicts.is_empty()).then(|| RecordedVerdicts {
+                folder: folder.to_owned(),
+                verdicts,
+            })
         }))
     }
 
     fn read_folder(&mut self, folder: &Path) -> Result<(), FileError> {
         if !self.folders.contains_key(folder) {
-            let has_record =
-                [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME].iter().any(|name| folder.join(name).is_file());
-            let read = if has_record { ExpectedFile::load_from_folder(folder)? } else { ExpectedFile::default() };
+            let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME]
+                .iter()
+                .any(|name| folder.join(name).is_file());
+            let read = if has_record {
+                ExpectedFile::load_from_folder(folder)?
+            } else {
+                ExpectedFile::default()
+            };
             self.folders.insert(folder.to_owned(), read);
         }
         Ok(())
@@ -60,8 +72,17 @@ impl<'a> RecordedVerdicts<'a> {
         let mut first: Vec<&ExpectedVerdict> = Vec::new();
         for verdict in &self.verdicts {
             let is_known = |known: &&ExpectedVerdict| {
-                (&known.controller, &known.policy_sha256, &known.controller_sha256, known.estimator)
-                    == (&verdict.controller, &verdict.policy_sha256, &verdict.controller_sha256, verdict.estimator)
+                (
+                    &known.controller,
+                    &known.policy_sha256,
+                    &known.controller_sha256,
+                    known.estimator,
+                ) == (
+                    &verdict.controller,
+                    &verdict.policy_sha256,
+                    &verdict.controller_sha256,
+                    verdict.estimator,
+                )
             };
             if !first.iter().any(is_known) {
                 first.push(verdict);
@@ -79,15 +100,28 @@ impl<'a> RecordedVerdicts<'a> {
     ///
     /// # Errors
     /// [`ReplayError`] if there is no such file, it is not the recorded controller, or its program does not start.
-    pub fn find_controller(&self, verdict: &ExpectedVerdict) -> Result<NamedController, ReplayError> {
+    pub fn find_controller(
+        &self,
+        verdict: &ExpectedVerdict,
+    ) -> Result<NamedController, ReplayError> {
         let (own, current) = (self.folder.clone(), PathBuf::new());
         let folders = match NamedController::file_in_name(&verdict.controller) {
             None => vec![current, own],
             Some(file) => {
-                let has_hash = verdict.policy_sha256.is_some() || verdict.controller_sha256.is_some();
-                let above = self.folder.ancestors().skip(1).filter(|_| has_hash).map(Path::to_owned);
+                let has_hash =
+                    verdict.policy_sha256.is_some() || verdict.controller_sha256.is_some();
+                let above = self
+                    .folder
+                    .ancestors()
+                    .skip(1)
+                    .filter(|_| has_hash)
+                    .map(Path::to_owned);
                 let searched: Vec<PathBuf> = [own, current].into_iter().chain(above).collect();
-                let with_file: Vec<_> = searched.iter().filter(|folder| folder.join(file).exists()).cloned().collect();
+                let with_file: Vec<_> = searched
+                    .iter()
+                    .filter(|folder| folder.join(file).exists())
+                    .cloned()
+                    .collect();
                 if with_file.is_empty() {
                     return Err(ReplayError::MissingController { folders: searched });
                 }

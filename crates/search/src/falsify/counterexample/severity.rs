@@ -35,7 +35,10 @@ mod tests {
             max_delta_v_mps,
             vehicles_involved,
         };
-        let formula = |violation| Severity { violation, ..contact(1.0, 1.0, 2) };
+        let formula = |violation| Severity {
+            violation,
+            ..contact(1.0, 1.0, 2)
+        };
         let mildest_first = [
             contact(9.2, 14.0, 4),
             contact(9.8, 3.0, 2),
@@ -46,6 +49,12 @@ mod tests {
         ];
         assert!(mildest_first.is_sorted_by(|a, b| a.compare(b) == Ordering::Less));
         assert_eq!(formula(0.2).compare(&formula(0.1)), Ordering::Greater);
-        assert_eq!(formula(0.1).compare(&Severity { impact_speed_mps: 9.0, ..formula(0.1) }), Ordering::Less);
+        assert_eq!(
+            formula(0.1).compare(&Severity {
+                impact_speed_mps: 9.0,
+                ..formula(0.1)
+            }),
+            Ordering::Less
+        );
     }
 }

@@ -11,7 +11,11 @@ const MAX_DECIMALS: i32 = 3;
 
 /// Returns the simplest values found for which `holds`, from `values` of the space. Moves have a fixed order, the
 /// largest first: whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
-pub fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
+pub fn shrink(
+    space: &ScenarioSpace,
+    values: &[f64],
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) -> Vec<f64> {
     let mut current = values.to_vec();
     for _ in 0..MAX_ROUNDS {
         let before = current.clone();
@@ -21,10 +25,18 @@ pub fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64
         for parameter in space.parameters() {
             join_pieces(parameter, &mut current, holds);
         }
-        for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
+        for parameter in space
+            .parameters()
+            .iter()
+            .filter(|parameter| !parameter.is_choice())
+        {
             move_towards_nominal(parameter, &mut current, holds);
         }
-        for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
+        for parameter in space
+            .parameters()
+            .iter()
+            .filter(|parameter| !parameter.is_choice())
+        {
             round_values(parameter, &mut current, holds);
         }
         if current == before {
@@ -35,7 +47,11 @@ pub fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64
 }
 
 /// Accepts a change if the values differ and the failure survives.
-fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) -> bool {
+fn attempt(
+    current: &mut Vec<f64>,
+    changed: Vec<f64>,
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) -> bool {
     let taken = changed != *current && holds(&changed);
     if taken {
         *current = changed;
@@ -43,7 +59,11 @@ fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f6
     taken
 }
 
-fn try_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn try_nominal(
+    parameter: &SpaceParameter,
+    current: &mut Vec<f64>,
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) {
     let mut changed = current.clone();
     if let Some(own) = changed.get_mut(parameter.coordinates()) {
         own.copy_from_slice(parameter.nominal());
@@ -52,15 +72,26 @@ fn try_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut d
 }
 
 /// Merges neighbouring pieces: runs of equal pieces take the value before or after them.
-fn join_pieces(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn join_pieces(
+    parameter: &SpaceParameter,
+    current: &mut Vec<f64>,
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) {
     let range = parameter.coordinates();
     let mut border = range.start + 1;
     while border < range.end {
         let at = |values: &[f64], index: usize| values.get(index).copied().unwrap_or(f64::NAN);
         let (left, right) = (at(current, border - 1), at(current, border));
         if left != right {
-            let start = (range.start..border).rev().take_while(|&i| at(current, i) == left).last().unwrap_or(border);
-            let end = (border..range.end).take_while(|&i| at(current, i) == right).last().map_or(border, |i| i + 1);
+            let start = (range.start..border)
+                .rev()
+                .take_while(|&i| at(current, i) == left)
+                .last()
+                .unwrap_or(border);
+            let end = (border..range.end)
+                .take_while(|&i| at(current, i) == right)
+                .last()
+                .map_or(border, |i| i + 1);
             let mut one = current.clone();
             one.get_mut(border..end).unwrap_or_default().fill(left);
             let mut other = current.clone();
@@ -71,14 +102,27 @@ fn join_pieces(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut d
     }
 }
 
-fn move_towards_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn move_towards_nominal(
+    parameter: &SpaceParameter,
+    current: &mut Vec<f64>,
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) {
     for run in equal_runs(parameter, current) {
-        let nominal = parameter.nominal().get(run.start - parameter.coordinates().start).copied().unwrap_or(0.0);
+        let nominal = parameter
+            .nominal()
+            .get(run.start - parameter.coordinates().start)
+            .copied()
+            .unwrap_or(0.0);
         let mut share = 0.5;
         for _ in 0..NOMINAL_STEPS {
-            let Some(&value) = current.get(run.start) else { break };
+            let Some(&value) = current.get(run.start) else {
+                break;
+            };
             let mut changed = current.clone();
-            changed.get_mut(run.clone()).unwrap_or_default().fill(value + share * (nominal - value));
+            changed
+                .get_mut(run.clone())
+                .unwrap_or_default()
+                .fill(value + share * (nominal - value));
             if !attempt(current, changed, holds) {
                 share *= 0.5;
             }
@@ -88,17 +132,30 @@ fn move_towards_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, hold
 
 /// Rounds values to the fewest decimals, from tens to thousandths, with which the failure survives. Tries the nearest
 /// rounded value first, then the one on the other side.
-fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn round_values(
+    parameter: &SpaceParameter,
+    current: &mut Vec<f64>,
+    holds: &mut dyn FnMut(&[f64]) -> bool,
+) {
     let [low, high] = parameter.range();
     for run in equal_runs(parameter, current) {
-        let Some(&value) = current.get(run.start) else { continue };
+        let Some(&value) = current.get(run.start) else {
+            continue;
+        };
         // A nominal value needs no rounding.
-        if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
+        if parameter
+            .nominal()
+            .get(run.start - parameter.coordinates().start)
+            == Some(&value)
+        {
             continue;
         }
         for rounded in rounder_values(value) {
             let mut changed = current.clone();
-            changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
+            changed
+                .get_mut(run.clone())
+                .unwrap_or_default()
+                .fill(rounded);
             let near = (rounded - value).abs() <= MAX_ROUNDING_SHARE * (high - low);
             if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
                 break;
@@ -112,10 +169,16 @@ pub fn rounder_values(value: f64) -> impl Iterator<Item = f64> {
     let at_scale = move |decimals| {
         let scale = 10f64.powi(decimals);
         let scaled = value * scale;
-        let other = if scaled.round() > scaled { scaled.floor() } else { scaled.ceil() };
+        let other = if scaled.round() > scaled {
+            scaled.floor()
+        } else {
+            scaled.ceil()
+        };
         [scaled.round() / scale, other / scale]
     };
-    (-1..=MAX_DECIMALS).flat_map(at_scale).take_while(move |&rounded| rounded != value)
+    (-1..=MAX_DECIMALS)
+        .flat_map(at_scale)
+        .take_while(move |&rounded| rounded != value)
 }
 
 /// Returns the coordinates of a parameter, grouped by neighbouring pieces of equal value.
@@ -142,7 +205,10 @@ mod tests {
         let values = space.values(&space.draw_point(1, 5));
         let names = space.coordinate_names();
         let gap = names.iter().position(|name| name == "gap_ahead_m").unwrap();
-        let brake = names.iter().position(|name| name == "lead_brake_share_0").unwrap();
+        let brake = names
+            .iter()
+            .position(|name| name == "lead_brake_share_0")
+            .unwrap();
         let mut start = values.clone();
         start[gap] = 3.4567;
         start[brake..brake + 5].copy_from_slice(&[0.912, 0.934, 0.95, 0.1, 0.2]);
@@ -151,12 +217,24 @@ mod tests {
         let shrunk = shrink(&space, &start, &mut holds);
         for (index, (found, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
             let plays_a_part = index == gap || (brake..brake + 5).contains(&index);
-            assert!(plays_a_part || *found == nominal, "{}: {found}", names[index]);
+            assert!(
+                plays_a_part || *found == nominal,
+                "{}: {found}",
+                names[index]
+            );
         }
         assert!([6.0, 7.0, 8.0].contains(&shrunk[gap]), "{}", shrunk[gap]);
-        assert!(shrunk[brake..brake + 5].iter().all(|share| *share == shrunk[brake]), "one piece: {shrunk:?}");
+        assert!(
+            shrunk[brake..brake + 5]
+                .iter()
+                .all(|share| *share == shrunk[brake]),
+            "one piece: {shrunk:?}"
+        );
         let percent = 100.0 * shrunk[brake];
-        assert!((72.0..=91.0).contains(&percent) && (percent - percent.round()).abs() < 1e-9, "{percent}");
+        assert!(
+            (72.0..=91.0).contains(&percent) && (percent - percent.round()).abs() < 1e-9,
+            "{percent}"
+        );
     }
 
     proptest! {

@@ -31,7 +31,10 @@ pub(super) struct Ascent {
 
 impl Ascent {
     pub(super) fn new(at: SimulatedProfile) -> Self {
-        Self { current: at, trust_region_mps2: TRUST_REGION_MPS2[0] }
+        Self {
+            current: at,
+            trust_region_mps2: TRUST_REGION_MPS2[0],
+        }
     }
 
     pub(super) fn is_over(&self) -> bool {
@@ -39,12 +42,16 @@ impl Ascent {
     }
 
     pub(super) fn step(&mut self, plant: &mut Plant<'_>, stream: &mut Stream) -> bool {
-        let gained = self.propose(plant, stream).into_iter().max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
+        let gained = self
+            .propose(plant, stream)
+            .into_iter()
+            .max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
         let [success, failure] = TRUST_REGION_FACTORS;
         match gained.filter(|best| best.margin_m > self.current.margin_m + MIN_GAIN_M) {
             Some(best) => {
                 self.current = best;
-                self.trust_region_mps2 = (self.trust_region_mps2 * success).min(TRUST_REGION_MPS2[1]);
+                self.trust_region_mps2 =
+                    (self.trust_region_mps2 * success).min(TRUST_REGION_MPS2[1]);
                 true
             }
             None => {
@@ -56,24 +63,35 @@ impl Ascent {
 
     /// Returns simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
-        let Some(Some(here)) = plant.simulate_gaps(std::slice::from_ref(&self.current.profile)).pop() else {
+        let Some(Some(here)) = plant
+            .simulate_gaps(std::slice::from_ref(&self.current.profile))
+            .pop()
+        else {
             return Vec::new();
         };
         let blocks = self.blocks(plant, &here, stream);
         let nudge_mps2 = (0.5 * self.trust_region_mps2).clamp(0.05, 1.0);
-        let by_mps2: Vec<f64> = blocks.iter().map(|block| self.signed_nudge_mps2(plant, block, nudge_mps2)).collect();
+        let by_mps2: Vec<f64> = blocks
+            .iter()
+            .map(|block| self.signed_nudge_mps2(plant, block, nudge_mps2))
+            .collect();
         let nudged: Vec<Profile> = blocks
             .iter()
             .zip(&by_mps2)
             .map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by))
             .collect();
         let nudged = plant.simulate_gaps(&nudged);
-        let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else { return Vec::new() };
+        let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else {
+            return Vec::new();
+        };
         let share = |share: f64| {
             let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| {
                 plant.with_block_changed(&profile, block, share * by)
             };
-            blocks.iter().zip(&step).fold(self.current.profile.clone(), moved)
+            blocks
+                .iter()
+                .zip(&step)
+                .fold(self.current.profile.clone(), moved)
         };
         let shares = STEP_SHARES.map(share);
         plant.simulate_profiles(shares.into())
@@ -90,14 +108,22 @@ impl Ascent {
         let [before, after] = BLOCK_COUNTS.map(|count| count.div_ceil(plant.ego_count()));
         let phase: f64 = stream.random();
         let length = until as f64 / before as f64;
-        let early = (0..=before).map(|block| ((block as f64 - phase) * length).round().max(0.0) as usize);
+        let early =
+            (0..=before).map(|block| ((block as f64 - phase) * length).round().max(0.0) as usize);
         let late = (0..=after).map(|block| until + (all - until) * block / after);
-        let mut borders: Vec<usize> = std::iter::once(0).chain(early).chain(late).map(|cell| cell.min(all)).collect();
+        let mut borders: Vec<usize> = std::iter::once(0)
+            .chain(early)
+            .chain(late)
+            .map(|cell| cell.min(all))
+            .collect();
         borders.sort_unstable();
         borders.dedup();
         let of_ego = |ego: usize| {
             borders.windows(2).filter_map(move |pair| match pair {
-                &[from, to] => Some(CellBlock { ego, cells: from..to }),
+                &[from, to] => Some(CellBlock {
+                    ego,
+                    cells: from..to,
+                }),
                 _ => None,
             })
         };
@@ -116,9 +142,16 @@ impl Ascent {
     }
 
     fn range_mps2(&self, block: &CellBlock) -> [f64; 2] {
-        let cells = self.current.profile.get(block.ego).and_then(|cells| cells.get(block.cells.clone()));
+        let cells = self
+            .current
+            .profile
+            .get(block.ego)
+            .and_then(|cells| cells.get(block.cells.clone()));
         let cells = cells.into_iter().flatten();
-        cells.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], &held| [least.min(held), most.max(held)])
+        cells.fold(
+            [f64::INFINITY, f64::NEG_INFINITY],
+            |[least, most], &held| [least.min(held), most.max(held)],
+        )
     }
 
     /// Returns the change of each block that maximises the smallest linearised gap.
@@ -143,7 +176,8 @@ impl Ascent {
         }
         let slope = |sample: usize, block: usize| {
             let gap_m = nudged.get(block)?.as_ref()?.gap_m.get(sample)?;
-            Some((gap_m - here.gap_m.get(sample)?) / by_mps2.get(block)?).filter(|slope| slope.is_finite())
+            Some((gap_m - here.gap_m.get(sample)?) / by_mps2.get(block)?)
+                .filter(|slope| slope.is_finite())
         };
         let rows: Vec<(f64, Vec<f64>)> = here
             .gap_m
@@ -151,18 +185,35 @@ impl Ascent {
             .enumerate()
             .filter(|(_, gap_m)| gap_m.is_finite())
             .map(|(sample, &gap_m)| {
-                (gap_m, (0..blocks.len()).map(|block| slope(sample, block).unwrap_or(0.0)).collect())
+                (
+                    gap_m,
+                    (0..blocks.len())
+                        .map(|block| slope(sample, block).unwrap_or(0.0))
+                        .collect(),
+                )
             })
             .collect();
         let reach = |slopes: &[f64]| region * slopes.iter().map(|slope| slope.abs()).sum::<f64>();
         // Drop gaps that stay above the maximum of another one.
-        let ceiling_m = rows.iter().map(|(gap_m, slopes)| gap_m + reach(slopes)).fold(f64::INFINITY, f64::min);
+        let ceiling_m = rows
+            .iter()
+            .map(|(gap_m, slopes)| gap_m + reach(slopes))
+            .fold(f64::INFINITY, f64::min);
         program.add_inequality(&[(smallest, 1.0)], ceiling_m);
-        for (gap_m, slopes) in rows.iter().filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m) {
-            let falls = slopes.iter().enumerate().filter(|(_, slope)| **slope != 0.0).map(|(i, slope)| (i, -slope));
+        for (gap_m, slopes) in rows
+            .iter()
+            .filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m)
+        {
+            let falls = slopes
+                .iter()
+                .enumerate()
+                .filter(|(_, slope)| **slope != 0.0)
+                .map(|(i, slope)| (i, -slope));
             program.add_inequality(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
         }
-        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else {
+            return None;
+        };
         // Rounded, because the last digits of the solver differ between machines.
         let rounded = |change: &f64| (change.clamp(-region, region) * 1e4).round() / 1e4;
         let step: Vec<f64> = at.iter().take(blocks.len()).map(rounded).collect();
@@ -172,6 +223,10 @@ impl Ascent {
 
 impl SampledGaps {
     fn gaps_at_sample(&self, sample: usize) -> impl Iterator<Item = f64> {
-        self.gap_m.iter().skip(sample).step_by(self.samples.max(1)).copied()
+        self.gap_m
+            .iter()
+            .skip(sample)
+            .step_by(self.samples.max(1))
+            .copied()
     }
 }

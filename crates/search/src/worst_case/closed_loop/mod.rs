@@ -52,10 +52,16 @@ pub(super) fn largest_gap(
     let plant = Plant::new(scenario, cell)?;
     let bound_m = initial_gap_m(scenario).min(bound_m);
     let stream = random::stream(scenario.spec().seed, Purpose::Search, 0);
-    let mut search = GapSearch { plant, stream, sufficient_margin_m: bound_m - NEAR_BOUND_M };
+    let mut search = GapSearch {
+        plant,
+        stream,
+        sufficient_margin_m: bound_m - NEAR_BOUND_M,
+    };
     let best = search.find_best(program_mps2, effort);
     let plant = search.plant;
-    let found_by = FoundBy::ClosedLoop { simulations: plant.simulations };
+    let found_by = FoundBy::ClosedLoop {
+        simulations: plant.simulations,
+    };
     let replay = |candidate: SimulatedProfile| {
         Escape::from_accelerations(
             scenario,
@@ -64,14 +70,23 @@ pub(super) fn largest_gap(
             found_by,
         )
     };
-    best.into_iter().filter(|candidate| candidate.margin_m > 0.0).find_map(replay)
+    best.into_iter()
+        .filter(|candidate| candidate.margin_m > 0.0)
+        .find_map(replay)
 }
 
 /// Returns the smallest initial gap, in metres, an upper bound for any profile. Infinite if vehicles change lanes.
 pub(super) fn initial_gap_m(scenario: &Scenario) -> f64 {
-    let pairs = scenario.vehicles().iter().zip(scenario.vehicles().iter().skip(1));
+    let pairs = scenario
+        .vehicles()
+        .iter()
+        .zip(scenario.vehicles().iter().skip(1));
     let gaps_m = pairs.map(|(front, rear)| front.position_m - front.length_m() - rear.position_m);
-    if scenario.keeps_lanes() { gaps_m.fold(f64::INFINITY, f64::min) } else { f64::INFINITY }
+    if scenario.keeps_lanes() {
+        gaps_m.fold(f64::INFINITY, f64::min)
+    } else {
+        f64::INFINITY
+    }
 }
 
 struct GapSearch<'s> {
@@ -81,15 +96,26 @@ struct GapSearch<'s> {
 }
 
 impl GapSearch<'_> {
-    fn find_best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: SearchEffort) -> Vec<SimulatedProfile> {
+    fn find_best(
+        &mut self,
+        program_mps2: Option<&[Vec<f64>]>,
+        effort: SearchEffort,
+    ) -> Vec<SimulatedProfile> {
         let (enough_m, cycles) = match effort {
-            SearchEffort::Decide => (DECISIVE_MARGIN_M.min(self.sufficient_margin_m), DECIDING_CYCLES),
+            SearchEffort::Decide => (
+                DECISIVE_MARGIN_M.min(self.sufficient_margin_m),
+                DECIDING_CYCLES,
+            ),
             SearchEffort::Optimise => (self.sufficient_margin_m, CYCLES.len()),
         };
         let program = program_mps2.map(|each_step_mps2| self.plant.cell_profile(each_step_mps2));
         let mut best = self.plant.simulate_profiles(program.into_iter().collect());
         if best.iter().all(|at| at.margin_m < enough_m) {
-            best.extend(self.improve_shapes(enough_m, cycles).into_iter().map(|(_, at)| at));
+            best.extend(
+                self.improve_shapes(enough_m, cycles)
+                    .into_iter()
+                    .map(|(_, at)| at),
+            );
         }
         sort_by_margin(&mut best);
         for [ascents, steps] in ASCENTS {
@@ -108,12 +134,18 @@ impl GapSearch<'_> {
     }
 
     /// Returns the best distinct simple shapes, after random changes.
-    fn improve_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(SpeedShape, SimulatedProfile)> {
+    fn improve_shapes(
+        &mut self,
+        enough_m: f64,
+        cycles: usize,
+    ) -> Vec<(SpeedShape, SimulatedProfile)> {
         let mut tried = self.simulate_shapes(shapes::simple_shapes(&self.plant));
         tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
         let mut best: Vec<(SpeedShape, SimulatedProfile)> = Vec::new();
         for (shape, at) in tried {
-            let is_new = best.iter().all(|(_, other)| distance_mps2(&other.profile, &at.profile) > MIN_DISTANCE_MPS2);
+            let is_new = best
+                .iter()
+                .all(|(_, other)| distance_mps2(&other.profile, &at.profile) > MIN_DISTANCE_MPS2);
             if is_new && best.len() < CYCLES[0][0] {
                 best.push((shape, at));
             }
@@ -124,8 +156,12 @@ impl GapSearch<'_> {
                 if best.iter().any(|(_, at)| at.margin_m >= enough_m) {
                     break;
                 }
-                let Some((shape, _)) = best.get(index) else { continue };
-                let changes = (0..CHANGES_PER_ROUND).map(|_| shape.mutate(&self.plant, &mut self.stream)).collect();
+                let Some((shape, _)) = best.get(index) else {
+                    continue;
+                };
+                let changes = (0..CHANGES_PER_ROUND)
+                    .map(|_| shape.mutate(&self.plant, &mut self.stream))
+                    .collect();
                 let better = self
                     .simulate_shapes(changes)
                     .into_iter()
@@ -142,7 +178,10 @@ impl GapSearch<'_> {
     }
 
     fn simulate_shapes(&mut self, shapes: Vec<SpeedShape>) -> Vec<(SpeedShape, SimulatedProfile)> {
-        let profiles = shapes.iter().map(|shape| shape.profile(&self.plant)).collect();
+        let profiles = shapes
+            .iter()
+            .map(|shape| shape.profile(&self.plant))
+            .collect();
         let tried = self.plant.simulate_profiles(profiles);
         shapes.into_iter().zip(tried).collect()
     }
@@ -165,7 +204,9 @@ fn sort_by_margin(candidates: &mut [SimulatedProfile]) {
 
 fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
     let (one, other) = (one.iter().flatten(), other.iter().flatten());
-    let (sum, count) = one.zip(other).fold((0.0, 0.0), |(sum, count), (a, b)| (sum + (a - b).abs(), count + 1.0));
+    let (sum, count) = one.zip(other).fold((0.0, 0.0), |(sum, count), (a, b)| {
+        (sum + (a - b).abs(), count + 1.0)
+    });
     sum / f64::max(count, 1.0)
 }
 
@@ -173,7 +214,9 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
 mod tests {
     use super::super::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario};
+    use crumple_world::scenario::{
+        Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
+    };
 
     fn cut_in(ttc_s: f64) -> Scenario {
         let paper = built_in_scenario("paper-1").unwrap();
@@ -181,7 +224,10 @@ mod tests {
             let profile = Driver::Profile(crumple_world::scenario::LeadProfile::ConstantSpeed);
             let mut lead = VehicleSpec::new(VehicleClass::Light, 62.0, 10.0, profile);
             lead.enters = Some(LaneChange::TimeToCollision(ttc_s));
-            spec.vehicles = vec![lead, VehicleSpec::new(VehicleClass::Light, 0.0, 30.0, Driver::UnderTest)];
+            spec.vehicles = vec![
+                lead,
+                VehicleSpec::new(VehicleClass::Light, 0.0, 30.0, Driver::UnderTest),
+            ];
         });
         changed.unwrap()
     }
@@ -189,11 +235,20 @@ mod tests {
     #[test]
     fn a_cut_in_is_avoided_where_that_can_be() {
         let found = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
-        let escape = found.verdict.escape().expect("20 m/s take 53 of 40 m and what is driven meanwhile");
+        let escape = found
+            .verdict
+            .escape()
+            .expect("20 m/s take 53 of 40 m and what is driven meanwhile");
         assert!(escape.min_gap_m > 1.0 && found.min_gap_bound_m.is_none());
         assert!(escape.scenario.vehicles()[0].enters.is_some());
         // A driver that brakes at once avoids the cut-in.
-        assert!(avoid(&cut_in(0.2), AvoidOptions::default()).unwrap().verdict.escape().is_some());
+        assert!(
+            avoid(&cut_in(0.2), AvoidOptions::default())
+                .unwrap()
+                .verdict
+                .escape()
+                .is_some()
+        );
     }
 
     #[test]
@@ -202,15 +257,26 @@ mod tests {
         for follower in ["idm", "acc-aeb"] {
             let behind = |gap_m: f64| {
                 let changed = paper.edited(|spec| {
-                    spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name(follower).unwrap());
+                    spec.vehicles[2].driver =
+                        Driver::Controller(ControllerSpec::from_name(follower).unwrap());
                     spec.vehicles[1].position_m = spec.vehicles[0].position_m - 2.0 - gap_m;
                     spec.vehicles[2].position_m = spec.vehicles[1].position_m - 20.0;
                 });
-                avoid(&changed.unwrap(), AvoidOptions::default()).unwrap().verdict
+                avoid(&changed.unwrap(), AvoidOptions::default())
+                    .unwrap()
+                    .verdict
             };
             let verdict = behind(20.0);
-            assert!(verdict.escape().is_some_and(|escape| escape.min_gap_m > 0.0), "{follower}: {verdict:?}");
-            assert!(!matches!(behind(0.01), AvoidanceVerdict::Undecided(UndecidedReason::Replay)));
+            assert!(
+                verdict
+                    .escape()
+                    .is_some_and(|escape| escape.min_gap_m > 0.0),
+                "{follower}: {verdict:?}"
+            );
+            assert!(!matches!(
+                behind(0.01),
+                AvoidanceVerdict::Undecided(UndecidedReason::Replay)
+            ));
         }
     }
 }

@@ -55,10 +55,12 @@ const MAX_SAMPLE_INTERVAL_S: f64 = 0.1;
 impl<'s> Plant<'s> {
     /// Creates a plant; `None` if the vehicles under test are not neighbours, or one of them has a lag or a jerk limit.
     pub(super) fn new(scenario: &'s Scenario, cell: usize) -> Option<Self> {
-        let indices: Vec<usize> =
-            (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
-        let follow_each_other =
-            indices.windows(2).all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
+        let indices: Vec<usize> = (0..scenario.vehicles().len())
+            .filter(|&index| scenario.is_under_test(index))
+            .collect();
+        let follow_each_other = indices
+            .windows(2)
+            .all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
         let ego = |index: usize| {
             let vehicle = scenario.vehicles().get(index)?;
             let is_prompt = vehicle.actuator_lag_s == 0.0 && vehicle.jerk_limit_mps3.is_none();
@@ -70,7 +72,12 @@ impl<'s> Plant<'s> {
             })
         };
         let egos: Vec<EgoLimits> = indices.into_iter().map(ego).collect::<Option<_>>()?;
-        (follow_each_other && !egos.is_empty()).then_some(Self { scenario, egos, cell: cell.max(1), simulations: 0 })
+        (follow_each_other && !egos.is_empty()).then_some(Self {
+            scenario,
+            egos,
+            cell: cell.max(1),
+            simulations: 0,
+        })
     }
 
     pub(super) fn first_ego(&self) -> usize {
@@ -94,41 +101,68 @@ impl<'s> Plant<'s> {
     }
 
     pub(super) fn initial_speed_mps(&self, ego: usize) -> f64 {
-        let vehicle = self.egos.get(ego).and_then(|ego| self.scenario.vehicles().get(ego.index));
+        let vehicle = self
+            .egos
+            .get(ego)
+            .and_then(|ego| self.scenario.vehicles().get(ego.index));
         vehicle.map_or(0.0, |vehicle| vehicle.speed_mps)
     }
 
     /// Returns the number of cells before the first command of a vehicle under test has an effect.
     pub(super) fn dead_cells(&self, ego: usize) -> usize {
-        self.egos.get(ego).map_or(0, |ego| ego.dead_steps.div_ceil(self.cell))
+        self.egos
+            .get(ego)
+            .map_or(0, |ego| ego.dead_steps.div_ceil(self.cell))
     }
 
     pub(super) fn limits_mps2(&self, ego: usize) -> [f64; 2] {
-        self.egos.get(ego).map_or([0.0; 2], |ego| [ego.low_mps2, ego.high_mps2])
+        self.egos
+            .get(ego)
+            .map_or([0.0; 2], |ego| [ego.low_mps2, ego.high_mps2])
     }
 
     /// Returns the profile of accelerations per step: the mean of each cell.
     pub(super) fn cell_profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
         let mean = |steps: &[f64]| steps.iter().sum::<f64>() / steps.len() as f64;
-        each_step_mps2.iter().map(|each| each.chunks(self.cell).map(mean).collect()).collect()
+        each_step_mps2
+            .iter()
+            .map(|each| each.chunks(self.cell).map(mean).collect())
+            .collect()
     }
 
     pub(super) fn step_accelerations_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
         let steps = self.scenario.steps();
         let of = |(ego, cells): (&EgoLimits, &Vec<f64>)| {
-            let held = cells.iter().flat_map(|&held| std::iter::repeat_n(held, self.cell)).take(steps);
-            let mut each: Vec<f64> = held.map(|held| held.clamp(ego.low_mps2, ego.high_mps2)).collect();
-            each.iter_mut().take(ego.dead_steps).for_each(|held| *held = 0.0);
+            let held = cells
+                .iter()
+                .flat_map(|&held| std::iter::repeat_n(held, self.cell))
+                .take(steps);
+            let mut each: Vec<f64> = held
+                .map(|held| held.clamp(ego.low_mps2, ego.high_mps2))
+                .collect();
+            each.iter_mut()
+                .take(ego.dead_steps)
+                .for_each(|held| *held = 0.0);
             each
         };
         self.egos.iter().zip(profile).map(of).collect()
     }
 
-    pub(super) fn with_block_changed(&self, profile: &Profile, block: &CellBlock, by_mps2: f64) -> Profile {
+    pub(super) fn with_block_changed(
+        &self,
+        profile: &Profile,
+        block: &CellBlock,
+        by_mps2: f64,
+    ) -> Profile {
         let [low, high] = self.limits_mps2(block.ego);
         let mut moved = profile.clone();
-        let cells = moved.get_mut(block.ego).and_then(|cells| cells.get_mut(block.cells.clone()));
-        cells.into_iter().flatten().for_each(|held| *held = (*held + by_mps2).clamp(low, high));
+        let cells = moved
+            .get_mut(block.ego)
+            .and_then(|cells| cells.get_mut(block.cells.clone()));
+        cells
+            .into_iter()
+            .flatten()
+            .for_each(|held| *held = (*held + by_mps2).clamp(low, high));
         moved
     }
 
@@ -151,12 +185,22 @@ impl<'s> Plant<'s> {
         let sampled = |simulated: SimulationResult| {
             let trace = simulated.trace.as_ref()?;
             let pair = |rear: usize| {
-                let gaps_m = trace.gaps_m(rear).into_iter().step_by(stride).map(|gap_m| gap_m.unwrap_or(f64::NAN));
+                let gaps_m = trace
+                    .gaps_m(rear)
+                    .into_iter()
+                    .step_by(stride)
+                    .map(|gap_m| gap_m.unwrap_or(f64::NAN));
                 gaps_m.chain(std::iter::repeat(f64::NAN)).take(samples)
             };
-            Some(SampledGaps { gap_m: (1..vehicles).flat_map(pair).collect(), samples })
+            Some(SampledGaps {
+                gap_m: (1..vehicles).flat_map(pair).collect(),
+                samples,
+            })
         };
-        self.simulate(profiles, RecordingLevel::Trace, sampled).into_iter().map(Option::flatten).collect()
+        self.simulate(profiles, RecordingLevel::Trace, sampled)
+            .into_iter()
+            .map(Option::flatten)
+            .collect()
     }
 
     pub(super) fn sample_interval_s(&self) -> f64 {
@@ -173,21 +217,35 @@ impl<'s> Plant<'s> {
         level: RecordingLevel,
         reduce: impl Fn(SimulationResult) -> R + Sync,
     ) -> Vec<Option<R>> {
-        let scripted: Vec<Option<Scenario>> = profiles.iter().map(|profile| self.with_scripts(profile)).collect();
-        let runs: Vec<Option<Run>> =
-            scripted.iter().map(|scenario| Run::new(scenario.as_ref()?, scripted_run_options()).ok()).collect();
+        let scripted: Vec<Option<Scenario>> = profiles
+            .iter()
+            .map(|profile| self.with_scripts(profile))
+            .collect();
+        let runs: Vec<Option<Run>> = scripted
+            .iter()
+            .map(|scenario| Run::new(scenario.as_ref()?, scripted_run_options()).ok())
+            .collect();
         let is_valid: Vec<bool> = runs.iter().map(Option::is_some).collect();
         let runs: Vec<Run> = runs.into_iter().flatten().collect();
         self.simulations += runs.len();
-        let mut results = simulate_batch(&runs, level, |_, simulated| reduce(simulated)).into_iter();
-        is_valid.into_iter().map(|is_valid| if is_valid { results.next() } else { None }).collect()
+        let mut results =
+            simulate_batch(&runs, level, |_, simulated| reduce(simulated)).into_iter();
+        is_valid
+            .into_iter()
+            .map(|is_valid| if is_valid { results.next() } else { None })
+            .collect()
     }
 
     fn with_scripts(&self, profile: &Profile) -> Option<Scenario> {
         let step_s = self.scenario.spec().step_s;
         let scripts = self.step_accelerations_mps2(profile);
         let scripted = self.scenario.edited(|spec| {
-            for (vehicle, each) in spec.vehicles.iter_mut().skip(self.first_ego()).zip(&scripts) {
+            for (vehicle, each) in spec
+                .vehicles
+                .iter_mut()
+                .skip(self.first_ego())
+                .zip(&scripts)
+            {
                 set_script(vehicle, script_pieces(each, step_s));
             }
         });

@@ -32,29 +32,62 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
     let duration_s = plant.duration_s();
     let mut all = vec![vec![]];
     for begins_s in ONSETS_S {
-        for (brake, speed) in BRAKE_SHARES.into_iter().flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed))) {
-            let slows = [ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: brake }];
-            for last in FINAL_SPEED_SHARES.into_iter().take(if speed == 0.0 { 1 } else { FINAL_SPEED_SHARES.len() }) {
-                let (until_s, to) = if last < 0.0 { (0.5 * duration_s, 0.0) } else { (duration_s, last * speed) };
-                all.push(slows.into_iter().chain([ShapeSegment::Reach { until_s, to }]).collect());
+        for (brake, speed) in BRAKE_SHARES
+            .into_iter()
+            .flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed)))
+        {
+            let slows = [
+                ShapeSegment::Hold { until_s: begins_s },
+                ShapeSegment::Change {
+                    to: speed,
+                    share: brake,
+                },
+            ];
+            for last in FINAL_SPEED_SHARES.into_iter().take(if speed == 0.0 {
+                1
+            } else {
+                FINAL_SPEED_SHARES.len()
+            }) {
+                let (until_s, to) = if last < 0.0 {
+                    (0.5 * duration_s, 0.0)
+                } else {
+                    (duration_s, last * speed)
+                };
+                all.push(
+                    slows
+                        .into_iter()
+                        .chain([ShapeSegment::Reach { until_s, to }])
+                        .collect(),
+                );
             }
         }
         for speed in HIGHER_SPEED_SHARES {
-            all.push(vec![ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: 1.0 }]);
+            all.push(vec![
+                ShapeSegment::Hold { until_s: begins_s },
+                ShapeSegment::Change {
+                    to: speed,
+                    share: 1.0,
+                },
+            ]);
         }
     }
-    for (halt, added) in
-        INTERMEDIATE_SPEED_SHARES.into_iter().flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added)))
+    for (halt, added) in INTERMEDIATE_SPEED_SHARES
+        .into_iter()
+        .flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added)))
     {
-        for (first, last) in
-            BRAKE_SHARES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last)))
+        for (first, last) in BRAKE_SHARES
+            .into_iter()
+            .take(4)
+            .flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last)))
         {
-            let [slows, speeds_up, stops] =
-                [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| ShapeSegment::Change { to, share });
+            let [slows, speeds_up, stops] = [(halt, first), (halt + added, 1.0), (0.0, last)]
+                .map(|(to, share)| ShapeSegment::Change { to, share });
             all.push(vec![slows, speeds_up, stops]);
         }
     }
-    all.into_iter().map(|legs| SpeedShape::new(plant, &legs)).collect()
+    all.into_iter()
+        .map(|legs| SpeedShape::new(plant, &legs))
+        .collect()
 }
 
 /// A segment of a simple shape. Speeds are shares of the initial speed.
@@ -87,7 +120,10 @@ impl SpeedShape {
                     ShapeSegment::Change { to, share } => {
                         let to_mps = to * first_mps;
                         let most_mps2 = share * if to_mps < speed_mps { -low } else { high };
-                        (now_s + (to_mps - speed_mps).abs() / most_mps2.max(1e-3), to_mps)
+                        (
+                            now_s + (to_mps - speed_mps).abs() / most_mps2.max(1e-3),
+                            to_mps,
+                        )
                     }
                     ShapeSegment::Reach { until_s, to } => (now_s.max(until_s), to * first_mps),
                 };
@@ -106,7 +142,8 @@ impl SpeedShape {
             let held = |cell: usize| {
                 let held_mps2 = match cell < plant.dead_cells(ego) {
                     true => 0.0,
-                    false => ((speed_at(knots, (cell + 1) as f64 * cell_s) - speed_mps) / cell_s).clamp(low, high),
+                    false => ((speed_at(knots, (cell + 1) as f64 * cell_s) - speed_mps) / cell_s)
+                        .clamp(low, high),
                 };
                 speed_mps += held_mps2 * cell_s;
                 held_mps2
@@ -131,7 +168,10 @@ impl SpeedShape {
 /// Returns the interpolated speed at a time, in m/s; constant after the last knot.
 fn speed_at(knots: &[(f64, f64)], time_s: f64) -> f64 {
     let after = knots.partition_point(|(knot_s, _)| *knot_s <= time_s);
-    match (after.checked_sub(1).and_then(|before| knots.get(before)), knots.get(after)) {
+    match (
+        after.checked_sub(1).and_then(|before| knots.get(before)),
+        knots.get(after),
+    ) {
         (Some((from_s, from_mps)), Some((to_s, to_mps))) => {
             from_mps + (to_mps - from_mps) * (time_s - from_s) / (to_s - from_s)
         }
@@ -147,10 +187,24 @@ fn mutate_knots(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Strea
     let at = stream.random_range(0..knots.len().max(1));
     let moved = |from_s: f64| (from_s + 0.5 * by).clamp(0.0, duration_s);
     match stream.random_range(0..8) {
-        0..=2 => knots.iter_mut().skip(at).take(1).for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
-        3 => knots.iter_mut().skip(at).take(1).for_each(|(from_s, _)| *from_s = moved(*from_s)),
-        4 => knots.iter_mut().skip(at).for_each(|(from_s, _)| *from_s = moved(*from_s)),
-        5 => knots.iter_mut().skip(at).for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
+        0..=2 => knots
+            .iter_mut()
+            .skip(at)
+            .take(1)
+            .for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
+        3 => knots
+            .iter_mut()
+            .skip(at)
+            .take(1)
+            .for_each(|(from_s, _)| *from_s = moved(*from_s)),
+        4 => knots
+            .iter_mut()
+            .skip(at)
+            .for_each(|(from_s, _)| *from_s = moved(*from_s)),
+        5 => knots
+            .iter_mut()
+            .skip(at)
+            .for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
         6 if knots.len() > 2 => drop(knots.remove(at)),
         _ if knots.len() < MAX_KNOTS => {
             // Early times are more frequent.

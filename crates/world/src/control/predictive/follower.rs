@@ -75,7 +75,12 @@ impl Follower {
 
     /// Adds an observation. `expected_mps2` is the deceleration that is expected of the emergency brake before it is
     /// observed. Returns true if the emergency brake has fired and the follower may still close in.
-    pub(super) fn observe(&mut self, behind: &Neighbour, seen: &Observation, expected_mps2: f64) -> bool {
+    pub(super) fn observe(
+        &mut self,
+        behind: &Neighbour,
+        seen: &Observation,
+        expected_mps2: f64,
+    ) -> bool {
         let closing_mps = behind.speed_mps - seen.speed_mps;
         let brakes = behind.acceleration_mps2 < -FIRED_BRAKE_MPS2;
         match self.fired_for_s {
@@ -86,12 +91,17 @@ impl Follower {
                     (self.fired_for_s, self.brake_mps2) = (Some(0.0), expected_mps2);
                 }
             }
-            Some(_) if closing_mps < -0.5 && behind.acceleration_mps2 > -1.0 => self.fired_for_s = None,
+            Some(_) if closing_mps < -0.5 && behind.acceleration_mps2 > -1.0 => {
+                self.fired_for_s = None
+            }
             Some(fired_for_s) => {
                 self.fired_for_s = Some(fired_for_s + self.step_s);
                 if fired_for_s > SETTLING_S {
-                    let found_mps2 = (-behind.acceleration_mps2).max(0.3 * expected_mps2).min(1.5 * expected_mps2);
-                    self.brake_mps2 += (self.step_s / AVERAGING_S).min(1.0) * (found_mps2 - self.brake_mps2);
+                    let found_mps2 = (-behind.acceleration_mps2)
+                        .max(0.3 * expected_mps2)
+                        .min(1.5 * expected_mps2);
+                    self.brake_mps2 +=
+                        (self.step_s / AVERAGING_S).min(1.0) * (found_mps2 - self.brake_mps2);
                 }
             }
         }
@@ -111,7 +121,10 @@ impl Follower {
 
     /// Returns the probability that the follower has nothing but an emergency brake.
     pub(super) fn unaware_probability(&self) -> f64 {
-        let highest = self.log_likelihoods.iter().fold(f64::NEG_INFINITY, |highest, &each| highest.max(each));
+        let highest = self
+            .log_likelihoods
+            .iter()
+            .fold(f64::NEG_INFINITY, |highest, &each| highest.max(each));
         let mut weights = self.prior;
         for (weight, log_likelihood) in weights.iter_mut().zip(self.log_likelihoods) {
             *weight *= libm::exp(log_likelihood - highest);
@@ -119,10 +132,16 @@ impl Follower {
         weights[0] / (weights[0] + weights[1] + weights[2]).max(f64::MIN_POSITIVE)
     }
 
-    #[expect(clippy::manual_clamp, reason = "a demand that is no number must not remain one")]
+    #[expect(
+        clippy::manual_clamp,
+        reason = "a demand that is no number must not remain one"
+    )]
     fn weigh(&mut self, behind: &Neighbour, seen: &Observation) {
-        let ego =
-            Neighbour { gap_m: behind.gap_m, speed_mps: seen.speed_mps, acceleration_mps2: seen.acceleration_mps2 };
+        let ego = Neighbour {
+            gap_m: behind.gap_m,
+            speed_mps: seen.speed_mps,
+            acceleration_mps2: seen.acceleration_mps2,
+        };
         let view = Observation {
             speed_mps: behind.speed_mps,
             acceleration_mps2: behind.acceleration_mps2,
@@ -149,7 +168,8 @@ impl Follower {
             *predicted_mps += self.step_s * *twice_mps2 - forgotten * *predicted_mps;
             let error_mps = change_mps - *predicted_mps;
             let log_likelihood = &mut self.log_likelihoods[index];
-            *log_likelihood -= forgotten * *log_likelihood + counted * error_mps * error_mps / (2.0 * variance);
+            *log_likelihood -=
+                forgotten * *log_likelihood + counted * error_mps * error_mps / (2.0 * variance);
         }
     }
 }

@@ -59,19 +59,25 @@ impl Friction {
 
     /// Replaces the command of this step by the one that was executed.
     pub(super) fn replace_last(&mut self, command_mps2: f64) {
-        self.commands_mps2[1] = clamp_command(command_mps2, self.max_brake_mps2, self.max_accel_mps2);
+        self.commands_mps2[1] =
+            clamp_command(command_mps2, self.max_brake_mps2, self.max_accel_mps2);
     }
 
     /// Returns the largest deceleration that the road allows, in m/s². A shortfall beyond the noise lowers it to the
     /// deceleration achieved; a harder deceleration raises it again.
     pub(super) fn usable_brake_mps2(&mut self, seen: &Observation) -> f64 {
         let [before_mps2, last_mps2] = self.commands_mps2;
-        self.jitter.observe(seen.acceleration_mps2, last_mps2 - before_mps2);
+        self.jitter
+            .observe(seen.acceleration_mps2, last_mps2 - before_mps2);
         let (wanted_mps2, actual_mps2) = (-last_mps2, -seen.acceleration_mps2);
         let share = (self.step_s / AVERAGING_S).min(1.0);
         self.shortfall_mps2 += share * (wanted_mps2 - actual_mps2 - self.shortfall_mps2);
         self.achieved_mps2 += share * (actual_mps2 - self.achieved_mps2);
-        let braking = if wanted_mps2 > MIN_BRAKE_MPS2 { 1.0 } else { 0.0 };
+        let braking = if wanted_mps2 > MIN_BRAKE_MPS2 {
+            1.0
+        } else {
+            0.0
+        };
         self.braking_share += share * (braking - self.braking_share);
         self.braking_sum_mps2 += share * (braking * actual_mps2 - self.braking_sum_mps2);
         if wanted_mps2 > MIN_BRAKE_MPS2 && seen.speed_mps > MIN_SPEED_MPS {
@@ -81,9 +87,14 @@ impl Friction {
                 // allows at least the average of the deceleration while braking, over the same time.
                 let achieved_mps2 = self.braking_sum_mps2 / self.braking_share;
                 let found_mps2 = (wanted_mps2 - self.shortfall_mps2).max(achieved_mps2);
-                self.usable_mps2 = self.usable_mps2.min(found_mps2.max(MIN_FRICTION * self.max_brake_mps2));
+                self.usable_mps2 = self
+                    .usable_mps2
+                    .min(found_mps2.max(MIN_FRICTION * self.max_brake_mps2));
             } else {
-                self.usable_mps2 = self.usable_mps2.max(self.achieved_mps2).min(self.max_brake_mps2);
+                self.usable_mps2 = self
+                    .usable_mps2
+                    .max(self.achieved_mps2)
+                    .min(self.max_brake_mps2);
             }
         }
         self.usable_mps2
@@ -100,7 +111,12 @@ mod tests {
         let mut friction = Friction::new(&EGO);
         let mut acceleration_mps2 = 0.0;
         let step = |&command_mps2: &f64| {
-            let seen = Observation { speed_mps: 20.0, acceleration_mps2, ahead: None, behind: None };
+            let seen = Observation {
+                speed_mps: 20.0,
+                acceleration_mps2,
+                ahead: None,
+                behind: None,
+            };
             let usable_mps2 = friction.usable_brake_mps2(&seen);
             friction.record(command_mps2);
             acceleration_mps2 = command_mps2.max(-road_mps2);
@@ -113,11 +129,21 @@ mod tests {
     #[test]
     fn commands_that_jump_do_not_let_the_estimate_collapse() {
         for half_period in [5, 20, 50] {
-            let jumping: Vec<f64> =
-                (0..1000).map(|step| if step / half_period % 2 == 0 { -7.5 } else { -2.5 }).collect();
+            let jumping: Vec<f64> = (0..1000)
+                .map(|step| {
+                    if step / half_period % 2 == 0 {
+                        -7.5
+                    } else {
+                        -2.5
+                    }
+                })
+                .collect();
             let estimated = estimates(&jumping, 3.75);
             let lowest_mps2 = estimated.iter().copied().fold(f64::INFINITY, f64::min);
-            assert!((2.5..=4.0).contains(&lowest_mps2), "{half_period}: {lowest_mps2}");
+            assert!(
+                (2.5..=4.0).contains(&lowest_mps2),
+                "{half_period}: {lowest_mps2}"
+            );
         }
     }
 
@@ -125,7 +151,13 @@ mod tests {
     fn a_constant_command_finds_the_friction_and_a_dry_road_keeps_its_own() {
         let on_ice = estimates(&[-6.0; 300], 1.5);
         assert!((on_ice[299] - 1.5).abs() < 0.02, "{}", on_ice[299]);
-        let jumping: Vec<f64> = (0..1000).map(|step| if step / 20 % 2 == 0 { -7.0 } else { -2.5 }).collect();
-        assert!(estimates(&jumping, 7.5).iter().all(|&usable_mps2| usable_mps2 == 7.5));
+        let jumping: Vec<f64> = (0..1000)
+            .map(|step| if step / 20 % 2 == 0 { -7.0 } else { -2.5 })
+            .collect();
+        assert!(
+            estimates(&jumping, 7.5)
+                .iter()
+                .all(|&usable_mps2| usable_mps2 == 7.5)
+        );
     }
 }

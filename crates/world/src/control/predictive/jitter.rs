@@ -20,7 +20,11 @@ pub(super) struct Jitter {
 
 impl Jitter {
     pub(super) fn new(step_s: f64) -> Self {
-        Self { step_s, last_mps2: None, variance: FIRST_VARIANCE }
+        Self {
+            step_s,
+            last_mps2: None,
+            variance: FIRST_VARIANCE,
+        }
     }
 
     /// Adds the acceleration of this step. `expected_mps2` is the part of the change that was commanded.

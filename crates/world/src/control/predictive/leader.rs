@@ -19,7 +19,12 @@ pub(super) struct Leader {
 
 impl Leader {
     pub(super) fn new(everyday_brake_mps2: f64, step_s: f64) -> Self {
-        Self { everyday_brake_mps2, step_s, averaged_mps2: 0.0, brakes_hard: false }
+        Self {
+            everyday_brake_mps2,
+            step_s,
+            averaged_mps2: 0.0,
+            brakes_hard: false,
+        }
     }
 
     pub(super) fn observe(&mut self, ahead: &Neighbour) {

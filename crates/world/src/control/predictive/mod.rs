@@ -106,14 +106,16 @@ struct State {
 
 impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
-    const SUMMARY: &'static str =
-        "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
+    const SUMMARY: &'static str = "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
     const OBSERVES_FOLLOWER: bool = true;
     type Settings = PredictiveSettings;
     type Driver = Self;
 
     fn start(settings: &PredictiveSettings, ego: &Ego, _seed: u64) -> Self {
-        let idm = IdmSettings { time_headway_s: settings.time_headway_s, ..Default::default() };
+        let idm = IdmSettings {
+            time_headway_s: settings.time_headway_s,
+            ..Default::default()
+        };
         Self(Box::new(State {
             settings: settings.clone(),
             idm: (&idm).into(),
@@ -132,7 +134,11 @@ impl Controller for Predictive {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let state = &mut *self.0;
-        let answer_mps2 = clamp_command(state.command_mps2(seen), state.max_brake_mps2, state.max_accel_mps2);
+        let answer_mps2 = clamp_command(
+            state.command_mps2(seen),
+            state.max_brake_mps2,
+            state.max_accel_mps2,
+        );
         state.friction.record(answer_mps2);
         Ok(answer_mps2)
     }
@@ -160,16 +166,29 @@ impl State {
     fn command_mps2(&mut self, seen: &Observation) -> f64 {
         let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
         let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
-        let Some(ahead) = seen.ahead else { return follow_mps2 };
+        let Some(ahead) = seen.ahead else {
+            return follow_mps2;
+        };
         let friction = own_brake_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
         self.leader.observe(&ahead);
         let gap_m = ahead.gap_m - self.settings.margin_m;
-        let ahead_brake_mps2 = (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
+        let ahead_brake_mps2 =
+            (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
         let way_m = gap_m + stopping_distance_m(ahead.speed_mps, ahead_brake_mps2);
-        let outlook = Outlook { own_mps: seen.speed_mps, ahead, ahead_brake_mps2, way_m, own_brake_mps2, friction };
+        let outlook = Outlook {
+            own_mps: seen.speed_mps,
+            ahead,
+            ahead_brake_mps2,
+            way_m,
+            own_brake_mps2,
+            friction,
+        };
         let wanted_mps2 = match &seen.behind {
             Some(behind) => {
-                if self.follower.observe(behind, seen, self.settings.behind_brake_mps2 * friction) {
+                if self
+                    .follower
+                    .observe(behind, seen, self.settings.behind_brake_mps2 * friction)
+                {
                     self.wake_mps2 = 0.0;
                     follow_mps2.max(self.give_way(&outlook, behind))
                 } else {
@@ -179,8 +198,13 @@ impl State {
             None => follow_mps2,
         };
         // Without a gap no deceleration is enough.
-        let required_mps2 = required_brake_mps2(gap_m, ahead.speed_mps, -ahead.acceleration_mps2, seen.speed_mps)
-            .unwrap_or(f64::INFINITY);
+        let required_mps2 = required_brake_mps2(
+            gap_m,
+            ahead.speed_mps,
+            -ahead.acceleration_mps2,
+            seen.speed_mps,
+        )
+        .unwrap_or(f64::INFINITY);
         let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);
         if required_mps2 > LATEST_BRAKE_SHARE * own_brake_mps2 {
             limited_mps2.min(-required_mps2)
@@ -212,9 +236,15 @@ impl State {
             true => (all.emergency_slack_m, EMERGENCY_LAG_S),
             false => (all.wake_slack_m, all.wake_lag_s),
         };
-        let demand_mps2 = all.wake_gain_per_s2 * (wanted_m - slack_m).max(0.0) * self.follower.unaware_probability();
+        let demand_mps2 = all.wake_gain_per_s2
+            * (wanted_m - slack_m).max(0.0)
+            * self.follower.unaware_probability();
         self.wake_mps2 += (self.step_s / lag_s).min(1.0) * (demand_mps2 - self.wake_mps2);
-        if self.wake_mps2 > MIN_WAKE_MPS2 { follow_mps2.min(-self.wake_mps2) } else { follow_mps2 }
+        if self.wake_mps2 > MIN_WAKE_MPS2 {
+            follow_mps2.min(-self.wake_mps2)
+        } else {
+            follow_mps2
+        }
     }
 
     /// Returns the lowest acceleration that leaves a braking follower enough room. Returns a lower one if the room
@@ -226,9 +256,11 @@ impl State {
         let all = &self.settings;
         let closing_mps = (behind.speed_mps - outlook.own_mps).max(0.0);
         let delay_s = (FIRING_DELAY_S - self.follower.fired_for_s()).max(0.0);
-        let behind_m =
-            behind.gap_m - closing_mps * delay_s - stopping_distance_m(closing_mps, self.follower.brake_mps2());
-        let at_rest_m = outlook.way_m - stopping_distance_m(outlook.own_mps, outlook.own_brake_mps2);
+        let behind_m = behind.gap_m
+            - closing_mps * delay_s
+            - stopping_distance_m(closing_mps, self.follower.brake_mps2());
+        let at_rest_m =
+            outlook.way_m - stopping_distance_m(outlook.own_mps, outlook.own_brake_mps2);
         let gains_mps2 = outlook.own_brake_mps2 - outlook.ahead_brake_mps2;
         let nearing_mps = outlook.own_mps - outlook.ahead.speed_mps;
         let moving_m = if nearing_mps > 0.0 && gains_mps2 > 0.0 {
@@ -246,9 +278,19 @@ impl State {
         if self.leader.brakes_hard() {
             return wanted_mps2;
         }
-        let Neighbour { gap_m, speed_mps, acceleration_mps2 } = outlook.ahead;
-        let followed_mps2 = self.idm.interaction_brake_mps2(outlook.own_mps, [gap_m, speed_mps]);
-        let matched_mps2 = if gap_m < 3.0 * outlook.own_mps { -acceleration_mps2 } else { 0.0 };
+        let Neighbour {
+            gap_m,
+            speed_mps,
+            acceleration_mps2,
+        } = outlook.ahead;
+        let followed_mps2 = self
+            .idm
+            .interaction_brake_mps2(outlook.own_mps, [gap_m, speed_mps]);
+        let matched_mps2 = if gap_m < 3.0 * outlook.own_mps {
+            -acceleration_mps2
+        } else {
+            0.0
+        };
         let justified_mps2 = required_mps2.max(followed_mps2).max(matched_mps2);
         let most_mps2 = justified_mps2 + self.settings.excess_brake_mps2;
         wanted_mps2.max(-if justified_mps2 < HARD_BRAKE_CAUSE_MPS2 {
@@ -269,8 +311,15 @@ fn stopping_distance_m(speed_mps: f64, brake_mps2: f64) -> f64 {
 fn waking_time_s(gap_m: f64, closing_mps: f64, brake_mps2: f64, max_closing_mps: f64) -> f64 {
     // g - Δv t - b t²/2 = θ (Δv + b t).
     let ttc_s = FIRING_TTC_S;
-    let (rate_mps, missing_m) = (closing_mps + ttc_s * brake_mps2, gap_m - ttc_s * closing_mps);
-    let waking_s = ((rate_mps * rate_mps + 2.0 * brake_mps2 * missing_m).max(0.0).sqrt() - rate_mps) / brake_mps2;
+    let (rate_mps, missing_m) = (
+        closing_mps + ttc_s * brake_mps2,
+        gap_m - ttc_s * closing_mps,
+    );
+    let waking_s = ((rate_mps * rate_mps + 2.0 * brake_mps2 * missing_m)
+        .max(0.0)
+        .sqrt()
+        - rate_mps)
+        / brake_mps2;
     if closing_mps + brake_mps2 * waking_s <= max_closing_mps {
         return waking_s.max(0.0);
     }

@@ -7,10 +7,24 @@ use super::*;
 fn follows_by_idm_while_nothing_is_wrong() {
     let mut driver = Predictive::start(&PredictiveSettings::default(), &EGO, 0);
     let idm = Idm::from(&IdmSettings::default());
-    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
-    let seen = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: neighbour(40.0), behind: neighbour(40.0) };
+    let neighbour = |gap_m| {
+        Some(Neighbour {
+            gap_m,
+            speed_mps: 20.0,
+            acceleration_mps2: 0.0,
+        })
+    };
+    let seen = Observation {
+        speed_mps: 20.0,
+        acceleration_mps2: 0.0,
+        ahead: neighbour(40.0),
+        behind: neighbour(40.0),
+    };
     for _ in 0..300 {
-        assert_eq!(driver.decide(&seen).unwrap(), idm.desired_acceleration_mps2(&seen));
+        assert_eq!(
+            driver.decide(&seen).unwrap(),
+            idm.desired_acceleration_mps2(&seen)
+        );
     }
 }
 
@@ -25,14 +39,30 @@ fn recognises_the_driver_behind() {
             let own_mps = 20.0 - 1.5 * 0.01 * f64::from(step);
             let demand_mps2 = idm.acceleration_mps2(behind_mps, Some([gap_m, own_mps]));
             let behind_mps2 = if is_idm { demand_mps2 } else { 0.0 };
-            let behind = Neighbour { gap_m, speed_mps: behind_mps, acceleration_mps2: behind_mps2 };
-            let seen = Observation { speed_mps: own_mps, acceleration_mps2: -1.5, ahead: None, behind: Some(behind) };
+            let behind = Neighbour {
+                gap_m,
+                speed_mps: behind_mps,
+                acceleration_mps2: behind_mps2,
+            };
+            let seen = Observation {
+                speed_mps: own_mps,
+                acceleration_mps2: -1.5,
+                ahead: None,
+                behind: Some(behind),
+            };
             follower.observe(&behind, &seen, 5.0);
             gap_m += (own_mps - behind_mps) * 0.01;
             behind_mps += behind_mps2 * 0.01;
         }
         let probability = follower.unaware_probability();
-        assert!(if is_idm { probability < 0.01 } else { probability > 0.99 }, "{is_idm}: {probability}");
+        assert!(
+            if is_idm {
+                probability < 0.01
+            } else {
+                probability > 0.99
+            },
+            "{is_idm}: {probability}"
+        );
     }
 }
 
@@ -49,17 +79,22 @@ fn learns_the_friction_from_braking_that_falls_short() {
 }
 
 fn seen_alone(speed_mps: f64, acceleration_mps2: f64) -> Observation {
-    Observation { speed_mps, acceleration_mps2, ahead: None, behind: None }
+    Observation {
+        speed_mps,
+        acceleration_mps2,
+        ahead: None,
+        behind: None,
+    }
 }
 
 fn neighbours() -> impl Strategy<Value = Option<Neighbour>> {
-    prop::option::of(
-        (-5.0..200.0f64, 0.0..60.0f64, -12.0..6.0f64).prop_map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour {
+    prop::option::of((-5.0..200.0f64, 0.0..60.0f64, -12.0..6.0f64).prop_map(
+        |(gap_m, speed_mps, acceleration_mps2)| Neighbour {
             gap_m,
             speed_mps,
             acceleration_mps2,
-        }),
-    )
+        },
+    ))
 }
 
 proptest! {

@@ -9,7 +9,9 @@ use crate::control::history::InputHistory;
 use crate::control::{Controller, ControllerFailure, Ego, Mapping};
 use crate::observation::Observation;
 use crate::process::ProcessProblem;
-use crate::process::protocol::{self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest};
+use crate::process::protocol::{
+    self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest,
+};
 
 /// A driver that queries a process once per decision interval and holds its answer in between.
 pub(crate) struct ProcessDriver {
@@ -39,16 +41,27 @@ impl ProcessDriver {
     ///
     /// # Errors
     /// [`ControllerFailure`] if the process cannot be started or is not ready.
-    pub(crate) fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
+    pub(crate) fn new(
+        controller: Arc<ProcessController>,
+        ego: &Ego,
+        seed: u64,
+    ) -> Result<Self, ControllerFailure> {
         let hello = controller.hello(ego);
         let taken = controller.acquire(&hello)?;
         let reused = taken.question_count > 0;
         let first = controller.reset_for_run(taken, seed)?;
         let checked = controller.is_selected_for_check(ego.vehicle, reused, seed);
-        let second =
-            checked.then(|| controller.start(&hello).and_then(|second| controller.reset_for_run(second, seed)));
+        let second = checked.then(|| {
+            controller
+                .start(&hello)
+                .and_then(|second| controller.reset_for_run(second, seed))
+        });
         let is_batch = first.greeting.batch;
-        let interval_s = controller.setup.mapping.decision_interval_s.or(first.greeting.interval_s);
+        let interval_s = controller
+            .setup
+            .mapping
+            .decision_interval_s
+            .or(first.greeting.interval_s);
         let mut driver = Self {
             own_process: Some(first),
             hello,
@@ -70,7 +83,9 @@ impl ProcessDriver {
             interval_s.filter(|interval_s| !DecisionTimer::is_whole_steps(*interval_s, ego.step_s))
         {
             let wanted = format!("a multiple of the scenario's step of {} s", ego.step_s);
-            return Err(driver.end_with_failure(ProcessProblem::Interval { interval_s, wanted }, None));
+            return Err(
+                driver.end_with_failure(ProcessProblem::Interval { interval_s, wanted }, None)
+            );
         }
         if is_batch && let Some(borrowed) = driver.own_process.take() {
             driver.controller.release(borrowed);
@@ -85,23 +100,39 @@ impl ProcessDriver {
         let answer = if self.is_batch {
             protocol::write_line(
                 &mut self.line_buffer,
-                &BatchDecisionRequest { id, times_s: &[self.time_s], inputs: vec![see] },
+                &BatchDecisionRequest {
+                    id,
+                    times_s: &[self.time_s],
+                    inputs: vec![see],
+                },
             )?;
             protocol::parse_decisions(greeted.program.query(&self.line_buffer, within)?, id, 1)?
                 .first()
                 .copied()
                 .unwrap_or(f64::NAN)
         } else {
-            protocol::write_line(&mut self.line_buffer, &DecisionRequest { id, time_s: self.time_s, inputs: see })?;
+            protocol::write_line(
+                &mut self.line_buffer,
+                &DecisionRequest {
+                    id,
+                    time_s: self.time_s,
+                    inputs: see,
+                },
+            )?;
             protocol::parse_decision(greeted.program.query(&self.line_buffer, within)?, id)?
         };
         checked_acceleration_mps2(&self.controller.setup.mapping, answer)
     }
 
-    fn end_with_failure(&mut self, problem: ProcessProblem, program: Option<ConnectedProcess>) -> ControllerFailure {
+    fn end_with_failure(
+        &mut self,
+        problem: ProcessProblem,
+        program: Option<ConnectedProcess>,
+    ) -> ControllerFailure {
         self.second_process = None;
         let program = program.or_else(|| self.own_process.take());
-        self.controller.end_with_failure(problem, program.map(|greeted| greeted.program))
+        self.controller
+            .end_with_failure(problem, program.map(|greeted| greeted.program))
     }
 }
 
@@ -112,19 +143,35 @@ fn checked_acceleration_mps2(mapping: &Mapping, answer: f64) -> Result<f64, Proc
     } else if (low_mps2..=high_mps2).contains(&wanted_mps2) {
         Ok(wanted_mps2)
     } else {
-        Err(ProcessProblem::OutOfRange { answer_mps2: wanted_mps2, low_mps2, high_mps2 })
+        Err(ProcessProblem::OutOfRange {
+            answer_mps2: wanted_mps2,
+            low_mps2,
+            high_mps2,
+        })
     }
 }
 
 impl ProcessController {
     /// Resets a process for a run, unless it answers in batches and therefore has no state.
-    fn reset_for_run(&self, mut greeted: ConnectedProcess, seed: u64) -> Result<ConnectedProcess, ControllerFailure> {
+    fn reset_for_run(
+        &self,
+        mut greeted: ConnectedProcess,
+        seed: u64,
+    ) -> Result<ConnectedProcess, ControllerFailure> {
         if greeted.greeting.batch {
             return Ok(greeted);
         }
         let (id, mut line) = (greeted.next_id(), Vec::new());
-        let ready = protocol::write_line(&mut line, &ResetRequest { id, reset: ResetParams { seed } })
-            .and_then(|()| protocol::parse_reset_reply(greeted.program.query(&line, self.answer_timeout())?, id));
+        let ready = protocol::write_line(
+            &mut line,
+            &ResetRequest {
+                id,
+                reset: ResetParams { seed },
+            },
+        )
+        .and_then(|()| {
+            protocol::parse_reset_reply(greeted.program.query(&line, self.answer_timeout())?, id)
+        });
         match ready {
             Ok(()) => {
                 greeted.program.clear_stderr();
@@ -144,7 +191,11 @@ impl BatchQuery for ProcessDriver {
         if due {
             let mapping = &self.controller.setup.mapping;
             self.inputs.clear();
-            self.history.push(mapping, mapping.input_values(seen, last_mps2), &mut self.inputs);
+            self.history.push(
+                mapping,
+                mapping.input_values(seen, last_mps2),
+                &mut self.inputs,
+            );
         }
         due
     }
@@ -169,7 +220,10 @@ impl BatchQuery for ProcessDriver {
     }
 
     fn shares_batch_with(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.controller, &other.controller) && self.is_batch && other.is_batch && self.hello == other.hello
+        Arc::ptr_eq(&self.controller, &other.controller)
+            && self.is_batch
+            && other.is_batch
+            && self.hello == other.hello
     }
 
     fn query_batch(all: &[&Self]) -> Option<Vec<f64>> {
@@ -179,11 +233,23 @@ impl BatchQuery for ProcessDriver {
         let times_s: Vec<f64> = all.iter().map(|driver| driver.time_s).collect();
         let see = all.iter().map(|driver| driver.inputs.as_slice()).collect();
         let (id, mut line) = (greeted.next_id(), Vec::new());
-        protocol::write_line(&mut line, &BatchDecisionRequest { id, times_s: &times_s, inputs: see }).ok()?;
-        let line = greeted.program.query(&line, controller.answer_timeout()).ok()?;
+        protocol::write_line(
+            &mut line,
+            &BatchDecisionRequest {
+                id,
+                times_s: &times_s,
+                inputs: see,
+            },
+        )
+        .ok()?;
+        let line = greeted
+            .program
+            .query(&line, controller.answer_timeout())
+            .ok()?;
         let answers = protocol::parse_decisions(line, id, all.len()).ok()?;
-        let wanted =
-            answers.into_iter().map(|answer| checked_acceleration_mps2(&controller.setup.mapping, answer).ok());
+        let wanted = answers
+            .into_iter()
+            .map(|answer| checked_acceleration_mps2(&controller.setup.mapping, answer).ok());
         let wanted = wanted.collect::<Option<Vec<_>>>()?;
         controller.release(greeted);
         Some(wanted)
@@ -193,7 +259,9 @@ impl BatchQuery for ProcessDriver {
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
         if let Some(mut second) = self.second_process.take() {
             match self.ask(&mut second) {
-                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second_process = Some(second),
+                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => {
+                    self.second_process = Some(second)
+                }
                 Ok(second_mps2) => {
                     let problem = ProcessProblem::Nondeterministic {
                         first_mps2: answer_mps2,

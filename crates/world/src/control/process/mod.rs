@@ -18,9 +18,13 @@ pub(crate) use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::find_fmu_host;
 pub use self::fmu::{FmuConfig, FmuProblem};
-pub use self::permission::{NameOrigin, StartPermission, StartRefusal, allow_external, is_external_allowed};
+pub use self::permission::{
+    NameOrigin, StartPermission, StartRefusal, allow_external, is_external_allowed,
+};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
-use crate::process::protocol::{self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams};
+use crate::process::protocol::{
+    self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams,
+};
 use crate::process::{ChildProcess, ProcessFailure, ProcessProblem, escaped_excerpt};
 use crate::random::{self, Purpose};
 use crumple_core::digest::{Sha256, sha256};
@@ -84,14 +88,19 @@ impl ProcessSetup {
 
     fn check(&self) -> Result<(), InvalidMapping> {
         let words = &self.command;
-        if !(1..=MAX_COMMAND_WORDS).contains(&words.len()) || words.first().is_none_or(String::is_empty) {
+        if !(1..=MAX_COMMAND_WORDS).contains(&words.len())
+            || words.first().is_none_or(String::is_empty)
+        {
             return Err(InvalidMapping::new(
                 "command",
                 format!("must be a program and at most {MAX_COMMAND_WORDS} words in all"),
             ));
         }
         if words.iter().any(|word| word.contains('\0')) {
-            return Err(InvalidMapping::new("command", "a word of a command must not contain a NUL character"));
+            return Err(InvalidMapping::new(
+                "command",
+                "a word of a command must not contain a NUL character",
+            ));
         }
         if self.files.len() > MAX_FILES {
             return Err(InvalidMapping::new(
@@ -99,16 +108,23 @@ impl ProcessSetup {
                 format!("must be at most {MAX_FILES}, found {}", self.files.len()),
             ));
         }
-        for (field, within_s) in [("start_within_s", self.start_within_s), ("answer_within_s", self.answer_within_s)] {
+        for (field, within_s) in [
+            ("start_within_s", self.start_within_s),
+            ("answer_within_s", self.answer_within_s),
+        ] {
             if !(within_s > 0.0 && within_s <= MAX_TIMEOUT_S) {
-                let problem = format!("must be above 0 and at most {MAX_TIMEOUT_S}, found {within_s}");
+                let problem =
+                    format!("must be above 0 and at most {MAX_TIMEOUT_S}, found {within_s}");
                 return Err(InvalidMapping::new(field, problem));
             }
         }
         self.mapping.check()?;
         match self.mapping.output.answer {
             None | Some(0) => Ok(()),
-            _ => Err(InvalidMapping::new("output.answer", "must be 0: a process gives one answer")),
+            _ => Err(InvalidMapping::new(
+                "output.answer",
+                "must be 0: a process gives one answer",
+            )),
         }
     }
 }
@@ -171,7 +187,10 @@ impl ProcessController {
     ///
     /// # Errors
     /// [`InvalidMapping`] names the first field that is wrong.
-    pub fn new(mut setup: ProcessSetup, _permission: StartPermission) -> Result<Self, InvalidMapping> {
+    pub fn new(
+        mut setup: ProcessSetup,
+        _permission: StartPermission,
+    ) -> Result<Self, InvalidMapping> {
         #[derive(Serialize)]
         struct Identity<'a> {
             command: &'a [String],
@@ -183,15 +202,44 @@ impl ProcessController {
         // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         setup.mapping.output.answer = Some(0);
         let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
-            Ok((sha256, bytes)) => Ok(ListedFile { path: path.clone(), sha256, bytes }),
-            Err(error) => Err(InvalidMapping::new(format!("files[{index}]"), format!("{path}: {error}"))),
+            Ok((sha256, bytes)) => Ok(ListedFile {
+                path: path.clone(),
+                sha256,
+                bytes,
+            }),
+            Err(error) => Err(InvalidMapping::new(
+                format!("files[{index}]"),
+                format!("{path}: {error}"),
+            )),
         };
-        let files = setup.files.iter().enumerate().map(digest).collect::<Result<Vec<_>, _>>()?;
-        let ProcessSetup { command, mapping, answer_within_s, .. } = &setup;
-        let parts = Identity { command, files: &files, mapping, answer_within_s: *answer_within_s };
-        let parts = serde_json::to_string(&parts).map_err(|e| InvalidMapping::new("command", e.to_string()))?;
-        let identity = (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
-        Ok(Self { setup, files, identity, state: Mutex::default() })
+        let files = setup
+            .files
+            .iter()
+            .enumerate()
+            .map(digest)
+            .collect::<Result<Vec<_>, _>>()?;
+        let ProcessSetup {
+            command,
+            mapping,
+            answer_within_s,
+            ..
+        } = &setup;
+        let parts = Identity {
+            command,
+            files: &files,
+            mapping,
+            answer_within_s: *answer_within_s,
+        };
+        let parts = serde_json::to_string(&parts)
+            .map_err(|e| InvalidMapping::new("command", e.to_string()))?;
+        let identity =
+            (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
+        Ok(Self {
+            setup,
+            files,
+            identity,
+            state: Mutex::default(),
+        })
     }
 
     /// Returns the setup.
@@ -209,7 +257,12 @@ impl ProcessController {
     /// True unless the controller file or the handshake declares the process nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
-        self.setup.deterministic && self.state().greeting.as_ref().is_none_or(|greeting| greeting.deterministic)
+        self.setup.deterministic
+            && self
+                .state()
+                .greeting
+                .as_ref()
+                .is_none_or(|greeting| greeting.deterministic)
     }
 
     /// Starts a process without a run, completes the handshake, and ends the process.
@@ -217,7 +270,13 @@ impl ProcessController {
     /// # Errors
     /// [`ControllerFailure`] if the start or the handshake fails.
     pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
-        let ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
+        let ego = Ego {
+            vehicle: 1,
+            max_brake_mps2: 7.5,
+            max_accel_mps2: 3.0,
+            length_m: 2.0,
+            step_s: 0.01,
+        };
         let greeted = self.start(&self.hello(&ego))?;
         // Dropped instead of killed: a killed FMU host would leave its extraction folder behind.
         drop(greeted);
@@ -252,7 +311,13 @@ impl ProcessController {
     }
 
     fn hello(&self, ego: &Ego) -> Arc<[u8]> {
-        let Mapping { history, newest_first, inputs, output, .. } = &self.setup.mapping;
+        let Mapping {
+            history,
+            newest_first,
+            inputs,
+            output,
+            ..
+        } = &self.setup.mapping;
         let hello = HelloParams {
             vehicle: VehicleParams {
                 index: ego.vehicle,
@@ -269,7 +334,13 @@ impl ProcessController {
         };
         let mut line = Vec::new();
         // Writing cannot fail for these numbers and names; the process would reject an incomplete line.
-        let _ = protocol::write_line(&mut line, &HelloRequest { crumple: VERSION, hello });
+        let _ = protocol::write_line(
+            &mut line,
+            &HelloRequest {
+                crumple: VERSION,
+                hello,
+            },
+        );
         line.into()
     }
 
@@ -280,8 +351,13 @@ impl ProcessController {
             if let Some(refused) = &state.refusal {
                 return Err(refused.clone());
             }
-            let known = state.idle.iter().position(|greeted| greeted.hello == *hello);
-            known.map(|place| state.idle.swap_remove(place)).or_else(|| state.idle.pop())
+            let known = state
+                .idle
+                .iter()
+                .position(|greeted| greeted.hello == *hello);
+            known
+                .map(|place| state.idle.swap_remove(place))
+                .or_else(|| state.idle.pop())
         };
         match waiting {
             Some(greeted) if greeted.hello == *hello => Ok(greeted),
@@ -295,21 +371,31 @@ impl ProcessController {
             let mut state = self.state();
             if state.starts == MAX_STARTS {
                 drop(state);
-                return Err(
-                    self.refuse(self.end_with_failure(ProcessProblem::TooManyStarts { starts: MAX_STARTS }, None))
-                );
+                return Err(self.refuse(self.end_with_failure(
+                    ProcessProblem::TooManyStarts { starts: MAX_STARTS },
+                    None,
+                )));
             }
             state.starts += 1;
         }
         let changed = |file: &&ListedFile| {
-            !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|(sha256, _)| sha256 == file.sha256)
+            !file_sha256(&self.setup.folder.join(&file.path))
+                .is_ok_and(|(sha256, _)| sha256 == file.sha256)
         };
         if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
-            return Err(
-                self.refuse(self.end_with_failure(ProcessProblem::FileChanged { file: escaped_excerpt(path) }, None))
-            );
+            return Err(self.refuse(self.end_with_failure(
+                ProcessProblem::FileChanged {
+                    file: escaped_excerpt(path),
+                },
+                None,
+            )));
         }
-        let ProcessSetup { command, program, folder, .. } = &self.setup;
+        let ProcessSetup {
+            command,
+            program,
+            folder,
+            ..
+        } = &self.setup;
         let started = ChildProcess::start(command, program.as_deref(), folder)
             .map_err(|problem| self.end_with_failure(problem, None))
             .and_then(|program| self.greet(program, 0, hello));
@@ -333,9 +419,16 @@ impl ProcessController {
         hello: &Arc<[u8]>,
     ) -> Result<ConnectedProcess, ControllerFailure> {
         let within = Duration::from_secs_f64(self.setup.start_within_s);
-        let greeting = program.query(hello, within).and_then(protocol::parse_hello_reply);
+        let greeting = program
+            .query(hello, within)
+            .and_then(protocol::parse_hello_reply);
         match greeting.and_then(|greeting| self.check_greeting(greeting)) {
-            Ok(greeting) => Ok(ConnectedProcess { program, hello: Arc::clone(hello), greeting, question_count: asked }),
+            Ok(greeting) => Ok(ConnectedProcess {
+                program,
+                hello: Arc::clone(hello),
+                greeting,
+                question_count: asked,
+            }),
             Err(problem) => Err(self.end_with_failure(problem, Some(program))),
         }
     }
@@ -346,7 +439,8 @@ impl ProcessController {
         if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
             return Err(ProcessProblem::Inputs { wanted, shown });
         }
-        if let (Some(interval_s), Some(stated_s)) = (greeting.interval_s, self.setup.mapping.decision_interval_s)
+        if let (Some(interval_s), Some(stated_s)) =
+            (greeting.interval_s, self.setup.mapping.decision_interval_s)
             && interval_s != stated_s
         {
             let wanted = format!("the {stated_s} s of its controller file");
@@ -376,12 +470,22 @@ impl ProcessController {
             return false;
         }
         let mut state = self.state();
-        let place = state.runs.iter().position(|(known, _)| *known == vehicle).unwrap_or_else(|| {
-            state.runs.push((vehicle, VehicleRunCounts::default()));
-            state.runs.len() - 1
-        });
-        let Some((_, runs)) = state.runs.get_mut(place) else { return false };
-        let made = if reused { &mut runs.reused } else { &mut runs.fresh };
+        let place = state
+            .runs
+            .iter()
+            .position(|(known, _)| *known == vehicle)
+            .unwrap_or_else(|| {
+                state.runs.push((vehicle, VehicleRunCounts::default()));
+                state.runs.len() - 1
+            });
+        let Some((_, runs)) = state.runs.get_mut(place) else {
+            return false;
+        };
+        let made = if reused {
+            &mut runs.reused
+        } else {
+            &mut runs.fresh
+        };
         let number = *made;
         *made += 1;
         if number < ALWAYS_CHECKED_RUNS {
@@ -397,18 +501,33 @@ impl ProcessController {
         self.state().refusal.get_or_insert(failure).clone()
     }
 
-    fn end_with_failure(&self, problem: ProcessProblem, program: Option<ChildProcess>) -> ControllerFailure {
+    fn end_with_failure(
+        &self,
+        problem: ProcessProblem,
+        program: Option<ChildProcess>,
+    ) -> ControllerFailure {
         // A program that still answers may end by itself, so that an FMU host can remove its extraction folder.
         let last_words = match &problem {
-            ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => program.map(ChildProcess::terminate),
+            ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => {
+                program.map(ChildProcess::terminate)
+            }
             _ => program.map(ChildProcess::shut_down),
         };
         let last_words = last_words.unwrap_or_default();
         let command = || {
-            let words: Vec<_> = self.setup.command.iter().map(|word| ShellWord(word).to_string()).collect();
+            let words: Vec<_> = self
+                .setup
+                .command
+                .iter()
+                .map(|word| ShellWord(word).to_string())
+                .collect();
             escaped_excerpt(&words.join(" "))
         };
-        let name = self.state().greeting.as_ref().map(|greeting| greeting.name.clone());
+        let name = self
+            .state()
+            .greeting
+            .as_ref()
+            .map(|greeting| greeting.name.clone());
         ControllerFailure::Process(Box::new(ProcessFailure {
             controller: name.unwrap_or_else(command),
             problem,
@@ -419,7 +538,10 @@ impl ProcessController {
 
 impl fmt::Debug for ProcessController {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("ProcessController").field("setup", &self.setup).field("identity", &self.identity).finish()
+        out.debug_struct("ProcessController")
+            .field("setup", &self.setup)
+            .field("identity", &self.identity)
+            .finish()
     }
 }
 
@@ -427,7 +549,10 @@ impl Drop for ProcessController {
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
         // Close all stdins first, so that the processes exit concurrently.
-        state.idle.iter_mut().for_each(|greeted| greeted.program.close_stdin());
+        state
+            .idle
+            .iter_mut()
+            .for_each(|greeted| greeted.program.close_stdin());
     }
 }
 

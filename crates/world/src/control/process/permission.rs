@@ -46,7 +46,10 @@ impl NameOrigin {
     ///
     /// # Errors
     /// [`StartRefusal`] for a name from a file, unless [`allow_external`] was called.
-    pub(crate) fn permission(self, place: impl FnOnce() -> String) -> Result<StartPermission, StartRefusal> {
+    pub(crate) fn permission(
+        self,
+        place: impl FnOnce() -> String,
+    ) -> Result<StartPermission, StartRefusal> {
         match self {
             Self::User => Ok(StartPermission(())),
             Self::File if is_external_allowed() => Ok(StartPermission(())),

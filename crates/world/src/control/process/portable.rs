@@ -18,17 +18,30 @@ impl ProcessController {
     /// because a copy is not executable.
     #[must_use]
     pub fn portable_file(&self) -> Option<&str> {
-        let ProcessSetup { command, program, folder, file, .. } = &self.setup;
+        let ProcessSetup {
+            command,
+            program,
+            folder,
+            file,
+            ..
+        } = &self.setup;
         let name = file.as_deref()?.file_name()?.to_str()?;
-        let is_listed = |path: &str| self.files.iter().any(|listed| listed.path == path.trim_start_matches("./"));
-        let is_portable =
-            |word: &String| is_listed(word) || !folder.join(word).is_file() || Path::new(word).is_absolute();
+        let is_listed = |path: &str| {
+            self.files
+                .iter()
+                .any(|listed| listed.path == path.trim_start_matches("./"))
+        };
+        let is_portable = |word: &String| {
+            is_listed(word) || !folder.join(word).is_file() || Path::new(word).is_absolute()
+        };
         let (first, words) = command.split_first()?;
-        let is_program_elsewhere =
-            program.is_some() || Path::new(first).is_absolute() || Path::new(first).components().count() == 1;
+        let is_program_elsewhere = program.is_some()
+            || Path::new(first).is_absolute()
+            || Path::new(first).components().count() == 1;
         let is_small = self.files.iter().map(|listed| listed.bytes).sum::<u64>() <= MAX_BYTES;
         let names = self.files.iter().map(|listed| listed.path.as_str());
-        let is_copied = self.identity.is_some() && is_small && names.chain([name]).all(is_plain_path);
+        let is_copied =
+            self.identity.is_some() && is_small && names.chain([name]).all(is_plain_path);
         (is_copied && is_program_elsewhere && words.iter().all(is_portable)).then_some(name)
     }
 
@@ -37,16 +50,22 @@ impl ProcessController {
     /// # Errors
     /// If a file cannot be read, or has changed since the controller was created.
     pub fn portable_files(&self) -> io::Result<Vec<(String, Vec<u8>)>> {
-        let Some(name) = self.portable_file() else { return Ok(Vec::new()) };
+        let Some(name) = self.portable_file() else {
+            return Ok(Vec::new());
+        };
         let read = |path: &str| -> io::Result<Vec<u8>> {
             let mut bytes = Vec::new();
-            regular_file::open(&self.setup.folder.join(path))?.take(MAX_BYTES).read_to_end(&mut bytes)?;
+            regular_file::open(&self.setup.folder.join(path))?
+                .take(MAX_BYTES)
+                .read_to_end(&mut bytes)?;
             Ok(bytes)
         };
         let mut files = Vec::new();
         for ListedFile { path, sha256, .. } in &self.files {
             if file_sha256(&self.setup.folder.join(path))?.0 != *sha256 {
-                return Err(io::Error::other(format!("{path} has changed since it was read")));
+                return Err(io::Error::other(format!(
+                    "{path} has changed since it was read"
+                )));
             }
             files.push((path.clone(), read(path)?));
         }
@@ -59,6 +78,12 @@ impl ProcessController {
 
 /// Returns true for a path below the folder that any system accepts in a listing of files.
 fn is_plain_path(path: &str) -> bool {
-    let is_below = Path::new(path).components().all(|part| matches!(part, Component::Normal(_)));
-    is_below && !path.is_empty() && !path.chars().any(|letter| letter.is_control() || letter == '\\')
+    let is_below = Path::new(path)
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)));
+    is_below
+        && !path.is_empty()
+        && !path
+            .chars()
+            .any(|letter| letter.is_control() || letter == '\\')
 }

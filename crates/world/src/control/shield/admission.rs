@@ -37,10 +37,19 @@ impl<R: Real> ShieldParams<R> {
     #[inline]
     pub fn after(&self, state: ShieldState<R>, due_mps2: R) -> ShieldState<R> {
         let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
-        let [covered_m, speed_mps] =
-            distance_and_speed_after(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
-        let [ahead_m, ahead_mps] = distance_and_speed_after(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
-        ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
+        let [covered_m, speed_mps] = distance_and_speed_after(
+            state.speed_mps,
+            self.acceleration_mps2(state, response_mps2),
+            self.step_s,
+        );
+        let [ahead_m, ahead_mps] =
+            distance_and_speed_after(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
+        ShieldState {
+            gap_m: state.gap_m + ahead_m - covered_m,
+            speed_mps,
+            ahead_mps,
+            response_mps2,
+        }
     }
 
     /// Returns z, the speed that the kernel uses, in m/s: own speed plus the effect of [lag](ShieldParams::lag_s). It
@@ -58,7 +67,10 @@ impl<R: Real> ShieldParams<R> {
     #[must_use]
     #[inline]
     pub fn spare_m(&self, state: ShieldState<R>) -> R {
-        state.gap_m - self.kernel().demanded_gap_m(self.speed_to_lose_mps(state), state.ahead_mps)
+        state.gap_m
+            - self
+                .kernel()
+                .demanded_gap_m(self.speed_to_lose_mps(state), state.ahead_mps)
     }
 
     /// True if after the command a collision can still be avoided for every behaviour of the leader.
@@ -67,10 +79,22 @@ impl<R: Real> ShieldParams<R> {
     pub fn admits(&self, state: ShieldState<R>, wanted_mps2: R) -> R::Truth {
         let response_mps2 = self.response_mps2(state.response_mps2, wanted_mps2);
         let acceleration_mps2 = self.acceleration_mps2(state, response_mps2);
-        let ShieldState { speed_mps, ahead_mps, .. } = state;
-        let closing_m = max_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
+        let ShieldState {
+            speed_mps,
+            ahead_mps,
+            ..
+        } = state;
+        let closing_m = max_closing_m(
+            speed_mps,
+            acceleration_mps2,
+            ahead_mps,
+            self.ahead_brake_mps2,
+            self.step_s,
+        );
         let stays_open = (state.gap_m - closing_m).at_least(self.margin_m);
-        let stays_in_kernel = self.spare_m(self.after(state, wanted_mps2)).at_least(self.margin_m);
+        let stays_in_kernel = self
+            .spare_m(self.after(state, wanted_mps2))
+            .at_least(self.margin_m);
         stays_open & stays_in_kernel
     }
 }

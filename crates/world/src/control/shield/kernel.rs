@@ -24,7 +24,10 @@ impl<R: Real> ViabilityKernel<R> {
     #[must_use]
     #[inline]
     pub fn demanded_gap_m(&self, speed_mps: R, ahead_mps: R) -> R {
-        let Self { own_brake_mps2: b, ahead_brake_mps2: c } = *self;
+        let Self {
+            own_brake_mps2: b,
+            ahead_brake_mps2: c,
+        } = *self;
         let (v, w) = (speed_mps, ahead_mps);
         let (zero, two) = (R::from_f64(0.0), R::from_f64(2.0));
         let closest_at_rest = c.at_least(b) | (v * c).at_least(w * b);
@@ -46,7 +49,10 @@ pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_
     let stops = zero.greater_than(end_mps);
     let to_stop_m = || speed_mps * speed_mps / (R::from_f64(-2.0) * acceleration_mps2);
     let covered_m = || speed_mps * dt_s + half * acceleration_mps2 * dt_s * dt_s;
-    [R::select(stops, to_stop_m, covered_m), R::select(stops, || zero, || end_mps)]
+    [
+        R::select(stops, to_stop_m, covered_m),
+        R::select(stops, || zero, || end_mps),
+    ]
 }
 
 /// Returns the maximum decrease of the gap at any instant within `dt_s`, in metres. The front vehicle brakes at
@@ -55,7 +61,13 @@ pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_
 /// The closing speed is linear until a vehicle stops, and turns from positive to negative only while both move.
 #[must_use]
 #[inline]
-pub fn max_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
+pub fn max_closing_m<R: Real>(
+    speed_mps: R,
+    acceleration_mps2: R,
+    ahead_mps: R,
+    ahead_brake_mps2: R,
+    dt_s: R,
+) -> R {
     let zero = R::from_f64(0.0);
     let closing_m = |t: R| {
         distance_and_speed_after(speed_mps, acceleration_mps2, t)[0]
@@ -65,8 +77,14 @@ pub fn max_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, 
     let turn_s = (speed_mps - ahead_mps) / (-acceleration_mps2 - ahead_brake_mps2);
     let turns_inside = speed_mps.greater_than(ahead_mps)
         & turn_s.greater_than(zero)
-        & dt_s.smaller(ahead_mps / ahead_brake_mps2).greater_than(turn_s);
-    R::select(turns_inside, || at_end_m.larger(closing_m(turn_s)), || at_end_m)
+        & dt_s
+            .smaller(ahead_mps / ahead_brake_mps2)
+            .greater_than(turn_s);
+    R::select(
+        turns_inside,
+        || at_end_m.larger(closing_m(turn_s)),
+        || at_end_m,
+    )
 }
 
 #[cfg(test)]
@@ -82,9 +100,15 @@ mod tests {
 
     #[test]
     fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {
-        let kernel = ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 };
+        let kernel = ViabilityKernel {
+            own_brake_mps2: 8.0,
+            ahead_brake_mps2: 5.0,
+        };
         assert!((kernel.demanded_gap_m(25.0, 20.0) - 25.0 / 6.0).abs() < 1e-12);
-        assert!(25.0_f64.powi(2) / 16.0 < 20.0_f64.powi(2) / 10.0, "familiar distance");
+        assert!(
+            25.0_f64.powi(2) / 16.0 < 20.0_f64.powi(2) / 10.0,
+            "familiar distance"
+        );
     }
 
     proptest! {

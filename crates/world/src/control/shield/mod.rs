@@ -97,7 +97,11 @@ impl ShieldedController {
     /// Returns the worst possible state in which a command given now takes effect; `None` without a leader.
     fn worst_state(&self, observation: &Observation) -> Option<ShieldState> {
         let ahead = observation.ahead?;
-        let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.params.errors;
+        let ErrorBounds {
+            gap_m,
+            speed_mps,
+            ahead_speed_mps,
+        } = self.params.errors;
         let mut state = ShieldState {
             gap_m: ahead.gap_m - gap_m,
             speed_mps: observation.speed_mps + speed_mps,
@@ -112,14 +116,23 @@ impl ShieldedController {
 
     fn record_override(&mut self, outside_kernel: bool, rear_conflict: bool) {
         let step = self.step;
-        match self.overrides.last_mut().filter(|last| last.last_step + 1 == step) {
+        match self
+            .overrides
+            .last_mut()
+            .filter(|last| last.last_step + 1 == step)
+        {
             Some(last) => {
                 last.last_step = step;
                 last.outside_kernel |= outside_kernel;
                 last.rear_conflict |= rear_conflict;
             }
             None => {
-                self.overrides.push(Override { first_step: step, last_step: step, outside_kernel, rear_conflict });
+                self.overrides.push(Override {
+                    first_step: step,
+                    last_step: step,
+                    outside_kernel,
+                    rear_conflict,
+                });
             }
         }
     }
@@ -127,8 +140,11 @@ impl ShieldedController {
 
 impl Controller for ShieldedController {
     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
-        let wanted_mps2 =
-            clamp_command(self.controller.decide(observation)?, self.params.brake_mps2, self.params.accel_mps2);
+        let wanted_mps2 = clamp_command(
+            self.controller.decide(observation)?,
+            self.params.brake_mps2,
+            self.params.accel_mps2,
+        );
         let mut command_mps2 = wanted_mps2;
         if let Some(state) = self.worst_state(observation)
             && !self.params.admits(state, wanted_mps2)
@@ -153,11 +169,16 @@ impl Controller for ShieldedController {
 
     fn record_command(&mut self, command_mps2: f64) {
         self.controller.record_command(command_mps2);
-        let command_mps2 = clamp_command(command_mps2, self.params.brake_mps2, self.params.accel_mps2);
+        let command_mps2 =
+            clamp_command(command_mps2, self.params.brake_mps2, self.params.accel_mps2);
         match self.pending_mps2.back_mut() {
             Some(last_mps2) => *last_mps2 = command_mps2,
             // Without delay the actuator has received the command already.
-            None => self.response_mps2 = self.params.response_mps2(self.response_before_mps2, command_mps2),
+            None => {
+                self.response_mps2 = self
+                    .params
+                    .response_mps2(self.response_before_mps2, command_mps2)
+            }
         }
     }
 }
@@ -168,11 +189,22 @@ impl ShieldParams {
     /// Until the follower reacts, the gap behind is a concave function of time, so it is smallest at the begin or the
     /// end of the reaction time.
     fn endangers_rear(&self, observation: &Observation) -> bool {
-        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (observation.behind, self.behind) else {
+        let (
+            Some(rear),
+            Some(RearVehicleParams {
+                brake_mps2,
+                reaction_s,
+            }),
+        ) = (observation.behind, self.behind)
+        else {
             return false;
         };
-        let [covered_m, speed_mps] = distance_and_speed_after(observation.speed_mps, -self.brake_mps2, reaction_s);
-        let kernel = ViabilityKernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
+        let [covered_m, speed_mps] =
+            distance_and_speed_after(observation.speed_mps, -self.brake_mps2, reaction_s);
+        let kernel = ViabilityKernel {
+            own_brake_mps2: brake_mps2,
+            ahead_brake_mps2: self.brake_mps2,
+        };
         let gap_m = rear.gap_m + covered_m - rear.speed_mps * reaction_s;
         gap_m <= kernel.demanded_gap_m(rear.speed_mps, speed_mps)
     }

@@ -28,8 +28,14 @@ impl ShieldSettings {
     #[must_use]
     pub fn to_arg(&self) -> String {
         let errors = self.errors.map(|errors| {
-            let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = errors;
-            format!(",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}")
+            let ErrorBounds {
+                gap_m,
+                speed_mps,
+                ahead_speed_mps,
+            } = errors;
+            format!(
+                ",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}"
+            )
         });
         let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
         ahead.into_iter().chain(errors).collect()
@@ -75,7 +81,10 @@ impl<R: Real> ShieldParams<R> {
     /// Returns the kernel against the leader; the own brake limit is reduced by the noise.
     #[inline]
     pub(crate) fn kernel(&self) -> ViabilityKernel<R> {
-        ViabilityKernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
+        ViabilityKernel {
+            own_brake_mps2: self.brake_mps2 - self.noise_mps2,
+            ahead_brake_mps2: self.ahead_brake_mps2,
+        }
     }
 
     /// Returns the effective lag τ' = h (1 - σ)/σ of an actuator that in a step h covers the share σ of the difference

@@ -6,7 +6,12 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 ///
 /// Certificates are checked with exact quotients. Proof obligations are written with symbolic terms.
 pub trait Real:
-    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+    Copy
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
 {
     /// Result of a comparison.
     type Truth: Copy + BitAnd<Output = Self::Truth> + BitOr<Output = Self::Truth>;
@@ -21,7 +26,11 @@ pub trait Real:
     fn at_least(self, other: Self) -> Self::Truth;
 
     /// Returns `then` if `truth` holds, and `otherwise` if not.
-    fn select(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
+    fn select(
+        truth: Self::Truth,
+        then: impl FnOnce() -> Self,
+        otherwise: impl FnOnce() -> Self,
+    ) -> Self;
 
     /// Returns the larger of two.
     #[must_use]

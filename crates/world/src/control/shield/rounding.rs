@@ -113,15 +113,21 @@ impl MotionBounds {
     ///
     /// Not included are estimator errors beyond the bounds, and products below 10⁻³⁰⁸, which are irrelevant for a gap.
     pub(crate) fn margin_m(&self, params: &ShieldParams) -> f64 {
-        let Self { steps, substeps, .. } = *self;
+        let Self {
+            steps, substeps, ..
+        } = *self;
         let speed_mps = PAD * self.speed_mps;
         let brake_mps2 = params.kernel().own_brake_mps2;
         let response_span_mps2 = params.accel_mps2 + params.brake_mps2 + params.noise_mps2;
         let any_mps2 = response_span_mps2 + params.ahead_brake_mps2 + self.ahead_accel_mps2;
-        let position_m = (PAD * self.position_m).max(4.0 * params.step_s * (speed_mps + any_mps2 * params.step_s));
+        let position_m = (PAD * self.position_m)
+            .max(4.0 * params.step_s * (speed_mps + any_mps2 * params.step_s));
         let lag_s = params.lag_s();
         let replaced_mps = speed_mps + (lag_s + params.step_s) * response_span_mps2;
-        let (stop_s, stop_m) = (replaced_mps / brake_mps2, 0.5 * replaced_mps * replaced_mps / brake_mps2);
+        let (stop_s, stop_m) = (
+            replaced_mps / brake_mps2,
+            0.5 * replaced_mps * replaced_mps / brake_mps2,
+        );
         let predicted = params.delay_steps as f64 + 1.0;
         let reach_s = stop_s + predicted * params.step_s;
         let step_m = UNIT_ROUNDOFF
@@ -131,7 +137,9 @@ impl MotionBounds {
         let test_m = predicted * (step_m + 16.0 * UNIT_ROUNDOFF * position_m)
             + UNIT_ROUNDOFF * (8.0 * position_m + 32.0 * stop_m);
         let braking = (stop_s / params.step_s + predicted) * substeps as f64 + 1.0;
-        let needed_m = (braking.min(steps as f64) + 2.0) * step_m + 2.0 * test_m + 16.0 * UNIT_ROUNDOFF * position_m;
+        let needed_m = (braking.min(steps as f64) + 2.0) * step_m
+            + 2.0 * test_m
+            + 16.0 * UNIT_ROUNDOFF * position_m;
         (2.0 * needed_m).max(MIN_MARGIN_M)
     }
 }
@@ -149,7 +157,11 @@ mod tests {
         ahead_brake_mps2: 6.0,
         delay_steps: 2,
         response_fraction: 0.25,
-        errors: ErrorBounds { gap_m: 0.0, speed_mps: 0.0, ahead_speed_mps: 0.0 },
+        errors: ErrorBounds {
+            gap_m: 0.0,
+            speed_mps: 0.0,
+            ahead_speed_mps: 0.0,
+        },
         behind: None,
         margin_m: 0.0,
     };
@@ -168,32 +180,81 @@ mod tests {
             2.0 * u * ((n(t) + 2.0) * epsilon + 2.0 * eta + 16.0 * x)
         };
         let near = |found_m: f64, expected_m: f64| {
-            assert!((found_m / expected_m - 1.0).abs() < 1e-12, "{found_m} {expected_m}");
+            assert!(
+                (found_m / expected_m - 1.0).abs() < 1e-12,
+                "{found_m} {expected_m}"
+            );
         };
-        let travel =
-            MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
-        near(travel.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| 4.0 * (t / 0.01 + 3.0) + 1.0));
-        let short = MotionBounds { steps: 100, ..travel };
-        near(short.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0));
-        let still = MotionBounds { position_m: 0.0, speed_mps: 1e5, steps: 1_000_000_000, substeps: 1, ..travel };
-        let slow = ShieldParams { response_fraction: 0.001, delay_steps: 0, step_s: 1.0, ..PARAMS };
-        near(still.margin_m(&slow), expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0));
+        let travel = MotionBounds {
+            position_m: 1e8,
+            speed_mps: 30.0,
+            ahead_accel_mps2: 2.0,
+            steps: 1_000_000,
+            substeps: 4,
+        };
+        near(
+            travel.margin_m(&PARAMS),
+            expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| {
+                4.0 * (t / 0.01 + 3.0) + 1.0
+            }),
+        );
+        let short = MotionBounds {
+            steps: 100,
+            ..travel
+        };
+        near(
+            short.margin_m(&PARAMS),
+            expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0),
+        );
+        let still = MotionBounds {
+            position_m: 0.0,
+            speed_mps: 1e5,
+            steps: 1_000_000_000,
+            substeps: 1,
+            ..travel
+        };
+        let slow = ShieldParams {
+            response_fraction: 0.001,
+            delay_steps: 0,
+            step_s: 1.0,
+            ..PARAMS
+        };
+        near(
+            still.margin_m(&slow),
+            expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0),
+        );
     }
 
     /// Behind a leader that may accelerate harder than the own vehicle brakes, rounding of the leader's speed counts.
     #[test]
     fn the_margin_covers_a_vehicle_ahead_that_accelerates_hard() {
-        let tame =
-            MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
-        let wild = MotionBounds { ahead_accel_mps2: 90.0, ..tame };
-        let slow = ShieldParams { step_s: 1.0, ..PARAMS };
+        let tame = MotionBounds {
+            position_m: 1e8,
+            speed_mps: 30.0,
+            ahead_accel_mps2: 0.0,
+            steps: 1_000_000,
+            substeps: 1,
+        };
+        let wild = MotionBounds {
+            ahead_accel_mps2: 90.0,
+            ..tame
+        };
+        let slow = ShieldParams {
+            step_s: 1.0,
+            ..PARAMS
+        };
         assert!(wild.margin_m(&slow) > tame.margin_m(&slow));
     }
 
     #[test]
     fn near_the_origin_the_margin_is_a_micrometre() {
-        let near =
-            MotionBounds { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
+        let near = MotionBounds {
+            position_m: 400.0,
+            speed_mps: 70.0,
+            ahead_accel_mps2: 3.0,
+            steps: 1500,
+            substeps: 10,
+        };
         assert_eq!(near.margin_m(&PARAMS), MIN_MARGIN_M);
     }
 }

@@ -24,7 +24,12 @@ fn slow_step_params() -> ShieldParams {
 }
 
 fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
-    ShieldState { gap_m, speed_mps, ahead_mps, response_mps2: 0.0 }
+    ShieldState {
+        gap_m,
+        speed_mps,
+        ahead_mps,
+        response_mps2: 0.0,
+    }
 }
 
 /// Both are equally fast after half a second, when the gap has closed by 0.25 m, and it grows again after that.
@@ -33,9 +38,15 @@ fn a_contact_within_a_step_is_prevented() {
     let (frame, wanted_mps2) = (slow_step_params(), -7.0);
     for (gap_m, is_admitted) in [(0.2, false), (0.25, false), (0.250_002, true)] {
         let now = state(gap_m, 11.0, 10.0);
-        assert!(frame.spare_m(now) > frame.margin_m, "there is a way out: full braking");
+        assert!(
+            frame.spare_m(now) > frame.margin_m,
+            "there is a way out: full braking"
+        );
         let later = frame.after(now, wanted_mps2);
-        assert!(frame.spare_m(later) >= frame.margin_m, "and the step ends in the kernel");
+        assert!(
+            frame.spare_m(later) >= frame.margin_m,
+            "and the step ends in the kernel"
+        );
         assert_eq!(frame.admits(now, wanted_mps2), is_admitted, "{gap_m} m");
     }
 }
@@ -77,10 +88,21 @@ prop_compose! {
 }
 
 /// Returns the gap at an instant of the step after a command, if the leader holds an acceleration.
-fn gap_m(frame: &ShieldParams, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, ahead_mps2: f64, t: f64) -> f64 {
+fn gap_m(
+    frame: &ShieldParams,
+    state: ShieldState,
+    wanted_mps2: f64,
+    noise_mps2: f64,
+    ahead_mps2: f64,
+    t: f64,
+) -> f64 {
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
     let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
-    let own_mps2 = if held { 0.0 } else { response_mps2 + noise_mps2 };
+    let own_mps2 = if held {
+        0.0
+    } else {
+        response_mps2 + noise_mps2
+    };
     state.gap_m + distance_and_speed_after(state.ahead_mps, ahead_mps2, t)[0]
         - distance_and_speed_after(state.speed_mps, own_mps2, t)[0]
 }
@@ -138,10 +160,15 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
         let gap_m = 0.5 * (low_m + high_m);
-        let command_mps2 =
-            full_throttle_shield(frame).decide(&leader_observation(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
+        let command_mps2 = full_throttle_shield(frame)
+            .decide(&leader_observation(speed_mps, gap_m, ahead_mps, 0.0))
+            .unwrap();
         assert!(command_mps2 == -frame.brake_mps2 || command_mps2 == frame.accel_mps2);
-        if command_mps2 > 0.0 { high_m = gap_m } else { low_m = gap_m }
+        if command_mps2 > 0.0 {
+            high_m = gap_m
+        } else {
+            low_m = gap_m
+        }
     }
     high_m
 }
@@ -149,51 +176,110 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
 /// 20 m/s against 15, step 0.1 s: computed by hand with exact quotients.
 #[test]
 fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
-    let plain = ShieldParams { step_s: 0.1, ..slow_step_params() };
+    let plain = ShieldParams {
+        step_s: 0.1,
+        ..slow_step_params()
+    };
     let least_m = |frame: ShieldParams| min_admitted_gap_m(frame, 20.0, 15.0);
-    let demanded_m =
-        |v: f64, w: f64| ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
-    let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
+    let demanded_m = |v: f64, w: f64| {
+        ViabilityKernel {
+            own_brake_mps2: 8.0,
+            ahead_brake_mps2: 5.0,
+        }
+        .demanded_gap_m(v, w)
+    };
+    let near = |found_m: f64, by_hand_m: f64| {
+        assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}")
+    };
     // 2.015 m against 1.475 m, then 20.3 m/s behind 14.5.
     near(least_m(plain), 0.54 + demanded_m(20.3, 14.5));
     // With observation errors: 0.3 m less, 20.2 m/s behind 14.6.
-    let errors = ErrorBounds { gap_m: 0.3, speed_mps: 0.2, ahead_speed_mps: 0.4 };
-    near(least_m(ShieldParams { errors, ..plain }), 0.3 + 0.6 + demanded_m(20.5, 14.1));
+    let errors = ErrorBounds {
+        gap_m: 0.3,
+        speed_mps: 0.2,
+        ahead_speed_mps: 0.4,
+    };
+    near(
+        least_m(ShieldParams { errors, ..plain }),
+        0.3 + 0.6 + demanded_m(20.5, 14.1),
+    );
     // First two steps at 20 m/s behind a leader that brakes: 4 m against 2.9.
-    near(least_m(ShieldParams { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
+    near(
+        least_m(ShieldParams {
+            delay_steps: 2,
+            ..plain
+        }),
+        1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5),
+    );
     // Half of 3 m/s² in this step; the lag adds 0.1 s at 9.5 m/s² more than full braking.
     near(
-        least_m(ShieldParams { response_fraction: 0.5, ..plain }),
+        least_m(ShieldParams {
+            response_fraction: 0.5,
+            ..plain
+        }),
         2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5),
     );
     // Noise of 1 m/s² increases the acceleration and reduces the brake.
-    let noisy = ViabilityKernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
-    near(least_m(ShieldParams { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
+    let noisy = ViabilityKernel {
+        own_brake_mps2: 7.0,
+        ahead_brake_mps2: 5.0,
+    }
+    .demanded_gap_m(20.4, 14.5);
+    near(
+        least_m(ShieldParams {
+            noise_mps2: 1.0,
+            ..plain
+        }),
+        2.02 - 1.475 + noisy,
+    );
 }
 
 /// The prediction includes delay, lag and pending commands.
 #[test]
 fn commands_under_way_are_counted_on() {
-    let frame = ShieldParams { step_s: 0.1, delay_steps: 1, response_fraction: 0.5, ..slow_step_params() };
+    let frame = ShieldParams {
+        step_s: 0.1,
+        delay_steps: 1,
+        response_fraction: 0.5,
+        ..slow_step_params()
+    };
     let seen = leader_observation(10.0, 100.0, 10.0, 0.0);
     let mut shield = full_throttle_shield(frame);
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
-    assert_eq!((shield.response_mps2, shield.pending_mps2.as_slices().0), (0.0, &[3.0][..]));
+    assert_eq!(
+        (shield.response_mps2, shield.pending_mps2.as_slices().0),
+        (0.0, &[3.0][..])
+    );
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
-    assert_eq!((shield.response_mps2, shield.pending_mps2.as_slices().0), (1.5, &[3.0][..]));
+    assert_eq!(
+        (shield.response_mps2, shield.pending_mps2.as_slices().0),
+        (1.5, &[3.0][..])
+    );
     let worst = shield.worst_state(&seen).unwrap();
     assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
-    assert!((worst.speed_mps - 10.225).abs() < 1e-12 && (worst.gap_m - (100.0 + 0.975 - 1.01125)).abs() < 1e-12);
+    assert!(
+        (worst.speed_mps - 10.225).abs() < 1e-12
+            && (worst.gap_m - (100.0 + 0.975 - 1.01125)).abs() < 1e-12
+    );
 }
 
 #[test]
 fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
     for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
-        let frame = ShieldParams { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
+        let frame = ShieldParams {
+            step_s: 0.1,
+            margin_m: 1e-5,
+            ..slow_step_params()
+        };
         let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
         let mut shield = full_throttle_shield(frame);
         assert_eq!(command_behind(&mut shield, 20.0, gap_m, 15.0, 0.0), -8.0);
-        let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
+        let expected = Override {
+            first_step: 0,
+            last_step: 0,
+            outside_kernel: outside,
+            rear_conflict: false,
+        };
         assert_eq!(shield.overrides(), [expected]);
     }
 }
@@ -201,61 +287,145 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
 /// Within the follower's 0.4 s at 20 m/s, the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m.
 #[test]
 fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
-    let behind_it = RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.4 };
+    let behind_it = RearVehicleParams {
+        brake_mps2: 6.0,
+        reaction_s: 0.4,
+    };
     let conflict = |frame: ShieldParams, rear_gap_m: Option<f64>| {
-        let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
+        let rear = rear_gap_m.map(|gap_m| Neighbour {
+            gap_m,
+            speed_mps: 20.0,
+            acceleration_mps2: 0.0,
+        });
         let mut shield = full_throttle_shield(frame);
-        let seen = Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) };
+        let seen = Observation {
+            behind: rear,
+            ..leader_observation(20.0, 1.0, 10.0, 0.0)
+        };
         assert_eq!(shield.decide(&seen).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
-    let frame = ShieldParams { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
+    let frame = ShieldParams {
+        step_s: 0.1,
+        behind: Some(behind_it),
+        ..slow_step_params()
+    };
     let least_m = 8.0 - 7.36 + 400.0 / 12.0 - 16.8 * 16.8 / 16.0;
     assert!(conflict(frame, Some(least_m - 1e-9)) && !conflict(frame, Some(least_m + 1e-9)));
-    assert!(!conflict(frame, None) && !conflict(ShieldParams { behind: None, ..frame }, Some(0.1)));
+    assert!(
+        !conflict(frame, None)
+            && !conflict(
+                ShieldParams {
+                    behind: None,
+                    ..frame
+                },
+                Some(0.1)
+            )
+    );
 }
 
 #[test]
 fn overrides_in_successive_steps_are_one() {
     let frame = ShieldParams {
         step_s: 0.1,
-        behind: Some(RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.0 }),
+        behind: Some(RearVehicleParams {
+            brake_mps2: 6.0,
+            reaction_s: 0.0,
+        }),
         ..slow_step_params()
     };
     let mut shield = full_throttle_shield(frame);
     let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
-    let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
+    let rear = Some(Neighbour {
+        gap_m: 0.1,
+        speed_mps: 30.0,
+        acceleration_mps2: 0.0,
+    });
     let far = leader_observation(20.0, 500.0, 15.0, 0.0);
     let near = leader_observation(20.0, near_m, 15.0, 0.0);
     let outside = leader_observation(20.0, near_m - 1.0, 15.0, 0.0);
-    for seen in [near, outside, Observation { behind: rear, ..near }, far, near, Observation { ahead: None, ..near }] {
+    for seen in [
+        near,
+        outside,
+        Observation {
+            behind: rear,
+            ..near
+        },
+        far,
+        near,
+        Observation {
+            ahead: None,
+            ..near
+        },
+    ] {
         shield.decide(&seen).unwrap();
     }
-    let first = Override { first_step: 0, last_step: 2, outside_kernel: true, rear_conflict: true };
-    let second = Override { first_step: 4, last_step: 4, outside_kernel: false, rear_conflict: false };
+    let first = Override {
+        first_step: 0,
+        last_step: 2,
+        outside_kernel: true,
+        rear_conflict: true,
+    };
+    let second = Override {
+        first_step: 4,
+        last_step: 4,
+        outside_kernel: false,
+        rear_conflict: false,
+    };
     assert_eq!(shield.overrides(), [first, second]);
 }
 
 /// Full braking by the controller is no override, but is recorded outside the kernel. Commands are clipped.
 #[test]
 fn only_changed_commands_are_overrides() {
-    let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
+    let frame = ShieldParams {
+        step_s: 0.1,
+        brake_mps2: 2.0,
+        accel_mps2: 1.0,
+        ..slow_step_params()
+    };
     let mut shield = full_throttle_shield(frame);
-    assert_eq!(command_behind(&mut shield, 20.0, 900.0, 20.0, 0.0), 1.0, "cut to what there is");
-    let full_brake = ShieldParams { accel_mps2: -2.0, ..frame };
+    assert_eq!(
+        command_behind(&mut shield, 20.0, 900.0, 20.0, 0.0),
+        1.0,
+        "cut to what there is"
+    );
+    let full_brake = ShieldParams {
+        accel_mps2: -2.0,
+        ..frame
+    };
     let mut braking = self::full_throttle_shield(full_brake);
     let near_m = full_brake.kernel().demanded_gap_m(20.0, 20.0) + 0.01;
     assert_eq!(command_behind(&mut braking, 20.0, near_m, 20.0, 0.0), -2.0);
     assert_eq!(braking.overrides(), []);
-    assert_eq!(command_behind(&mut braking, 20.0, near_m - 1.0, 20.0, 0.0), -2.0);
-    let expected = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
+    assert_eq!(
+        command_behind(&mut braking, 20.0, near_m - 1.0, 20.0, 0.0),
+        -2.0
+    );
+    let expected = Override {
+        first_step: 1,
+        last_step: 1,
+        outside_kernel: true,
+        rear_conflict: false,
+    };
     assert_eq!(braking.overrides(), [expected]);
 }
 
 #[test]
 fn settings_are_printed_as_they_are_read() {
-    let errors = Some(ErrorBounds { gap_m: 0.5, speed_mps: 0.25, ahead_speed_mps: 1.0 });
+    let errors = Some(ErrorBounds {
+        gap_m: 0.5,
+        speed_mps: 0.25,
+        ahead_speed_mps: 1.0,
+    });
     assert_eq!(ShieldSettings::default().to_arg(), "");
-    let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.to_arg();
-    assert_eq!(words, ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1");
+    let words = ShieldSettings {
+        ahead_brake_mps2: Some(6.0),
+        errors,
+    }
+    .to_arg();
+    assert_eq!(
+        words,
+        ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1"
+    );
 }

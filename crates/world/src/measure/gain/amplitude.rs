@@ -12,7 +12,9 @@ impl Wave {
     pub(super) fn new(periods: usize, samples: usize) -> Self {
         // The remainder keeps the argument small, so that long windows lose no accuracy.
         let phase = |sample: usize| TAU * ((periods * sample) % samples) as f64 / samples as f64;
-        Self { sin_cos: (0..samples).map(|sample| phase(sample).sin_cos()).collect() }
+        Self {
+            sin_cos: (0..samples).map(|sample| phase(sample).sin_cos()).collect(),
+        }
     }
 
     /// Returns mean and amplitude of values at these samples: the projection on sine and cosine. It is exact for a sum
@@ -39,6 +41,9 @@ mod tests {
         let value = |k: u32| 20.0 + 0.3 * (phase(k) + 0.7).cos() + 0.2 * (2.0 * phase(k)).sin();
         let values: Vec<f64> = (0..1001).map(value).collect();
         let [mean, amplitude] = Wave::new(3, 1001).project(&values);
-        assert!((mean - 20.0).abs() < 1e-12 && (amplitude - 0.3).abs() < 1e-12, "{mean} {amplitude}");
+        assert!(
+            (mean - 20.0).abs() < 1e-12 && (amplitude - 0.3).abs() < 1e-12,
+            "{mean} {amplitude}"
+        );
     }
 }

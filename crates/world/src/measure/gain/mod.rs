@@ -34,10 +34,18 @@ struct GainGrid {
     refinements: usize,
 }
 
-const STANDARD_GRID: GainGrid = GainGrid { speeds_mps: &GAIN_SPEEDS_MPS, frequencies: 10, refinements: 3 };
+const STANDARD_GRID: GainGrid = GainGrid {
+    speeds_mps: &GAIN_SPEEDS_MPS,
+    frequencies: 10,
+    refinements: 3,
+};
 
 /// Operating points for controller processes, which need some hundred times as long for a decision.
-const PROCESS_GRID: GainGrid = GainGrid { speeds_mps: &[4.0, 8.0, 15.0, 30.0], frequencies: 6, refinements: 0 };
+const PROCESS_GRID: GainGrid = GainGrid {
+    speeds_mps: &[4.0, 8.0, 15.0, 30.0],
+    frequencies: 6,
+    refinements: 0,
+};
 
 /// One frequency at one mean speed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -97,7 +105,11 @@ impl GainSurvey {
     /// [`GainError`] if the controller cannot drive in a line of vehicles.
     pub fn new(controller: &ControllerKind) -> Result<Self, GainError> {
         let is_process = matches!(controller.unshielded(), ControllerKind::Process(_));
-        let grid = if is_process { PROCESS_GRID } else { STANDARD_GRID };
+        let grid = if is_process {
+            PROCESS_GRID
+        } else {
+            STANDARD_GRID
+        };
         Self::on_grid(controller, grid.speeds_mps, &grid)
     }
 
@@ -110,17 +122,28 @@ impl GainSurvey {
         Self::on_grid(controller, speeds_mps, &STANDARD_GRID)
     }
 
-    fn on_grid(controller: &ControllerKind, speeds_mps: &[f64], grid: &GainGrid) -> Result<Self, GainError> {
+    fn on_grid(
+        controller: &ControllerKind,
+        speeds_mps: &[f64],
+        grid: &GainGrid,
+    ) -> Result<Self, GainError> {
         let frequencies = grid.frequencies_rad_per_s();
         let points = speeds_mps.iter().flat_map(|&mean_speed_mps| {
-            let of = move |&frequency_rad_per_s: &f64| OperatingPoint { mean_speed_mps, frequency_rad_per_s };
+            let of = move |&frequency_rad_per_s: &f64| OperatingPoint {
+                mean_speed_mps,
+                frequency_rad_per_s,
+            };
             frequencies.iter().map(of)
         });
         let mut runs = LineRuns::new(controller);
-        let mut survey = Self { points: runs.measure(&points.collect::<Vec<_>>())? };
+        let mut survey = Self {
+            points: runs.measure(&points.collect::<Vec<_>>())?,
+        };
         let mut steps = [speed_step(speeds_mps), grid.frequency_step()].map(f64::sqrt);
         for _ in 0..grid.refinements {
-            let Some((largest, _)) = survey.largest() else { break };
+            let Some((largest, _)) = survey.largest() else {
+                break;
+            };
             let beside = survey.points_around(largest, steps, speeds_mps);
             survey.points.extend(runs.measure(&beside)?);
             steps = steps.map(f64::sqrt);
@@ -131,16 +154,23 @@ impl GainSurvey {
     /// Returns the largest gain with its operating point; `None` if none was measured.
     #[must_use]
     pub fn largest(&self) -> Option<(OperatingPoint, f64)> {
-        let gains = self.points.iter().filter_map(|point| Some((point.at, *point.gain.as_ref().ok()?)));
+        let gains = self
+            .points
+            .iter()
+            .filter_map(|point| Some((point.at, *point.gain.as_ref().ok()?)));
         gains.max_by(|(_, one), (_, other)| one.total_cmp(other))
     }
 
     /// Returns frequencies, in rad/s, and gains of the grid at a mean speed of the grid, in order of frequency.
     #[must_use]
     pub fn curve(&self, mean_speed_mps: f64) -> Vec<(f64, f64)> {
-        let own = self.points.iter().filter(|point| point.at.mean_speed_mps == mean_speed_mps);
-        let mut curve: Vec<_> =
-            own.filter_map(|point| Some((point.at.frequency_rad_per_s, *point.gain.as_ref().ok()?))).collect();
+        let own = self
+            .points
+            .iter()
+            .filter(|point| point.at.mean_speed_mps == mean_speed_mps);
+        let mut curve: Vec<_> = own
+            .filter_map(|point| Some((point.at.frequency_rad_per_s, *point.gain.as_ref().ok()?)))
+            .collect();
         curve.sort_by(|(one, _), (other, _)| one.total_cmp(other));
         curve
     }
@@ -155,11 +185,18 @@ impl GainSurvey {
         let (low_mps, high_mps) = extent(speeds_mps);
         let [lowest, highest] = GAIN_FREQUENCIES_RAD_PER_S;
         let mut around: Vec<OperatingPoint> = Vec::new();
-        for (speed_power, frequency_power) in (-1..=1).flat_map(|speed| (-1..=1).map(move |other| (speed, other))) {
-            let mean_speed_mps = (centre.mean_speed_mps * speed_factor.powi(speed_power)).clamp(low_mps, high_mps);
-            let frequency_rad_per_s =
-                (centre.frequency_rad_per_s * frequency_factor.powi(frequency_power)).clamp(lowest, highest);
-            let point = OperatingPoint { mean_speed_mps, frequency_rad_per_s };
+        for (speed_power, frequency_power) in
+            (-1..=1).flat_map(|speed| (-1..=1).map(move |other| (speed, other)))
+        {
+            let mean_speed_mps =
+                (centre.mean_speed_mps * speed_factor.powi(speed_power)).clamp(low_mps, high_mps);
+            let frequency_rad_per_s = (centre.frequency_rad_per_s
+                * frequency_factor.powi(frequency_power))
+            .clamp(lowest, highest);
+            let point = OperatingPoint {
+                mean_speed_mps,
+                frequency_rad_per_s,
+            };
             if !around.contains(&point) && self.points.iter().all(|known| known.at != point) {
                 around.push(point);
             }
@@ -172,8 +209,12 @@ impl GainGrid {
     /// Returns the frequencies of the grid, in rad/s.
     fn frequencies_rad_per_s(&self) -> Vec<f64> {
         let [lowest, highest] = GAIN_FREQUENCIES_RAD_PER_S;
-        let inner = (1..self.frequencies - 1).map(|index| lowest * self.frequency_step().powi(index as i32));
-        std::iter::once(lowest).chain(inner).chain([highest]).collect()
+        let inner = (1..self.frequencies - 1)
+            .map(|index| lowest * self.frequency_step().powi(index as i32));
+        std::iter::once(lowest)
+            .chain(inner)
+            .chain([highest])
+            .collect()
     }
 
     /// Returns the factor between successive frequencies of the grid.
@@ -193,7 +234,11 @@ fn speed_step(speeds_mps: &[f64]) -> f64 {
 }
 
 fn extent(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, 0.0), |(low, high), &value| (value.min(low), value.max(high)))
+    values
+        .iter()
+        .fold((f64::INFINITY, 0.0), |(low, high), &value| {
+            (value.min(low), value.max(high))
+        })
 }
 
 #[cfg(test)]

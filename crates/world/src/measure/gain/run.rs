@@ -7,7 +7,10 @@ use super::{GainError, MeasuredGain, NoGain, OSCILLATION_AMPLITUDE_MPS, Operatin
 use crate::control::ControllerKind;
 use crate::observation::EstimatorKind;
 use crate::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
-use crate::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, Track, simulate_batch};
+use crate::sim::{
+    Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, Track,
+    simulate_batch,
+};
 
 /// Vehicles under test in the line.
 const VEHICLES: usize = 3;
@@ -55,24 +58,42 @@ type SettledGaps = Result<Vec<f64>, NoGain>;
 impl LineRuns {
     pub(super) fn new(controller: &ControllerKind) -> Self {
         let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
-        Self { options, settled: Vec::new() }
+        Self {
+            options,
+            settled: Vec::new(),
+        }
     }
 
     /// Measures the gain at each point. A point whose oscillation is not steady is repeated with a longer transient.
-    pub(super) fn measure(&mut self, points: &[OperatingPoint]) -> Result<Vec<MeasuredGain>, GainError> {
+    pub(super) fn measure(
+        &mut self,
+        points: &[OperatingPoint],
+    ) -> Result<Vec<MeasuredGain>, GainError> {
         self.settle(points)?;
-        let mut found: Vec<MeasuredGain> =
-            points.iter().map(|&at| MeasuredGain { at, gain: Err(NoGain::NotSteady) }).collect();
+        let mut found: Vec<MeasuredGain> = points
+            .iter()
+            .map(|&at| MeasuredGain {
+                at,
+                gain: Err(NoGain::NotSteady),
+            })
+            .collect();
         for transient_s in TRANSIENT_S {
             let mut prepared = Vec::new();
-            for (index, point) in found.iter_mut().enumerate().filter(|(_, point)| point.gain == Err(NoGain::NotSteady))
+            for (index, point) in found
+                .iter_mut()
+                .enumerate()
+                .filter(|(_, point)| point.gain == Err(NoGain::NotSteady))
             {
                 match self.settled_gaps(point.at.mean_speed_mps) {
-                    Ok(gaps_m) => prepared.push((index, Windows::new(point.at, transient_s), gaps_m)),
+                    Ok(gaps_m) => {
+                        prepared.push((index, Windows::new(point.at, transient_s), gaps_m))
+                    }
                     Err(reason) => point.gain = Err(reason),
                 }
             }
-            let lines = prepared.iter().map(|(index, windows, gaps_m)| windows.line(found[*index].at, gaps_m));
+            let lines = prepared
+                .iter()
+                .map(|(index, windows, gaps_m)| windows.line(found[*index].at, gaps_m));
             let lines = lines.collect::<Result<Vec<_>, _>>()?;
             let gains = self.simulate(&lines, |place, trace| prepared[place].1.gain(trace))?;
             for ((index, ..), gain) in prepared.iter().zip(gains) {
@@ -86,17 +107,23 @@ impl LineRuns {
     fn settle(&mut self, points: &[OperatingPoint]) -> Result<(), GainError> {
         let mut pending: Vec<f64> = Vec::new();
         for speed_mps in points.iter().map(|point| point.mean_speed_mps) {
-            if self.settled.iter().all(|(known, _)| *known != speed_mps) && !pending.contains(&speed_mps) {
+            if self.settled.iter().all(|(known, _)| *known != speed_mps)
+                && !pending.contains(&speed_mps)
+            {
                 pending.push(speed_mps);
             }
         }
         for (attempt, duration_s) in SETTLING_S.into_iter().enumerate() {
-            let lines = pending.iter().map(|&speed_mps| settling_line(speed_mps, duration_s));
+            let lines = pending
+                .iter()
+                .map(|&speed_mps| settling_line(speed_mps, duration_s));
             let lines = lines.collect::<Result<Vec<_>, _>>()?;
             let gaps_m = self.simulate(&lines, |_, trace| settled_gaps_m(trace))?;
             let is_last = attempt + 1 == SETTLING_S.len();
-            let (done, again): (Vec<_>, Vec<_>) =
-                pending.into_iter().zip(gaps_m).partition(|(_, gaps_m)| is_last || *gaps_m != Err(NoGain::NotSettled));
+            let (done, again): (Vec<_>, Vec<_>) = pending
+                .into_iter()
+                .zip(gaps_m)
+                .partition(|(_, gaps_m)| is_last || *gaps_m != Err(NoGain::NotSettled));
             self.settled.extend(done);
             pending = again.into_iter().map(|(speed_mps, _)| speed_mps).collect();
         }
@@ -117,8 +144,15 @@ impl LineRuns {
         lines: &[Scenario],
         read: impl Fn(usize, &Trace) -> Result<T, NoGain> + Sync,
     ) -> Result<Vec<Result<T, NoGain>>, RunError> {
-        let runs = lines.iter().map(|line| Run::new(line, self.options.clone())).collect::<Result<Vec<_>, _>>()?;
-        Ok(simulate_batch(&runs, RecordingLevel::Trace, |index, result| read(index, complete_trace(&result)?)))
+        let runs = lines
+            .iter()
+            .map(|line| Run::new(line, self.options.clone()))
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(simulate_batch(
+            &runs,
+            RecordingLevel::Trace,
+            |index, result| read(index, complete_trace(&result)?),
+        ))
     }
 }
 
@@ -136,23 +170,36 @@ fn to_steps(duration_s: f64) -> usize {
 
 fn settling_line(mean_speed_mps: f64, duration_s: f64) -> Result<Scenario, GainError> {
     let gaps_m = vec![START_TIME_GAP_S * mean_speed_mps; VEHICLES];
-    let line = FollowingLine { mean_speed_mps, closing_mps: START_CLOSING_MPS, gaps_m };
+    let line = FollowingLine {
+        mean_speed_mps,
+        closing_mps: START_CLOSING_MPS,
+        gaps_m,
+    };
     Ok(line.scenario(None, to_steps(duration_s))?)
 }
 
 /// Returns the final gaps, if all vehicles keep the leader's speed and their gaps at the end.
 fn settled_gaps_m(trace: &Trace) -> SettledGaps {
     let from = trace.len().saturating_sub(to_steps(SETTLED_S));
-    let leader_mps = trace.vehicles.first().and_then(|leader| leader.speed_mps.first()).ok_or(NoGain::NotSettled)?;
+    let leader_mps = trace
+        .vehicles
+        .first()
+        .and_then(|leader| leader.speed_mps.first())
+        .ok_or(NoGain::NotSettled)?;
     let gap_m = |rear: usize| {
         let late_mps = trace.vehicles.get(rear)?.speed_mps.get(from..)?;
         let gaps_m = trace.gaps_m(rear);
         let [first_m, last_m] = [*gaps_m.get(from)?, *gaps_m.last()?];
-        let keeps_speed = late_mps.iter().all(|speed_mps| (speed_mps - leader_mps).abs() <= SETTLED_SPEED_MPS);
+        let keeps_speed = late_mps
+            .iter()
+            .all(|speed_mps| (speed_mps - leader_mps).abs() <= SETTLED_SPEED_MPS);
         let (first_m, last_m) = (first_m?, last_m?);
         (keeps_speed && (last_m - first_m).abs() <= SETTLED_GAP_M).then_some(last_m)
     };
-    (1..trace.vehicles.len()).map(gap_m).collect::<Option<Vec<_>>>().ok_or(NoGain::NotSettled)
+    (1..trace.vehicles.len())
+        .map(gap_m)
+        .collect::<Option<Vec<_>>>()
+        .ok_or(NoGain::NotSettled)
 }
 
 /// Two successive windows of whole periods after a transient, in steps.
@@ -169,13 +216,21 @@ impl Windows {
         let periods = (WINDOW_S / period_s).ceil().max(1.0);
         let window = to_steps(periods * period_s);
         let transient = window * to_steps(transient_s).div_ceil(window);
-        Self { transient, window, periods: periods as usize }
+        Self {
+            transient,
+            window,
+            periods: periods as usize,
+        }
     }
 
     /// Returns the scenario. Its frequency differs by less than 0.1 % from that of the point, so that the windows are
     /// whole numbers of periods and of steps.
     fn line(&self, at: OperatingPoint, gaps_m: &[f64]) -> Result<Scenario, GainError> {
-        let line = FollowingLine { mean_speed_mps: at.mean_speed_mps, closing_mps: 0.0, gaps_m: gaps_m.to_vec() };
+        let line = FollowingLine {
+            mean_speed_mps: at.mean_speed_mps,
+            closing_mps: 0.0,
+            gaps_m: gaps_m.to_vec(),
+        };
         let oscillation = SpeedOscillation {
             amplitude_mps: OSCILLATION_AMPLITUDE_MPS,
             frequency_rad_per_s: TAU * self.periods as f64 / (self.window as f64 * PAPER_STEP_S),
@@ -194,20 +249,28 @@ impl Windows {
             let [mean_mps, amplitude_mps] = self.project(&wave, track, 1)?;
             let off_mps = mean_mps - *mean_of_leader_mps.get_or_insert(mean_mps);
             let change_mps = amplitude_mps - before_mps;
-            if change_mps.abs() > STEADY_TOLERANCE * OSCILLATION_AMPLITUDE_MPS || off_mps.abs() > SETTLED_SPEED_MPS {
+            if change_mps.abs() > STEADY_TOLERANCE * OSCILLATION_AMPLITUDE_MPS
+                || off_mps.abs() > SETTLED_SPEED_MPS
+            {
                 return Err(NoGain::NotSteady);
             }
             amplitudes_mps.push(amplitude_mps);
         }
         let pairs = amplitudes_mps.iter().zip(amplitudes_mps.iter().skip(1));
-        let moving = pairs.filter(|(ahead_mps, _)| **ahead_mps >= MIN_AMPLITUDE * OSCILLATION_AMPLITUDE_MPS);
-        Ok(moving.map(|(ahead_mps, own_mps)| own_mps / ahead_mps).fold(0.0, f64::max))
+        let moving =
+            pairs.filter(|(ahead_mps, _)| **ahead_mps >= MIN_AMPLITUDE * OSCILLATION_AMPLITUDE_MPS);
+        Ok(moving
+            .map(|(ahead_mps, own_mps)| own_mps / ahead_mps)
+            .fold(0.0, f64::max))
     }
 
     /// Returns mean and amplitude of a vehicle's speed in the first (0) or second (1) window, in m/s.
     fn project(&self, wave: &Wave, track: &Track, window: usize) -> Result<[f64; 2], NoGain> {
         let from = self.transient + window * self.window;
-        let speed_mps = track.speed_mps.get(from..from + self.window).ok_or(NoGain::NotSteady)?;
+        let speed_mps = track
+            .speed_mps
+            .get(from..from + self.window)
+            .ok_or(NoGain::NotSteady)?;
         Ok(wave.project(speed_mps))
     }
 }

@@ -2,7 +2,9 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::*;
-use crate::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings};
+use crate::control::{
+    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings,
+};
 use crate::observation::{EstimatorKind, Observation};
 use crate::scenario::{FollowingLine, SpeedOscillation};
 use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -31,14 +33,20 @@ impl Controller for LinearFollower {
             self.stiffness_per_s2 * (gap_m - self.time_gap_s * seen.speed_mps)
                 + self.damping_per_s * (ahead_mps - seen.speed_mps)
         };
-        Ok(seen.ahead.map_or(0.0, |ahead| law(ahead.gap_m, ahead.speed_mps)))
+        Ok(seen
+            .ahead
+            .map_or(0.0, |ahead| law(ahead.gap_m, ahead.speed_mps)))
     }
 }
 
 impl LinearFollower {
     /// Magnitude of the transfer function from the leader's speed to the own speed.
     fn exact_gain(&self, w: f64) -> f64 {
-        let Self { stiffness_per_s2: k, time_gap_s: h, damping_per_s: d } = *self;
+        let Self {
+            stiffness_per_s2: k,
+            time_gap_s: h,
+            damping_per_s: d,
+        } = *self;
         (k.hypot(d * w)) / (k - w * w).hypot((k * h + d) * w)
     }
 }
@@ -55,16 +63,28 @@ fn idm_with(change: impl FnOnce(&mut IdmSettings)) -> ControllerSpec {
 
 #[test]
 fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
-    let law = LinearFollower { stiffness_per_s2: 0.4, time_gap_s: 1.2, damping_per_s: 0.3 };
+    let law = LinearFollower {
+        stiffness_per_s2: 0.4,
+        time_gap_s: 1.2,
+        damping_per_s: 0.3,
+    };
     let found = survey(ControllerKind::Custom(Arc::new(law)), &[20.0]);
     for point in &found.points {
         // A decision holds for 0.01 s: this delay changes gains by up to 0.003.
-        let (gain, exact) = (point.gain.clone().unwrap(), law.exact_gain(point.at.frequency_rad_per_s));
+        let (gain, exact) = (
+            point.gain.clone().unwrap(),
+            law.exact_gain(point.at.frequency_rad_per_s),
+        );
         assert!((gain - exact).abs() < 0.004, "{point:?}: {exact}");
     }
-    let exact = (1..4000).map(|k| law.exact_gain(0.0005 * f64::from(k))).fold(0.0, f64::max);
+    let exact = (1..4000)
+        .map(|k| law.exact_gain(0.0005 * f64::from(k)))
+        .fold(0.0, f64::max);
     let (_, largest) = found.largest().unwrap();
-    assert!(exact > 1.05 && (largest - exact).abs() < 0.004, "{largest} {exact}");
+    assert!(
+        exact > 1.05 && (largest - exact).abs() < 0.004,
+        "{largest} {exact}"
+    );
 }
 
 /// Values of an independent measurement, which kept three decimals.
@@ -75,50 +95,96 @@ fn idm_amplifies_at_low_speeds_and_damps_at_high_ones() {
         let (at, gain) = found.largest().unwrap();
         assert!((gain - reference).abs() < 0.003, "{at:?} {gain}");
     }
-    let (at, gain) = survey(ControllerSpec::Idm(IdmSettings::default()), &[30.0]).largest().unwrap();
+    let (at, gain) = survey(ControllerSpec::Idm(IdmSettings::default()), &[30.0])
+        .largest()
+        .unwrap();
     assert!((gain - 0.80).abs() < 0.006, "{at:?} {gain}");
 }
 
 #[test]
 fn idm_with_more_acceleration_damps_at_all_speeds() {
-    let (at, gain) = survey(idm_with(|settings| settings.accel_mps2 = 1.5), &GAIN_SPEEDS_MPS).largest().unwrap();
+    let (at, gain) = survey(
+        idm_with(|settings| settings.accel_mps2 = 1.5),
+        &GAIN_SPEEDS_MPS,
+    )
+    .largest()
+    .unwrap();
     assert!((0.99..0.9995).contains(&gain), "{at:?} {gain}");
 }
 
 /// The ranges of the speeds of leader and first vehicle, without a projection, give nearly the same gain.
 #[test]
 fn road_amplifies_more_than_idm() {
-    let at = OperatingPoint { mean_speed_mps: 8.0, frequency_rad_per_s: 0.2 };
+    let at = OperatingPoint {
+        mean_speed_mps: 8.0,
+        frequency_rad_per_s: 0.2,
+    };
     let gain = |name: &str| {
         let controller = ControllerSpec::from_name(name).unwrap().into();
-        LineRuns::new(&controller).measure(&[at]).unwrap()[0].gain.clone().unwrap()
+        LineRuns::new(&controller).measure(&[at]).unwrap()[0]
+            .gain
+            .clone()
+            .unwrap()
     };
-    let line = FollowingLine { mean_speed_mps: 8.0, closing_mps: 0.0, gaps_m: vec![14.8; 3] };
-    let oscillation = SpeedOscillation { amplitude_mps: 0.3, frequency_rad_per_s: 0.2, build_up_s: 100.0 };
+    let line = FollowingLine {
+        mean_speed_mps: 8.0,
+        closing_mps: 0.0,
+        gaps_m: vec![14.8; 3],
+    };
+    let oscillation = SpeedOscillation {
+        amplitude_mps: 0.3,
+        frequency_rad_per_s: 0.2,
+        build_up_s: 100.0,
+    };
     let scenario = line.scenario(Some(oscillation), 40_000).unwrap();
-    let road = RunOptions::new(ControllerSpec::from_name("road").unwrap()).with_estimator(EstimatorKind::Truth);
-    let trace = simulate(&Run::new(&scenario, road).unwrap(), RecordingLevel::Trace).trace.unwrap();
+    let road = RunOptions::new(ControllerSpec::from_name("road").unwrap())
+        .with_estimator(EstimatorKind::Truth);
+    let trace = simulate(&Run::new(&scenario, road).unwrap(), RecordingLevel::Trace)
+        .trace
+        .unwrap();
     let range_mps = |vehicle: usize| {
         let speeds_mps = trace.vehicles[vehicle].speed_mps[30_000..].iter().copied();
         speeds_mps.clone().fold(0.0, f64::max) - speeds_mps.fold(f64::INFINITY, f64::min)
     };
-    let largest = [1, 2, 3].map(|vehicle| range_mps(vehicle) / range_mps(vehicle - 1)).into_iter().fold(0.0, f64::max);
-    assert!((gain("road") - largest).abs() < 0.02, "{} {largest}", gain("road"));
+    let largest = [1, 2, 3]
+        .map(|vehicle| range_mps(vehicle) / range_mps(vehicle - 1))
+        .into_iter()
+        .fold(0.0, f64::max);
+    assert!(
+        (gain("road") - largest).abs() < 0.02,
+        "{} {largest}",
+        gain("road")
+    );
     assert!(gain("road") > gain("idm") + 0.05);
 }
 
 /// A line of five vehicles: the growth of a single oscillation from the leader to the last one, with sensors.
 #[test]
 fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
-    let line = FollowingLine { mean_speed_mps: 8.0, closing_mps: 0.0, gaps_m: vec![14.8; 4] };
-    let oscillation = SpeedOscillation { amplitude_mps: 1.0, frequency_rad_per_s: 0.2, build_up_s: 100.0 };
+    let line = FollowingLine {
+        mean_speed_mps: 8.0,
+        closing_mps: 0.0,
+        gaps_m: vec![14.8; 4],
+    };
+    let oscillation = SpeedOscillation {
+        amplitude_mps: 1.0,
+        frequency_rad_per_s: 0.2,
+        build_up_s: 100.0,
+    };
     let periods = 3;
     let window = (100.0 * f64::from(periods) * TAU / 0.2).round() as usize;
     let scenario = line.scenario(Some(oscillation), 30_000 + window).unwrap();
     let options = RunOptions::new(ControllerSpec::Idm(IdmSettings::default()));
-    let trace = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace).trace.unwrap();
+    let trace = simulate(
+        &Run::new(&scenario, options).unwrap(),
+        RecordingLevel::Trace,
+    )
+    .trace
+    .unwrap();
     let wave = amplitude::Wave::new(periods as usize, window);
-    let amplitude_mps = |vehicle: usize| wave.project(&trace.vehicles[vehicle].speed_mps[30_000..30_000 + window])[1];
+    let amplitude_mps = |vehicle: usize| {
+        wave.project(&trace.vehicles[vehicle].speed_mps[30_000..30_000 + window])[1]
+    };
     let growth = amplitude_mps(4) / amplitude_mps(0);
     assert!((growth - 1.11).abs() < 0.01, "{growth}");
 }
@@ -126,8 +192,25 @@ fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
 #[test]
 fn a_controller_that_follows_no_leader_has_no_gain() {
     let found = survey(ControllerSpec::from_name("baseline").unwrap(), &[8.0]);
-    assert!(found.largest().is_none() && found.points.iter().all(|point| point.gain == Err(NoGain::NotSettled)));
-    let keeps_speed = LinearFollower { stiffness_per_s2: 0.0, time_gap_s: 0.0, damping_per_s: 0.0 };
+    assert!(
+        found.largest().is_none()
+            && found
+                .points
+                .iter()
+                .all(|point| point.gain == Err(NoGain::NotSettled))
+    );
+    let keeps_speed = LinearFollower {
+        stiffness_per_s2: 0.0,
+        time_gap_s: 0.0,
+        damping_per_s: 0.0,
+    };
     let found = survey(ControllerKind::Custom(Arc::new(keeps_speed)), &[8.0]);
-    assert!(found.points.iter().all(|point| point.gain == Err(NoGain::NotSettled)), "{:?}", found.points[0]);
+    assert!(
+        found
+            .points
+            .iter()
+            .all(|point| point.gain == Err(NoGain::NotSettled)),
+        "{:?}",
+        found.points[0]
+    );
 }

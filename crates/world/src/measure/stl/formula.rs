@@ -58,7 +58,9 @@ pub struct TimeWindow {
 #[non_exhaustive]
 pub enum FormulaError {
     /// A name that the syntax cannot express.
-    #[error("`{name}` is not a signal name: a letter, then letters, digits, `_` and `.`, and no keyword")]
+    #[error(
+        "`{name}` is not a signal name: a letter, then letters, digits, `_` and `.`, and no keyword"
+    )]
     Name {
         /// Name of the signal.
         name: String,
@@ -104,13 +106,22 @@ impl LinearPredicate {
             }
         }
         sum.retain(|(weight, _)| *weight != 0.0);
-        if let Some(found) = sum.iter().map(|(weight, _)| *weight).chain([bound]).find(|x| !x.is_finite()) {
+        if let Some(found) = sum
+            .iter()
+            .map(|(weight, _)| *weight)
+            .chain([bound])
+            .find(|x| !x.is_finite())
+        {
             return Err(FormulaError::NotFinite { found });
         }
         if sum.is_empty() {
             return Err(FormulaError::NoSignal);
         }
-        Ok(Self { terms: sum, operator: relation, bound })
+        Ok(Self {
+            terms: sum,
+            operator: relation,
+            bound,
+        })
     }
 
     /// Returns weights and names of the signals, each name once.
@@ -155,7 +166,10 @@ impl fmt::Display for ComparisonOp {
 
 impl TimeWindow {
     /// Window from now to the end of the trace.
-    pub const ALL: Self = Self { from_s: 0.0, to_s: f64::INFINITY };
+    pub const ALL: Self = Self {
+        from_s: 0.0,
+        to_s: f64::INFINITY,
+    };
 
     /// Creates the window from `from_s` to `to_s`, inclusive.
     ///
@@ -187,12 +201,18 @@ impl Formula {
     /// window.
     #[must_use]
     pub fn horizon_s(&self) -> f64 {
-        let operands_s = self.operands().into_iter().map(Self::horizon_s).fold(0.0, f64::max);
+        let operands_s = self
+            .operands()
+            .into_iter()
+            .map(Self::horizon_s)
+            .fold(0.0, f64::max);
         match self {
             Self::Always(window, _) | Self::Eventually(window, _) | Self::Until(_, window, _) => {
                 window.to_s + operands_s
             }
-            Self::Compare(_) | Self::Not(_) | Self::And(..) | Self::Or(..) | Self::Implies(..) => operands_s,
+            Self::Compare(_) | Self::Not(_) | Self::And(..) | Self::Or(..) | Self::Implies(..) => {
+                operands_s
+            }
         }
     }
 
@@ -216,11 +236,17 @@ impl Formula {
         if self.is_temporal() {
             return Vec::new();
         }
-        self.operands().into_iter().flat_map(Self::first_sample_parts).collect()
+        self.operands()
+            .into_iter()
+            .flat_map(Self::first_sample_parts)
+            .collect()
     }
 
     fn is_temporal(&self) -> bool {
-        matches!(self, Self::Always(..) | Self::Eventually(..) | Self::Until(..))
+        matches!(
+            self,
+            Self::Always(..) | Self::Eventually(..) | Self::Until(..)
+        )
     }
 
     fn has_temporal_operator(&self) -> bool {
@@ -230,8 +256,16 @@ impl Formula {
     /// Returns a warning if a part of the formula is evaluated only at the first sample, which is rarely intended.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        let parts: Vec<_> = self.first_sample_parts().iter().map(|part| format!("`{part}`")).collect();
-        let (no, are) = if parts.len() == 1 { ("has no", "is") } else { ("have no", "are") };
+        let parts: Vec<_> = self
+            .first_sample_parts()
+            .iter()
+            .map(|part| format!("`{part}`"))
+            .collect();
+        let (no, are) = if parts.len() == 1 {
+            ("has no", "is")
+        } else {
+            ("have no", "are")
+        };
         (!parts.is_empty()).then(|| {
             format!(
                 "{} {no} temporal operator (`always`, `eventually`, `until`) and {are} evaluated at the first instant \
@@ -257,6 +291,8 @@ impl Formula {
                 }
             }
         }
-        self.operands().into_iter().for_each(|operand| operand.collect_names(names));
+        self.operands()
+            .into_iter()
+            .for_each(|operand| operand.collect_names(names));
     }
 }

@@ -19,7 +19,9 @@ pub(super) fn any_comparison(
     ]);
     let terms = prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..=most);
     (terms, relation, bound).prop_filter_map("no signal left", |(terms, relation, bound)| {
-        LinearPredicate::new(terms, relation, bound).ok().map(Formula::Compare)
+        LinearPredicate::new(terms, relation, bound)
+            .ok()
+            .map(Formula::Compare)
     })
 }
 

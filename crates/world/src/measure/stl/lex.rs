@@ -53,7 +53,10 @@ impl Symbol {
 
     /// Returns true if the symbol begins an operand, or the time window before an operand.
     pub(super) fn begins_operand(self) -> bool {
-        matches!(self, Self::Not | Self::Always | Self::Eventually | Self::Open | Self::WindowOpen)
+        matches!(
+            self,
+            Self::Not | Self::Always | Self::Eventually | Self::Open | Self::WindowOpen
+        )
     }
 }
 
@@ -100,7 +103,9 @@ const SIGNS: [(&str, Symbol); 26] = [
 
 pub(super) fn is_signal_name(text: &str) -> bool {
     let mut letters = text.chars();
-    letters.next().is_some_and(is_name_start) && letters.all(is_name_continue) && find_keyword(text).is_none()
+    letters.next().is_some_and(is_name_start)
+        && letters.all(is_name_continue)
+        && find_keyword(text).is_none()
 }
 
 fn is_name_start(c: char) -> bool {
@@ -112,7 +117,10 @@ fn is_name_continue(c: char) -> bool {
 }
 
 fn find_keyword(word: &str) -> Option<Symbol> {
-    KEYWORDS.iter().find(|(text, _)| *text == word).map(|(_, symbol)| *symbol)
+    KEYWORDS
+        .iter()
+        .find(|(text, _)| *text == word)
+        .map(|(_, symbol)| *symbol)
 }
 
 /// Splits `text` into tokens, each with its column (from 1, in characters), and [`Token::End`] last.
@@ -127,15 +135,28 @@ pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseEr
             let length = number_length(rest);
             let written = rest.get(..length).unwrap_or_default();
             let number = written.parse::<f64>().ok().filter(|x| x.is_finite());
-            let misread = || FormulaParseError { column, problem: SyntaxProblem::Number { found: written.to_owned() } };
+            let misread = || FormulaParseError {
+                column,
+                problem: SyntaxProblem::Number {
+                    found: written.to_owned(),
+                },
+            };
             (length, Some(Token::Number(number.ok_or_else(misread)?)))
         } else if is_name_start(first) {
             let length = rest.find(|c| !is_name_continue(c)).unwrap_or(rest.len());
             let word = rest.get(..length).unwrap_or_default();
-            (length, Some(find_keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol)))
+            (
+                length,
+                Some(
+                    find_keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol),
+                ),
+            )
         } else {
             let sign = SIGNS.iter().find(|(sign, _)| rest.starts_with(sign));
-            let unknown = || FormulaParseError { column, problem: SyntaxProblem::Character { found: first } };
+            let unknown = || FormulaParseError {
+                column,
+                problem: SyntaxProblem::Character { found: first },
+            };
             let (sign, symbol) = sign.ok_or_else(unknown)?;
             (sign.len(), Some(Token::Symbol(*symbol)))
         };
@@ -151,7 +172,13 @@ pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseEr
 /// Returns the length in bytes of the number at the start of `text`: digits, a point, digits, an exponent.
 fn number_length(text: &str) -> usize {
     let bytes = text.as_bytes();
-    let digits = |from: usize| bytes.iter().skip(from).take_while(|b| b.is_ascii_digit()).count();
+    let digits = |from: usize| {
+        bytes
+            .iter()
+            .skip(from)
+            .take_while(|b| b.is_ascii_digit())
+            .count()
+    };
     let mut length = digits(0);
     if bytes.get(length) == Some(&b'.') {
         length += 1 + digits(length + 1);

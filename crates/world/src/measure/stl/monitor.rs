@@ -61,8 +61,15 @@ impl Formula {
     ///
     /// # Errors
     /// As [`Formula::robustness`].
-    pub fn robustness_over_time(&self, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
-        Monitor { signals, semantics: MonitorSemantics::Quantitative }.values(self, 0, signals.samples())
+    pub fn robustness_over_time(
+        &self,
+        signals: &SampledSignals<'_>,
+    ) -> Result<Vec<f64>, MonitorError> {
+        Monitor {
+            signals,
+            semantics: MonitorSemantics::Quantitative,
+        }
+        .values(self, 0, signals.samples())
     }
 
     /// Returns true if the formula holds at the first sample. Agrees with the sign of a non-zero robustness.
@@ -84,14 +91,26 @@ impl Formula {
         let mut robustness = values(MonitorSemantics::Quantitative)?;
         if robustness.contains(&0.0) {
             let truth = values(MonitorSemantics::Boolean)?;
-            let zeros = robustness.iter_mut().zip(truth).filter(|(value, _)| **value == 0.0);
-            zeros.for_each(|(value, truth)| *value = if truth > 0.0 { 0.0 } else { -MIN_VIOLATION });
+            let zeros = robustness
+                .iter_mut()
+                .zip(truth)
+                .filter(|(value, _)| **value == 0.0);
+            zeros
+                .for_each(|(value, truth)| *value = if truth > 0.0 { 0.0 } else { -MIN_VIOLATION });
         }
         Ok(robustness)
     }
 
-    fn first_value(&self, signals: &SampledSignals<'_>, reading: MonitorSemantics) -> Result<f64, MonitorError> {
-        let values = Monitor { signals, semantics: reading }.values(self, 0, 1)?;
+    fn first_value(
+        &self,
+        signals: &SampledSignals<'_>,
+        reading: MonitorSemantics,
+    ) -> Result<f64, MonitorError> {
+        let values = Monitor {
+            signals,
+            semantics: reading,
+        }
+        .values(self, 0, 1)?;
         let first = values.first().copied().unwrap_or(f64::NAN);
         buffer_pool::release(values);
         Ok(first)
@@ -106,7 +125,10 @@ impl TimeWindow {
         let first = (self.from_s() / step_s - 1e-6).ceil().max(0.0);
         let last = (self.to_s() / step_s + 1e-6).floor();
         if last < first {
-            return Err(MonitorError::NoSample { window: self, step_s });
+            return Err(MonitorError::NoSample {
+                window: self,
+                step_s,
+            });
         }
         // The conversion saturates.
         Ok((first as usize, last as usize))
@@ -132,18 +154,32 @@ impl Monitor<'_> {
             }
             Formula::And(left, right) => self.join(left, right, from, to, Minimum::combine),
             Formula::Or(left, right) => self.join(left, right, from, to, Maximum::combine),
-            Formula::Implies(left, right) => self.join(left, right, from, to, |a, b| Maximum::combine(-a, b)),
+            Formula::Implies(left, right) => {
+                self.join(left, right, from, to, |a, b| Maximum::combine(-a, b))
+            }
             Formula::Always(window, inner) => self.window::<Minimum>(*window, inner, from, to),
             Formula::Eventually(window, inner) => self.window::<Maximum>(*window, inner, from, to),
             Formula::Until(left, window, right) => self.until(left, *window, right, from, to),
         }
     }
 
-    fn compare(&self, comparison: &LinearPredicate, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
-        let sign = if comparison.operator().is_lower_bound() { 1.0 } else { -1.0 };
+    fn compare(
+        &self,
+        comparison: &LinearPredicate,
+        from: usize,
+        to: usize,
+    ) -> Result<Vec<f64>, MonitorError> {
+        let sign = if comparison.operator().is_lower_bound() {
+            1.0
+        } else {
+            -1.0
+        };
         let mut terms = Vec::with_capacity(comparison.terms().len());
         for (weight, name) in comparison.terms() {
-            let samples = self.signals.get(name).and_then(|samples| samples.get(from..to));
+            let samples = self
+                .signals
+                .get(name)
+                .and_then(|samples| samples.get(from..to));
             let samples = samples.ok_or_else(|| MonitorError::UnknownSignal {
                 name: name.clone(),
                 known: self.signals.names().map(str::to_owned).collect(),
@@ -158,7 +194,10 @@ impl Monitor<'_> {
             values.resize((start + CHUNK).min(to - from), 0.0);
             let piece = &mut values[start..];
             for (weight, samples) in &terms {
-                piece.iter_mut().zip(&samples[start..]).for_each(|(value, &sample)| *value += weight * sample);
+                piece
+                    .iter_mut()
+                    .zip(&samples[start..])
+                    .for_each(|(value, &sample)| *value += weight * sample);
             }
             for value in piece {
                 *value -= bound;
@@ -166,13 +205,26 @@ impl Monitor<'_> {
             }
         }
         if any_undefined {
-            let index = from + values.iter().position(|value| value.is_nan()).unwrap_or_default();
+            let index = from
+                + values
+                    .iter()
+                    .position(|value| value.is_nan())
+                    .unwrap_or_default();
             let time_s = index as f64 * self.signals.step_s();
-            return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
+            return Err(MonitorError::Undefined {
+                comparison: comparison.to_string(),
+                time_s,
+            });
         }
         if self.semantics == MonitorSemantics::Boolean {
             let strict = comparison.operator().is_strict();
-            let truth = |margin: f64| if margin > 0.0 || (margin == 0.0 && !strict) { 1.0 } else { -1.0 };
+            let truth = |margin: f64| {
+                if margin > 0.0 || (margin == 0.0 && !strict) {
+                    1.0
+                } else {
+                    -1.0
+                }
+            };
             values.iter_mut().for_each(|value| *value = truth(*value));
         }
         Ok(values)
@@ -188,7 +240,10 @@ impl Monitor<'_> {
     ) -> Result<Vec<f64>, MonitorError> {
         let mut values = self.values(left, from, to)?;
         let others = self.values(right, from, to)?;
-        values.iter_mut().zip(&others).for_each(|(value, &other)| *value = joined(*value, other));
+        values
+            .iter_mut()
+            .zip(&others)
+            .for_each(|(value, &other)| *value = joined(*value, other));
         buffer_pool::release(others);
         Ok(values)
     }
@@ -205,12 +260,22 @@ impl Monitor<'_> {
             return Ok(vec![E::IDENTITY; to - from]);
         };
         let values = self.values(inner, inner_from, inner_to)?;
-        Ok(sliding_extremum::<E>(values, (last - first).saturating_add(1), to - from))
+        Ok(sliding_extremum::<E>(
+            values,
+            (last - first).saturating_add(1),
+            to - from,
+        ))
     }
 
     /// Returns the range of samples to which windows at `from..to` refer; `None` if all start after the end of the
     /// trace.
-    fn referenced_samples(&self, first: usize, last: usize, from: usize, to: usize) -> Option<(usize, usize)> {
+    fn referenced_samples(
+        &self,
+        first: usize,
+        last: usize,
+        from: usize,
+        to: usize,
+    ) -> Option<(usize, usize)> {
         let start = from.saturating_add(first);
         let end = to.saturating_add(last).min(self.signals.samples());
         (start < end).then_some((start, end))
@@ -235,19 +300,37 @@ impl Monitor<'_> {
         let goal = self.values(right, start, end)?;
         // The left side at the last sample has no effect.
         let path = self.values(left, from, end - 1)?;
-        let mut result = sliding_extremum::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
-        let before = if first == 0 { Vec::new() } else { sliding_extremum::<Minimum>(path.clone(), first, to - from) };
-        result.iter_mut().zip(&before).for_each(|(value, &held)| *value = Minimum::combine(*value, held));
+        let mut result =
+            sliding_extremum::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
+        let before = if first == 0 {
+            Vec::new()
+        } else {
+            sliding_extremum::<Minimum>(path.clone(), first, to - from)
+        };
+        result
+            .iter_mut()
+            .zip(&before)
+            .for_each(|(value, &held)| *value = Minimum::combine(*value, held));
         // Unbounded until, from the last sample backwards: u(k) = max(q(k), min(p(k), u(k + 1))).
         let mut unbounded = goal;
         let mut next = Maximum::IDENTITY;
-        let path = path.iter().copied().skip(first).chain([Minimum::IDENTITY]).collect::<Vec<_>>();
+        let path = path
+            .iter()
+            .copied()
+            .skip(first)
+            .chain([Minimum::IDENTITY])
+            .collect::<Vec<_>>();
         for (value, &held) in unbounded.iter_mut().zip(&path).rev() {
             next = Maximum::combine(*value, Minimum::combine(held, next));
             *value = next;
         }
-        let reached = unbounded.into_iter().chain(std::iter::repeat(Maximum::IDENTITY));
-        result.iter_mut().zip(reached).for_each(|(value, reached)| *value = Minimum::combine(*value, reached));
+        let reached = unbounded
+            .into_iter()
+            .chain(std::iter::repeat(Maximum::IDENTITY));
+        result
+            .iter_mut()
+            .zip(reached)
+            .for_each(|(value, reached)| *value = Minimum::combine(*value, reached));
         Ok(result)
     }
 }

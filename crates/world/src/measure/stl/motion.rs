@@ -7,7 +7,14 @@ use crate::sim::Trace;
 
 const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
 /// Signals of every vehicle but the first, towards its leader.
-const LEAD_SIGNALS: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_gap_s", "drac_mps2"];
+const LEAD_SIGNALS: [&str; 6] = [
+    "gap_m",
+    "closing_mps",
+    "ttc_s",
+    "headway_s",
+    "time_gap_s",
+    "drac_mps2",
+];
 
 /// Returns the names of all signals of a run of `vehicles` vehicles: `v0.speed_mps`, `v1.gap_m` and so on.
 ///
@@ -25,7 +32,10 @@ const LEAD_SIGNALS: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "
 pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     let of = |i: usize| {
         let ahead = if i > 0 { &LEAD_SIGNALS[..] } else { &[] };
-        OWN_SIGNALS.iter().chain(ahead).map(move |name| format!("v{i}.{name}"))
+        OWN_SIGNALS
+            .iter()
+            .chain(ahead)
+            .map(move |name| format!("v{i}.{name}"))
     };
     (0..vehicles).flat_map(of).collect()
 }
@@ -34,12 +44,24 @@ pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
 ///
 /// # Errors
 /// [`SignalsError`] if the trace is empty.
-pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Result<SampledSignals<'a>, SignalsError> {
+pub fn motion_signals<'a>(
+    trace: &'a Trace,
+    step_s: f64,
+    names: &[&str],
+) -> Result<SampledSignals<'a>, SignalsError> {
     let mut signals = SampledSignals::new(step_s, trace.len())?;
     for &name in names {
-        let Some((vehicle, quantity)) = name.strip_prefix('v').and_then(|rest| rest.split_once('.')) else { continue };
-        let Ok(index) = vehicle.parse::<usize>() else { continue };
-        let Some(track) = trace.vehicles.get(index) else { continue };
+        let Some((vehicle, quantity)) =
+            name.strip_prefix('v').and_then(|rest| rest.split_once('.'))
+        else {
+            continue;
+        };
+        let Ok(index) = vehicle.parse::<usize>() else {
+            continue;
+        };
+        let Some(track) = trace.vehicles.get(index) else {
+            continue;
+        };
         match quantity {
             "position_m" => signals.insert(name.to_owned(), track.position_m.as_slice())?,
             "speed_mps" => signals.insert(name.to_owned(), track.speed_mps.as_slice())?,
@@ -49,21 +71,40 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
                     [before, now] => (now - before) / step_s,
                     _ => 0.0,
                 });
-                signals.insert(name.to_owned(), std::iter::once(0.0).chain(changes).collect::<Vec<f64>>())?;
+                signals.insert(
+                    name.to_owned(),
+                    std::iter::once(0.0).chain(changes).collect::<Vec<f64>>(),
+                )?;
             }
             other => {
-                let Some(of) = lead_quantity(other) else { continue };
+                let Some(of) = lead_quantity(other) else {
+                    continue;
+                };
                 if index == 0 {
                     continue;
                 }
                 let samples = trace.leaders(index).enumerate().map(|(sample, front)| {
                     let seen = front.and_then(|front| {
-                        Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?))
+                        Some((
+                            front,
+                            PairState::from_sample(&trace.time_s, [front, track], sample)?,
+                        ))
                     });
-                    let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
+                    let Some((front, state)) = seen else {
+                        return of(f64::INFINITY, 0.0, 0.0, 0.0);
+                    };
                     // Vehicles that stay together after an impact have a gap of zero; remove its rounding error.
-                    let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };
-                    of(gap_m, state.front_speed_mps, state.rear_speed_mps, front.length_m)
+                    let gap_m = if state.gap_m.abs() < 1e-9 {
+                        0.0
+                    } else {
+                        state.gap_m
+                    };
+                    of(
+                        gap_m,
+                        state.front_speed_mps,
+                        state.rear_speed_mps,
+                        front.length_m,
+                    )
                 });
                 signals.insert(name.to_owned(), samples.collect::<Vec<f64>>())?;
             }
@@ -80,10 +121,16 @@ fn lead_quantity(quantity: &str) -> Option<LeadQuantity> {
         "gap_m" => |gap_m, _, _, _| gap_m,
         "closing_mps" => |_, front, rear, _| rear - front,
         "ttc_s" => |gap_m, front, rear, _| ttc_s(gap_m, rear - front).unwrap_or(f64::INFINITY),
-        "headway_s" => |gap_m, _, rear, length_m| time_headway_s(gap_m, length_m, rear).unwrap_or(f64::INFINITY),
+        "headway_s" => |gap_m, _, rear, length_m| {
+            time_headway_s(gap_m, length_m, rear).unwrap_or(f64::INFINITY)
+        },
         "time_gap_s" => |gap_m, _, rear, _| time_gap_s(gap_m, rear).unwrap_or(f64::INFINITY),
         "drac_mps2" => |gap_m, front, rear, _| {
-            if rear <= front { 0.0 } else { drac_mps2(gap_m, rear - front).unwrap_or(f64::INFINITY) }
+            if rear <= front {
+                0.0
+            } else {
+                drac_mps2(gap_m, rear - front).unwrap_or(f64::INFINITY)
+            }
         },
         _ => return None,
     })
@@ -101,7 +148,11 @@ mod tests {
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {
         let scenario = built_in_scenario("paper-1").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("match-leader").unwrap())).unwrap();
+        let run = Run::new(
+            &scenario,
+            RunOptions::new(ControllerSpec::from_name("match-leader").unwrap()),
+        )
+        .unwrap();
         let result = simulate(&run, RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         let names = motion_signal_names(3);
@@ -109,17 +160,34 @@ mod tests {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let signals = motion_signals(&trace, 0.01, &names).unwrap();
         assert_eq!(signals.names().collect::<Vec<_>>(), names);
-        let least = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap();
+        let least = |text: &str| {
+            text.parse::<Formula>()
+                .unwrap()
+                .robustness(&signals)
+                .unwrap()
+        };
         let ahead = LeadMeasures::from_trace(&trace, &result.impacts, 1).unwrap();
         assert!((least("always v1.gap_m > 0") - ahead.min_gap_m.unwrap()).abs() < 1e-3);
         assert_eq!(least("always v1.ttc_s > 1"), ahead.min_ttc_s.unwrap() - 1.0);
-        assert_eq!(least("always v1.headway_s > 0"), ahead.min_time_headway_s.unwrap());
-        assert_eq!(least("always v1.time_gap_s > 0"), ahead.min_time_gap_s.unwrap());
-        assert!((least("always v1.drac_mps2 < 5") - (5.0 - ahead.max_drac_mps2.unwrap())).abs() < 1e-12);
+        assert_eq!(
+            least("always v1.headway_s > 0"),
+            ahead.min_time_headway_s.unwrap()
+        );
+        assert_eq!(
+            least("always v1.time_gap_s > 0"),
+            ahead.min_time_gap_s.unwrap()
+        );
+        assert!(
+            (least("always v1.drac_mps2 < 5") - (5.0 - ahead.max_drac_mps2.unwrap())).abs() < 1e-12
+        );
         assert!((least("always v0.accel_mps2 >= -3") - 0.0).abs() < 1e-9);
         assert!((least("always v0.jerk_mps3 > -300") - 0.0).abs() < 1e-6);
         let [front, rear] = [1, 2].map(|vehicle| &trace.vehicles[vehicle].speed_mps);
-        let closing_mps = rear.iter().zip(front).map(|(rear, front)| rear - front).fold(f64::NEG_INFINITY, f64::max);
+        let closing_mps = rear
+            .iter()
+            .zip(front)
+            .map(|(rear, front)| rear - front)
+            .fold(f64::NEG_INFINITY, f64::max);
         assert_eq!(least("always v2.closing_mps < 100"), 100.0 - closing_mps);
     }
 }

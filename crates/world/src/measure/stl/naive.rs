@@ -13,7 +13,11 @@ use super::signals::SampledSignals;
 ///
 /// # Errors
 /// As [`Formula::robustness`].
-pub fn naive_robustness(formula: &Formula, signals: &SampledSignals<'_>, at: usize) -> Result<f64, MonitorError> {
+pub fn naive_robustness(
+    formula: &Formula,
+    signals: &SampledSignals<'_>,
+    at: usize,
+) -> Result<f64, MonitorError> {
     NaiveNode::new(formula, signals.samples()).value_at(signals, at)
 }
 
@@ -26,8 +30,16 @@ struct NaiveNode<'a> {
 
 impl<'a> NaiveNode<'a> {
     fn new(formula: &'a Formula, samples: usize) -> Self {
-        let inner = formula.operands().into_iter().map(|formula| NaiveNode::new(formula, samples)).collect();
-        Self { formula, inner, cache: RefCell::new(vec![None; samples]) }
+        let inner = formula
+            .operands()
+            .into_iter()
+            .map(|formula| NaiveNode::new(formula, samples))
+            .collect();
+        Self {
+            formula,
+            inner,
+            cache: RefCell::new(vec![None; samples]),
+        }
     }
 
     fn value_at(&self, signals: &SampledSignals<'_>, k: usize) -> Result<f64, MonitorError> {
@@ -46,28 +58,42 @@ impl<'a> NaiveNode<'a> {
             (Formula::Compare(comparison), _) => {
                 let mut sum = 0.0;
                 for (weight, name) in comparison.terms() {
-                    let samples = signals.get(name).ok_or_else(|| MonitorError::UnknownSignal {
-                        name: name.clone(),
-                        known: signals.names().map(str::to_owned).collect(),
-                    })?;
+                    let samples = signals
+                        .get(name)
+                        .ok_or_else(|| MonitorError::UnknownSignal {
+                            name: name.clone(),
+                            known: signals.names().map(str::to_owned).collect(),
+                        })?;
                     sum += weight * samples.get(k).copied().unwrap_or(f64::NAN);
                 }
                 let more = sum - comparison.bound();
                 if more.is_nan() {
                     let time_s = k as f64 * signals.step_s();
-                    return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
+                    return Err(MonitorError::Undefined {
+                        comparison: comparison.to_string(),
+                        time_s,
+                    });
                 }
-                Ok(if comparison.operator().is_lower_bound() { more } else { -more })
+                Ok(if comparison.operator().is_lower_bound() {
+                    more
+                } else {
+                    -more
+                })
             }
             (Formula::Not(_), [a]) => Ok(-a.value_at(signals, k)?),
             (Formula::And(..), [a, b]) => Ok(a.value_at(signals, k)?.min(b.value_at(signals, k)?)),
             (Formula::Or(..), [a, b]) => Ok(a.value_at(signals, k)?.max(b.value_at(signals, k)?)),
-            (Formula::Implies(..), [a, b]) => Ok((-a.value_at(signals, k)?).max(b.value_at(signals, k)?)),
-            (Formula::Always(window, _), [a]) => {
-                samples(*window, signals, k)?.try_fold(f64::INFINITY, |least, j| Ok(least.min(a.value_at(signals, j)?)))
+            (Formula::Implies(..), [a, b]) => {
+                Ok((-a.value_at(signals, k)?).max(b.value_at(signals, k)?))
             }
+            (Formula::Always(window, _), [a]) => samples(*window, signals, k)?
+                .try_fold(f64::INFINITY, |least, j| {
+                    Ok(least.min(a.value_at(signals, j)?))
+                }),
             (Formula::Eventually(window, _), [a]) => samples(*window, signals, k)?
-                .try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.value_at(signals, j)?))),
+                .try_fold(f64::NEG_INFINITY, |most, j| {
+                    Ok(most.max(a.value_at(signals, j)?))
+                }),
             (Formula::Until(_, window, _), [a, b]) => {
                 let mut best = f64::NEG_INFINITY;
                 let mut held = f64::INFINITY;

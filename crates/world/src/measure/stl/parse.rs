@@ -98,11 +98,19 @@ impl FromStr for Formula {
                 let what = "words and signs, or more than twice as many parentheses";
                 return Err(FormulaParseError {
                     column: *column,
-                    problem: SyntaxProblem::TooLong { limit: MAX_TOKENS, what },
+                    problem: SyntaxProblem::TooLong {
+                        limit: MAX_TOKENS,
+                        what,
+                    },
                 });
             }
         }
-        let mut parser = Parser { tokens: &tokens, next: 0, depth: 0, operand_at: None };
+        let mut parser = Parser {
+            tokens: &tokens,
+            next: 0,
+            depth: 0,
+            operand_at: None,
+        };
         let whole = parser.parse_implies()?;
         let formula = parser.finish_formula(whole)?;
         parser.expect_end()?;
@@ -113,7 +121,11 @@ impl FromStr for Formula {
 /// Returns the column, in characters from 1, of the first use of a signal.
 pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
     let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
-    tokenize(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
+    tokenize(text)
+        .ok()?
+        .into_iter()
+        .find(|(_, token)| named(token))
+        .map(|(column, _)| column)
 }
 
 struct ParsedExpr {
@@ -131,16 +143,20 @@ impl ParsedExpr {
     fn into_formula(self) -> Result<Formula, FormulaParseError> {
         match self.kind {
             ExprKind::Formula(formula) => Ok(formula),
-            ExprKind::Sum(..) => Err(FormulaParseError { column: self.column, problem: SyntaxProblem::SumNotFormula }),
+            ExprKind::Sum(..) => Err(FormulaParseError {
+                column: self.column,
+                problem: SyntaxProblem::SumNotFormula,
+            }),
         }
     }
 
     fn into_sum(self) -> Result<(Vec<(f64, String)>, f64), FormulaParseError> {
         match self.kind {
             ExprKind::Sum(terms, constant) => Ok((terms, constant)),
-            ExprKind::Formula(_) => {
-                Err(FormulaParseError { column: self.column, problem: SyntaxProblem::FormulaNotSum })
-            }
+            ExprKind::Formula(_) => Err(FormulaParseError {
+                column: self.column,
+                problem: SyntaxProblem::FormulaNotSum,
+            }),
         }
     }
 }
@@ -155,7 +171,10 @@ struct Parser<'a> {
 
 impl Parser<'_> {
     fn peek(&self) -> (usize, &Token) {
-        self.tokens.get(self.next).or(self.tokens.last()).map_or((1, &Token::End), |(column, token)| (*column, token))
+        self.tokens
+            .get(self.next)
+            .or(self.tokens.last())
+            .map_or((1, &Token::End), |(column, token)| (*column, token))
     }
 
     fn eat(&mut self, symbol: Symbol) -> bool {
@@ -166,7 +185,13 @@ impl Parser<'_> {
 
     fn fail_expected<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
         let (column, token) = self.peek();
-        Err(FormulaParseError { column, problem: SyntaxProblem::Expected { expected, found: token.to_string() } })
+        Err(FormulaParseError {
+            column,
+            problem: SyntaxProblem::Expected {
+                expected,
+                found: token.to_string(),
+            },
+        })
     }
 
     /// Returns the error for a token in place of an operator, a parenthesis or the end.
@@ -186,7 +211,11 @@ impl Parser<'_> {
                 }
                 _ => false,
             };
-        let word = if is_before { self.next.checked_sub(1) } else { Some(self.next) };
+        let word = if is_before {
+            self.next.checked_sub(1)
+        } else {
+            Some(self.next)
+        };
         match word.and_then(|index| self.tokens.get(index)) {
             Some((column, Token::Name(word))) => Err(FormulaParseError {
                 column: *column,
@@ -197,11 +226,19 @@ impl Parser<'_> {
     }
 
     fn expect(&mut self, symbol: Symbol, expected: &'static str) -> Result<(), FormulaParseError> {
-        if self.eat(symbol) { Ok(()) } else { self.fail_expected(expected) }
+        if self.eat(symbol) {
+            Ok(())
+        } else {
+            self.fail_expected(expected)
+        }
     }
 
     fn expect_end(&self) -> Result<(), FormulaParseError> {
-        if *self.peek().1 == Token::End { Ok(()) } else { self.fail_expected_operator("an operator or the end") }
+        if *self.peek().1 == Token::End {
+            Ok(())
+        } else {
+            self.fail_expected_operator("an operator or the end")
+        }
     }
 
     fn parse_implies(&mut self) -> Result<ParsedExpr, FormulaParseError> {
@@ -211,21 +248,33 @@ impl Parser<'_> {
             chain.push(self.parse_or()?);
         }
         let mut parts = chain.into_iter().rev();
-        let Some(mut whole) = parts.next() else { return self.fail_expected("a formula") };
+        let Some(mut whole) = parts.next() else {
+            return self.fail_expected("a formula");
+        };
         for part in parts {
             let column = part.column;
-            let meaning = Formula::Implies(Box::new(part.into_formula()?), Box::new(whole.into_formula()?));
-            whole = ParsedExpr { column, kind: ExprKind::Formula(meaning) };
+            let meaning = Formula::Implies(
+                Box::new(part.into_formula()?),
+                Box::new(whole.into_formula()?),
+            );
+            whole = ParsedExpr {
+                column,
+                kind: ExprKind::Formula(meaning),
+            };
         }
         Ok(whole)
     }
 
     fn parse_or(&mut self) -> Result<ParsedExpr, FormulaParseError> {
-        self.parse_chain(Symbol::Or, Self::parse_and, |left, right| Formula::Or(Box::new(left), Box::new(right)))
+        self.parse_chain(Symbol::Or, Self::parse_and, |left, right| {
+            Formula::Or(Box::new(left), Box::new(right))
+        })
     }
 
     fn parse_and(&mut self) -> Result<ParsedExpr, FormulaParseError> {
-        self.parse_chain(Symbol::And, Self::parse_until, |left, right| Formula::And(Box::new(left), Box::new(right)))
+        self.parse_chain(Symbol::And, Self::parse_until, |left, right| {
+            Formula::And(Box::new(left), Box::new(right))
+        })
     }
 
     fn parse_chain(
@@ -238,7 +287,10 @@ impl Parser<'_> {
         while self.eat(symbol) {
             let column = whole.column;
             let joined = join(whole.into_formula()?, operand(self)?.into_formula()?);
-            whole = ParsedExpr { column, kind: ExprKind::Formula(joined) };
+            whole = ParsedExpr {
+                column,
+                kind: ExprKind::Formula(joined),
+            };
         }
         Ok(whole)
     }
@@ -253,7 +305,10 @@ impl Parser<'_> {
         let right = self.parse_unary()?.into_formula()?;
         self.refuse_another(|symbol| symbol == Symbol::Until)?;
         let until = Formula::Until(Box::new(left.into_formula()?), window, Box::new(right));
-        Ok(ParsedExpr { column, kind: ExprKind::Formula(until) })
+        Ok(ParsedExpr {
+            column,
+            kind: ExprKind::Formula(until),
+        })
     }
 
     fn parse_unary(&mut self) -> Result<ParsedExpr, FormulaParseError> {
@@ -269,7 +324,10 @@ impl Parser<'_> {
         } else {
             return self.parse_comparison();
         };
-        Ok(ParsedExpr { column, kind: ExprKind::Formula(formula) })
+        Ok(ParsedExpr {
+            column,
+            kind: ExprKind::Formula(formula),
+        })
     }
 
     fn parse_operand(&mut self) -> Result<Formula, FormulaParseError> {
@@ -297,8 +355,14 @@ impl Parser<'_> {
         inner: fn(&mut Self) -> Result<ParsedExpr, FormulaParseError>,
     ) -> Result<ParsedExpr, FormulaParseError> {
         if self.depth == MAX_DEPTH {
-            let problem = SyntaxProblem::TooLong { limit: MAX_DEPTH, what: "nested operators and parentheses" };
-            return Err(FormulaParseError { column: self.peek().0, problem });
+            let problem = SyntaxProblem::TooLong {
+                limit: MAX_DEPTH,
+                what: "nested operators and parentheses",
+            };
+            return Err(FormulaParseError {
+                column: self.peek().0,
+                problem,
+            });
         }
         self.depth += 1;
         let part = inner(self);
@@ -313,9 +377,16 @@ impl Parser<'_> {
         }
         let from_s = self.parse_seconds()?;
         self.expect(Symbol::Comma, "`,`")?;
-        let to_s = if self.eat(Symbol::Infinity) { f64::INFINITY } else { self.parse_seconds()? };
+        let to_s = if self.eat(Symbol::Infinity) {
+            f64::INFINITY
+        } else {
+            self.parse_seconds()?
+        };
         self.expect(Symbol::WindowClose, "`]`")?;
-        TimeWindow::new(from_s, to_s).map_err(|error| FormulaParseError { column, problem: error.into() })
+        TimeWindow::new(from_s, to_s).map_err(|error| FormulaParseError {
+            column,
+            problem: error.into(),
+        })
     }
 
     fn parse_seconds(&mut self) -> Result<f64, FormulaParseError> {
@@ -330,7 +401,9 @@ impl Parser<'_> {
 
     fn parse_comparison(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         let left = self.parse_sum()?;
-        let &Token::Symbol(Symbol::Compare(relation)) = self.peek().1 else { return Ok(left) };
+        let &Token::Symbol(Symbol::Compare(relation)) = self.peek().1 else {
+            return Ok(left);
+        };
         self.next += 1;
         let column = left.column;
         let right = self.parse_sum()?;
@@ -339,15 +412,22 @@ impl Parser<'_> {
         let (subtracted, right_constant) = right.into_sum()?;
         terms.extend(subtracted.into_iter().map(|(weight, name)| (-weight, name)));
         let comparison = LinearPredicate::new(terms, relation, right_constant - left_constant)
-            .map_err(|error| FormulaParseError { column, problem: error.into() })?;
-        Ok(ParsedExpr { column, kind: ExprKind::Formula(Formula::Compare(comparison)) })
+            .map_err(|error| FormulaParseError {
+                column,
+                problem: error.into(),
+            })?;
+        Ok(ParsedExpr {
+            column,
+            kind: ExprKind::Formula(Formula::Compare(comparison)),
+        })
     }
 
     fn refuse_another(&self, is_refused: impl Fn(Symbol) -> bool) -> Result<(), FormulaParseError> {
         match self.peek() {
-            (column, Token::Symbol(symbol)) if is_refused(*symbol) => {
-                Err(FormulaParseError { column, problem: SyntaxProblem::Chained })
-            }
+            (column, Token::Symbol(symbol)) if is_refused(*symbol) => Err(FormulaParseError {
+                column,
+                problem: SyntaxProblem::Chained,
+            }),
             _ => Ok(()),
         }
     }
@@ -365,8 +445,15 @@ impl Parser<'_> {
             let column = whole.column;
             let (mut terms, constant) = whole.into_sum()?;
             let (added, more) = self.parse_product()?.into_sum()?;
-            terms.extend(added.into_iter().map(|(weight, name)| (sign * weight, name)));
-            whole = ParsedExpr { column, kind: ExprKind::Sum(terms, constant + sign * more) };
+            terms.extend(
+                added
+                    .into_iter()
+                    .map(|(weight, name)| (sign * weight, name)),
+            );
+            whole = ParsedExpr {
+                column,
+                kind: ExprKind::Sum(terms, constant + sign * more),
+            };
         }
     }
 
@@ -379,7 +466,10 @@ impl Parser<'_> {
             }
             let ParsedExpr { column, .. } = whole;
             let right_column = self.peek().0;
-            let not_affine = FormulaParseError { column: right_column, problem: SyntaxProblem::NotAffine };
+            let not_affine = FormulaParseError {
+                column: right_column,
+                problem: SyntaxProblem::NotAffine,
+            };
             let (left, right) = (whole.into_sum()?, self.parse_factor()?.into_sum()?);
             let ((terms, constant), number) = match (left, right) {
                 (sum, (none, number)) if none.is_empty() => (sum, number),
@@ -387,8 +477,14 @@ impl Parser<'_> {
                 _ => return Err(not_affine),
             };
             let scaled = |x: f64| if divides { x / number } else { x * number };
-            let terms = terms.into_iter().map(|(weight, name)| (scaled(weight), name)).collect();
-            whole = ParsedExpr { column, kind: ExprKind::Sum(terms, scaled(constant)) };
+            let terms = terms
+                .into_iter()
+                .map(|(weight, name)| (scaled(weight), name))
+                .collect();
+            whole = ParsedExpr {
+                column,
+                kind: ExprKind::Sum(terms, scaled(constant)),
+            };
         }
     }
 
@@ -400,21 +496,37 @@ impl Parser<'_> {
             Token::Symbol(Symbol::Minus) => {
                 self.next += 1;
                 let (terms, constant) = self.parse_nested(Self::parse_factor)?.into_sum()?;
-                let terms = terms.into_iter().map(|(weight, name)| (-weight, name)).collect();
-                return Ok(ParsedExpr { column, kind: ExprKind::Sum(terms, -constant) });
+                let terms = terms
+                    .into_iter()
+                    .map(|(weight, name)| (-weight, name))
+                    .collect();
+                return Ok(ParsedExpr {
+                    column,
+                    kind: ExprKind::Sum(terms, -constant),
+                });
             }
             Token::Symbol(Symbol::Open) => {
                 let is_operand = self.operand_at == Some(self.next);
                 self.next += 1;
-                let part = if is_operand { self.parse_implies()? } else { self.parse_nested(Self::parse_implies)? };
+                let part = if is_operand {
+                    self.parse_implies()?
+                } else {
+                    self.parse_nested(Self::parse_implies)?
+                };
                 if !self.eat(Symbol::Close) {
                     return self.fail_expected_operator("an operator or `)`");
                 }
-                return Ok(ParsedExpr { column, kind: part.kind });
+                return Ok(ParsedExpr {
+                    column,
+                    kind: part.kind,
+                });
             }
             _ => return self.fail_expected("a formula, a signal or a number"),
         };
         self.next += 1;
-        Ok(ParsedExpr { column, kind: meaning })
+        Ok(ParsedExpr {
+            column,
+            kind: meaning,
+        })
     }
 }

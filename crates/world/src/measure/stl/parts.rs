@@ -17,7 +17,11 @@ impl FormulaPart {
     /// Returns index and value of the sample with the least robustness; `None` without samples.
     #[must_use]
     pub fn least(&self) -> Option<(usize, f64)> {
-        self.robustness.iter().copied().enumerate().min_by(|one, other| one.1.total_cmp(&other.1))
+        self.robustness
+            .iter()
+            .copied()
+            .enumerate()
+            .min_by(|one, other| one.1.total_cmp(&other.1))
     }
 }
 
@@ -25,20 +29,37 @@ impl Formula {
     /// Returns the number of parts, the formula included.
     #[must_use]
     pub fn part_count(&self) -> usize {
-        1 + self.operands().into_iter().map(Self::part_count).sum::<usize>()
+        1 + self
+            .operands()
+            .into_iter()
+            .map(Self::part_count)
+            .sum::<usize>()
     }
 
     /// Returns the formula and its parts, each before its own parts, with their robustness over time.
     ///
     /// # Errors
     /// [`MonitorError`], as for [`Self::robustness`].
-    pub fn parts_over_time(&self, signals: &SampledSignals<'_>) -> Result<Vec<FormulaPart>, MonitorError> {
+    pub fn parts_over_time(
+        &self,
+        signals: &SampledSignals<'_>,
+    ) -> Result<Vec<FormulaPart>, MonitorError> {
         let mut parts = Vec::new();
         let mut open = vec![(0, self)];
         while let Some((depth, formula)) = open.pop() {
             let robustness = formula.decided_robustness(signals, signals.samples())?;
-            parts.push(FormulaPart { depth, formula: formula.clone(), robustness });
-            open.extend(formula.operands().into_iter().rev().map(|operand| (depth + 1, operand)));
+            parts.push(FormulaPart {
+                depth,
+                formula: formula.clone(),
+                robustness,
+            });
+            open.extend(
+                formula
+                    .operands()
+                    .into_iter()
+                    .rev()
+                    .map(|operand| (depth + 1, operand)),
+            );
         }
         Ok(parts)
     }
@@ -55,8 +76,14 @@ mod tests {
         signals.insert("b", &[1.0, 1.0, -5.0, 1.0][..]).unwrap();
         let formula: Formula = "always (a > 0 and b > -1)".parse().unwrap();
         let parts = formula.parts_over_time(&signals).unwrap();
-        let depths: Vec<_> = parts.iter().map(|part| (part.depth, part.formula.to_string())).collect();
-        let expected = [(0, formula.to_string()), (1, "(a > 0) and (b > -1)".to_owned())];
+        let depths: Vec<_> = parts
+            .iter()
+            .map(|part| (part.depth, part.formula.to_string()))
+            .collect();
+        let expected = [
+            (0, formula.to_string()),
+            (1, "(a > 0) and (b > -1)".to_owned()),
+        ];
         assert_eq!(depths[..2], expected);
         assert_eq!(depths.len(), 4);
         let [whole, both, a, b] = [0, 1, 2, 3].map(|index| &parts[index].robustness);
@@ -67,8 +94,18 @@ mod tests {
 
         let strict: Formula = "not (a > 1 or a <= 4)".parse().unwrap();
         let parts = strict.parts_over_time(&signals).unwrap();
-        let violated: Vec<Vec<bool>> =
-            parts.iter().map(|part| part.robustness.iter().map(|&value| value < 0.0).collect()).collect();
-        assert_eq!(violated, [[true; 4], [false; 4], [false, true, true, false], [false; 4]]);
+        let violated: Vec<Vec<bool>> = parts
+            .iter()
+            .map(|part| part.robustness.iter().map(|&value| value < 0.0).collect())
+            .collect();
+        assert_eq!(
+            violated,
+            [
+                [true; 4],
+                [false; 4],
+                [false, true, true, false],
+                [false; 4]
+            ]
+        );
     }
 }

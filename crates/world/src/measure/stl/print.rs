@@ -14,8 +14,16 @@ impl fmt::Display for Operand<'_> {
 }
 
 /// Writes the left operand of a chain of one operator, without parentheses: `(a) and (b) and (c)`.
-fn first_operands(left: &Formula, continues_chain: bool, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-    if continues_chain { write!(out, "{left}") } else { write!(out, "{}", Operand(left)) }
+fn first_operands(
+    left: &Formula,
+    continues_chain: bool,
+    out: &mut fmt::Formatter<'_>,
+) -> fmt::Result {
+    if continues_chain {
+        write!(out, "{left}")
+    } else {
+        write!(out, "{}", Operand(left))
+    }
 }
 
 impl fmt::Display for Formula {
@@ -31,17 +39,25 @@ impl fmt::Display for Formula {
                 first_operands(left, matches!(**left, Self::Or(..)), out)?;
                 write!(out, " or {}", Operand(right))
             }
-            Self::Implies(left, right) => write!(out, "{} implies {}", Operand(left), Operand(right)),
+            Self::Implies(left, right) => {
+                write!(out, "{} implies {}", Operand(left), Operand(right))
+            }
             Self::Always(window, inner) => write!(out, "always{window} {}", Operand(inner)),
             Self::Eventually(window, inner) => write!(out, "eventually{window} {}", Operand(inner)),
-            Self::Until(left, window, right) => write!(out, "{} until{window} {}", Operand(left), Operand(right)),
+            Self::Until(left, window, right) => {
+                write!(out, "{} until{window} {}", Operand(left), Operand(right))
+            }
         }
     }
 }
 
 impl fmt::Display for TimeWindow {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if *self == Self::ALL { Ok(()) } else { write!(out, "[{},{}]", self.from_s(), self.to_s()) }
+        if *self == Self::ALL {
+            Ok(())
+        } else {
+            write!(out, "[{},{}]", self.from_s(), self.to_s())
+        }
     }
 }
 
@@ -72,14 +88,21 @@ mod tests {
 
     fn comparison() -> impl Strategy<Value = Formula> {
         let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::NORMAL];
-        let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
+        let name = prop_oneof![
+            Just("a"),
+            Just("b_m"),
+            Just("ego.ttc_s"),
+            Just("inf1"),
+            Just("α")
+        ];
         any_comparison(weight, name, 3, -1e9..1e9)
     }
 
     fn window() -> impl Strategy<Value = TimeWindow> {
         prop_oneof![
             Just(TimeWindow::ALL),
-            (0.0..50.0, 0.0..50.0).prop_map(|(a, b): (f64, f64)| TimeWindow::new(a, a + b).unwrap()),
+            (0.0..50.0, 0.0..50.0)
+                .prop_map(|(a, b): (f64, f64)| TimeWindow::new(a, a + b).unwrap()),
             (0.0..50.0).prop_map(|a| TimeWindow::new(a, f64::INFINITY).unwrap()),
         ]
     }
@@ -109,13 +132,34 @@ mod tests {
     #[test]
     fn every_operand_is_printed_in_parentheses() {
         for (written, printed) in [
-            ("always v2.gap_m > 1 and v1.gap_m > 5", "(always (v2.gap_m > 1)) and (v1.gap_m > 5)"),
-            ("a > 1 or b > 1 and c > 1", "(a > 1) or ((b > 1) and (c > 1))"),
-            ("a > 1 and b > 1 and c > 1", "(a > 1) and (b > 1) and (c > 1)"),
-            ("a > 1 and (b > 1 and c > 1)", "(a > 1) and ((b > 1) and (c > 1))"),
-            ("a > 1 implies b > 1 implies c > 1", "(a > 1) implies ((b > 1) implies (c > 1))"),
-            ("not a > 1 until[0,2] b > 1", "(not (a > 1)) until[0,2] (b > 1)"),
-            ("eventually[0,5] always a > 1", "eventually[0,5] (always (a > 1))"),
+            (
+                "always v2.gap_m > 1 and v1.gap_m > 5",
+                "(always (v2.gap_m > 1)) and (v1.gap_m > 5)",
+            ),
+            (
+                "a > 1 or b > 1 and c > 1",
+                "(a > 1) or ((b > 1) and (c > 1))",
+            ),
+            (
+                "a > 1 and b > 1 and c > 1",
+                "(a > 1) and (b > 1) and (c > 1)",
+            ),
+            (
+                "a > 1 and (b > 1 and c > 1)",
+                "(a > 1) and ((b > 1) and (c > 1))",
+            ),
+            (
+                "a > 1 implies b > 1 implies c > 1",
+                "(a > 1) implies ((b > 1) implies (c > 1))",
+            ),
+            (
+                "not a > 1 until[0,2] b > 1",
+                "(not (a > 1)) until[0,2] (b > 1)",
+            ),
+            (
+                "eventually[0,5] always a > 1",
+                "eventually[0,5] (always (a > 1))",
+            ),
         ] {
             assert_eq!(written.parse::<Formula>().unwrap().to_string(), printed);
         }
@@ -135,8 +179,19 @@ mod tests {
         ] {
             let error = text.parse::<Formula>().unwrap_err();
             assert_eq!(error.column, column, "{text}: {error}");
-            assert!(error.to_string().contains(&format!("`{word}`")), "{text}: {error}");
-            for operator in ["not", "and", "or", "implies", "always", "eventually", "until"] {
+            assert!(
+                error.to_string().contains(&format!("`{word}`")),
+                "{text}: {error}"
+            );
+            for operator in [
+                "not",
+                "and",
+                "or",
+                "implies",
+                "always",
+                "eventually",
+                "until",
+            ] {
                 assert!(error.to_string().contains(operator), "{text}: {error}");
             }
         }
@@ -152,7 +207,11 @@ mod tests {
             ("always (a > 1 and b > 1) or (a > 1) until (b > 1)", &[]),
         ] {
             let formula: Formula = text.parse().unwrap();
-            let found: Vec<_> = formula.first_sample_parts().into_iter().map(ToString::to_string).collect();
+            let found: Vec<_> = formula
+                .first_sample_parts()
+                .into_iter()
+                .map(ToString::to_string)
+                .collect();
             assert_eq!(found, parts, "{text}");
         }
     }
@@ -160,7 +219,12 @@ mod tests {
     #[test]
     fn formulas_at_the_limits_can_be_printed_and_parsed_again() {
         let chain = |operator: &str, parts: usize| vec!["a > 1"; parts].join(operator);
-        for text in ["not ".repeat(64) + "a > 1", chain(" and ", 1000), chain(" or ", 1000), chain(" implies ", 60)] {
+        for text in [
+            "not ".repeat(64) + "a > 1",
+            chain(" and ", 1000),
+            chain(" or ", 1000),
+            chain(" implies ", 60),
+        ] {
             let formula: Formula = text.parse().unwrap();
             assert_eq!(formula.to_string().parse(), Ok(formula));
         }
@@ -169,29 +233,51 @@ mod tests {
     #[test]
     fn both_spellings_and_loose_writing_mean_the_same() {
         let plain: Formula =
-            "always[0,72] eventually[0,8] (a - b >= 9 implies not c < 1 and d > 2 or a > 0)".parse().unwrap();
+            "always[0,72] eventually[0,8] (a - b >= 9 implies not c < 1 and d > 2 or a > 0)"
+                .parse()
+                .unwrap();
         let signs: Formula =
-            "□[0,72]◇[0,8]((a >= b + 9) → ((!c<1 ∧ 0.5*(2*d) > 1+1) ∨ 0 < a*3/3 - 0))".parse().unwrap();
+            "□[0,72]◇[0,8]((a >= b + 9) → ((!c<1 ∧ 0.5*(2*d) > 1+1) ∨ 0 < a*3/3 - 0))"
+                .parse()
+                .unwrap();
         // `0 < a` keeps its order, with the signal on the right.
-        assert_eq!(signs.to_string().replace("-a < 0", "a > 0"), plain.to_string());
+        assert_eq!(
+            signs.to_string().replace("-a < 0", "a > 0"),
+            plain.to_string()
+        );
     }
 
     #[test]
     fn errors_point_at_the_column() {
         let column = |text: &str| text.parse::<Formula>().unwrap_err().column;
         assert_eq!(column("always[0,5] a - b"), 13, "a sum is no formula");
-        assert_eq!(column("always[5,2] a > 1"), 7, "a window that ends before it starts");
+        assert_eq!(
+            column("always[5,2] a > 1"),
+            7,
+            "a window that ends before it starts"
+        );
         assert_eq!(column("a > 1 & b > 2"), 7, "an unknown sign");
         assert_eq!(column("a * b > 2"), 5, "a product of signals");
         assert_eq!(column("0 < a < 2"), 7, "a chain of comparisons");
-        assert_eq!(column("(a > 0) until (a > 1) until (a > 2)"), 23, "a chain of untils");
+        assert_eq!(
+            column("(a > 0) until (a > 1) until (a > 2)"),
+            23,
+            "a chain of untils"
+        );
         assert_eq!(column("(a > 1) + 2 > 3"), 1, "a formula is no sum");
         assert_eq!(column("a > 1 and"), 10, "the end");
-        assert_eq!(column("◇[0,1] a > "), 12, "columns are characters, not bytes");
+        assert_eq!(
+            column("◇[0,1] a > "),
+            12,
+            "columns are characters, not bytes"
+        );
         assert_eq!(column("1 > 2"), 1, "no signal");
         assert_eq!(column("a / 0 > 2"), 1, "a weight that is not finite");
         let nested = format!("{}a > 1{}", "(".repeat(5000), ")".repeat(5000));
-        assert!(matches!(nested.parse::<Formula>().unwrap_err().problem, SyntaxProblem::TooLong { .. }));
+        assert!(matches!(
+            nested.parse::<Formula>().unwrap_err().problem,
+            SyntaxProblem::TooLong { .. }
+        ));
         let error = "always[0 5] a > 1".parse::<Formula>().unwrap_err();
         assert_eq!(error.to_string(), "column 10: expected `,`, found 5");
     }

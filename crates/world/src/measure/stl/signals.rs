@@ -61,7 +61,11 @@ impl<'a> SampledSignals<'a> {
         if samples == 0 {
             return Err(SignalsError::Empty);
         }
-        Ok(Self { step_s, samples, entries: Vec::new() })
+        Ok(Self {
+            step_s,
+            samples,
+            entries: Vec::new(),
+        })
     }
 
     /// Adds a signal, borrowed or owned.
@@ -75,14 +79,23 @@ impl<'a> SampledSignals<'a> {
     ) -> Result<(), SignalsError> {
         let (name, samples) = (name.into(), samples.into());
         if self.get(&name).is_some() {
-            return Err(SignalsError::DuplicateName { name: name.into_owned() });
+            return Err(SignalsError::DuplicateName {
+                name: name.into_owned(),
+            });
         }
         if samples.len() != self.samples {
             let (found, expected) = (samples.len(), self.samples);
-            return Err(SignalsError::Length { name: name.into_owned(), found, expected });
+            return Err(SignalsError::Length {
+                name: name.into_owned(),
+                found,
+                expected,
+            });
         }
         if let Some(index) = samples.iter().position(|x| x.is_nan()) {
-            return Err(SignalsError::NotANumber { name: name.into_owned(), index });
+            return Err(SignalsError::NotANumber {
+                name: name.into_owned(),
+                index,
+            });
         }
         self.entries.push((name, samples));
         Ok(())
@@ -91,7 +104,10 @@ impl<'a> SampledSignals<'a> {
     /// Returns the samples of a signal.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&[f64]> {
-        self.entries.iter().find(|(known, _)| known == name).map(|(_, samples)| samples.as_ref())
+        self.entries
+            .iter()
+            .find(|(known, _)| known == name)
+            .map(|(_, samples)| samples.as_ref())
     }
 
     /// Returns the names, in order of insertion.

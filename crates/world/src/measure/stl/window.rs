@@ -36,7 +36,11 @@ impl Extremum for Maximum {
 
 /// Replaces each of the first `outputs` values by the extremum of the `width` values that begin with it, or of all that
 /// are left at the end.
-pub(super) fn sliding_extremum<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
+pub(super) fn sliding_extremum<E: Extremum>(
+    mut values: Vec<f64>,
+    width: usize,
+    outputs: usize,
+) -> Vec<f64> {
     let windows = outputs.min(values.len());
     match (width, windows) {
         (0, _) | (_, 0) => values.clear(),
@@ -86,7 +90,10 @@ fn extremum<E: Extremum>(values: &[f64]) -> f64 {
             *lane = E::combine(*lane, value);
         }
     }
-    lanes.iter().chain(rest).fold(E::IDENTITY, |all, &value| E::combine(all, value))
+    lanes
+        .iter()
+        .chain(rest)
+        .fold(E::IDENTITY, |all, &value| E::combine(all, value))
 }
 
 #[cfg(test)]

@@ -34,7 +34,11 @@ impl SpeedAmplification {
     #[must_use]
     pub fn from_trace(trace: &Trace, from_s: f64) -> Option<Self> {
         let start = trace.time_s.iter().position(|&time_s| time_s >= from_s)?;
-        let speeds = trace.vehicles.iter().map(|track| track.speed_mps.get(start..)).collect::<Option<Vec<_>>>()?;
+        let speeds = trace
+            .vehicles
+            .iter()
+            .map(|track| track.speed_mps.get(start..))
+            .collect::<Option<Vec<_>>>()?;
         let initial_mps = *speeds.first()?.first()?;
         let mut deviations_mps = Vec::with_capacity(speeds.len());
         for speeds in speeds {
@@ -43,12 +47,22 @@ impl SpeedAmplification {
             if off_mps > SETTLED_TOLERANCE_MPS || off_mps.is_nan() {
                 return None;
             }
-            deviations_mps.push(speeds.iter().map(|speed_mps| (speed_mps - own_mps).abs()).fold(0.0, f64::max));
+            deviations_mps.push(
+                speeds
+                    .iter()
+                    .map(|speed_mps| (speed_mps - own_mps).abs())
+                    .fold(0.0, f64::max),
+            );
         }
         let ratio = |of: f64, to: f64| (to >= MIN_DEVIATION_MPS).then_some(of / to);
         let pairs = deviations_mps.iter().zip(deviations_mps.iter().skip(1));
-        let of_each = pairs.map(|(&ahead_mps, &own_mps)| ratio(own_mps, ahead_mps)).collect();
-        Some(Self { of_each, overall: ratio(*deviations_mps.last()?, *deviations_mps.first()?)? })
+        let of_each = pairs
+            .map(|(&ahead_mps, &own_mps)| ratio(own_mps, ahead_mps))
+            .collect();
+        Some(Self {
+            of_each,
+            overall: ratio(*deviations_mps.last()?, *deviations_mps.first()?)?,
+        })
     }
 
     /// Returns true if the disturbance grew at any vehicle.
@@ -66,7 +80,13 @@ mod tests {
     /// Creates a trace in which each vehicle brakes after a second at 20 m/s for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {
         let dips = brakes_mps2.iter().enumerate().map(|(i, &brake)| {
-            driven_track(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25)
+            driven_track(
+                4.0,
+                -30.0 * i as f64,
+                20.0,
+                &[(1.0, 0.0), (1.0, -brake), (1.0, brake)],
+                0.25,
+            )
         });
         trace(dips.collect(), 0.25)
     }
@@ -74,17 +94,49 @@ mod tests {
     #[test]
     fn amplification_by_hand() {
         let found = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
-        assert_eq!(found, SpeedAmplification { of_each: vec![Some(1.5), Some(0.5)], overall: 0.75 });
+        assert_eq!(
+            found,
+            SpeedAmplification {
+                of_each: vec![Some(1.5), Some(0.5)],
+                overall: 0.75
+            }
+        );
         let damped = SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap();
         assert!(found.has_amplification() && !damped.has_amplification());
-        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0).unwrap().of_each, [Some(0.0), None]);
+        assert_eq!(
+            SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0)
+                .unwrap()
+                .of_each,
+            [Some(0.0), None]
+        );
     }
 
     #[test]
     fn without_a_disturbance_there_is_no_amplification() {
-        assert_eq!(SpeedAmplification::from_trace(&line(&[0.0, 1.0]), 0.0), None, "the leader keeps its speed");
-        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 2.0), None, "speeds differ by then");
-        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 9.0), None, "after the end");
-        assert_eq!(SpeedAmplification::from_trace(&Trace { time_s: vec![], vehicles: vec![] }, 0.0), None);
+        assert_eq!(
+            SpeedAmplification::from_trace(&line(&[0.0, 1.0]), 0.0),
+            None,
+            "the leader keeps its speed"
+        );
+        assert_eq!(
+            SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 2.0),
+            None,
+            "speeds differ by then"
+        );
+        assert_eq!(
+            SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 9.0),
+            None,
+            "after the end"
+        );
+        assert_eq!(
+            SpeedAmplification::from_trace(
+                &Trace {
+                    time_s: vec![],
+                    vehicles: vec![]
+                },
+                0.0
+            ),
+            None
+        );
     }
 }

@@ -44,8 +44,14 @@ pub(super) fn drive_steps<'a>(
         .map(|(sample, front)| PairState::from_sample(&trace.time_s, [front?, track], sample));
     let spans = trace.time_s.iter().zip(trace.time_s.iter().skip(1));
     let own = track.speed_mps.iter().zip(&track.acceleration_mps2);
-    let steps = spans.zip(own).zip(ahead).map(|(((&time_s, &to_s), (&speed_mps, &acceleration_mps2)), ahead)| {
-        DriveStep { time_s, duration_s: to_s - time_s, speed_mps, acceleration_mps2, ahead }
-    });
+    let steps = spans.zip(own).zip(ahead).map(
+        |(((&time_s, &to_s), (&speed_mps, &acceleration_mps2)), ahead)| DriveStep {
+            time_s,
+            duration_s: to_s - time_s,
+            speed_mps,
+            acceleration_mps2,
+            ahead,
+        },
+    );
     Some(steps.take_while(move |step| step.time_s < until_s))
 }

@@ -13,8 +13,9 @@ pub use amplification::{MIN_DEVIATION_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplifica
 pub use drive::DriveStep;
 use drive::drive_steps;
 pub use unnecessary::{
-    BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S,
-    MIN_BRAKING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, justified_brake_mps2,
+    BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S,
+    MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking,
+    justified_brake_mps2,
 };
 
 use super::comfort::JERK_WINDOW_S;
@@ -69,7 +70,9 @@ impl UsefulnessMeasures {
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let steps: Vec<DriveStep> = drive_steps(trace, impacts, index)?.collect();
-        let squares = steps.iter().map(|step| (step.acceleration_mps2.powi(2), step.duration_s));
+        let squares = steps
+            .iter()
+            .map(|step| (step.acceleration_mps2.powi(2), step.duration_s));
         Some(Self {
             vehicle: index,
             unnecessary: UnnecessaryBraking::from_steps(steps.iter().copied()),
@@ -95,10 +98,13 @@ impl FollowingMeasures {
             ahead_m += driven_m(ahead.front_speed_mps, ahead.front_acceleration_mps2, step);
         }
         let moving = ahead().filter(|(step, _)| step.speed_mps > MIN_MOVING_SPEED_MPS);
-        let gaps = moving.filter_map(|(step, ahead)| Some((time_gap_s(ahead.gap_m, step.speed_mps)?, step.duration_s)));
+        let gaps = moving.filter_map(|(step, ahead)| {
+            Some((time_gap_s(ahead.gap_m, step.speed_mps)?, step.duration_s))
+        });
         let mean_time_gap_s = time_weighted_mean(gaps.clone());
-        let variance_s2 = mean_time_gap_s
-            .and_then(|mean_s| time_weighted_mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s))));
+        let variance_s2 = mean_time_gap_s.and_then(|mean_s| {
+            time_weighted_mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s)))
+        });
         Some(Self {
             progress: Some(own_m / ahead_m).filter(|_| ahead_m > 0.0),
             mean_time_gap_s,
@@ -111,7 +117,9 @@ impl FollowingMeasures {
 
 /// Returns the mean of values weighted by their durations; `None` for a duration of 0.
 fn time_weighted_mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let (sum, held_s) = values.fold((0.0, 0.0), |(sum, all_s), (value, held_s)| (sum + value * held_s, all_s + held_s));
+    let (sum, held_s) = values.fold((0.0, 0.0), |(sum, all_s), (value, held_s)| {
+        (sum + value * held_s, all_s + held_s)
+    });
     (held_s > 0.0).then_some(sum / held_s)
 }
 
@@ -122,14 +130,23 @@ fn rms_jerk_mps3(steps: &[DriveStep]) -> Option<f64> {
     let window_s = JERK_WINDOW_S * (1.0 - 1e-6);
     let mut earlier = steps.iter().peekable();
     let first_s = steps.first()?.time_s;
-    let changes = steps.iter().filter(|step| step.time_s - first_s >= window_s).filter_map(|step| {
-        let since_s = step.time_s - window_s;
-        while earlier.peek().is_some_and(|before| before.time_s + before.duration_s <= since_s) {
-            earlier.next();
-        }
-        let before = earlier.peek()?;
-        Some((((step.acceleration_mps2 - before.acceleration_mps2) / JERK_WINDOW_S).powi(2), step.duration_s))
-    });
+    let changes = steps
+        .iter()
+        .filter(|step| step.time_s - first_s >= window_s)
+        .filter_map(|step| {
+            let since_s = step.time_s - window_s;
+            while earlier
+                .peek()
+                .is_some_and(|before| before.time_s + before.duration_s <= since_s)
+            {
+                earlier.next();
+            }
+            let before = earlier.peek()?;
+            Some((
+                ((step.acceleration_mps2 - before.acceleration_mps2) / JERK_WINDOW_S).powi(2),
+                step.duration_s,
+            ))
+        });
     time_weighted_mean(changes).map(f64::sqrt)
 }
 
@@ -154,19 +171,36 @@ mod tests {
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(following.progress, 0.9));
         assert!(near(following.mean_time_gap_s, 1.078_125));
-        assert!(near(following.time_gap_deviation_s, (0.3125_f64.powi(2) * 3.0 / 16.0).sqrt()));
+        assert!(near(
+            following.time_gap_deviation_s,
+            (0.3125_f64.powi(2) * 3.0 / 16.0).sqrt()
+        ));
         assert!(!following.fell_behind);
         assert!(near(found.rms_acceleration_mps2, 32.0_f64.sqrt()));
         assert!(found.unnecessary.count == 1 && found.induced.is_none());
         // Steps of 0.5 s exceed the window, so that one of three contains the jump of 8 m/s².
-        assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
+        assert!(near(
+            found.rms_jerk_mps3,
+            (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S
+        ));
 
         let following_of = |front, rear| {
-            UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap().following.unwrap()
+            UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1)
+                .unwrap()
+                .following
+                .unwrap()
         };
-        let steady = |position_m, speed_mps| driven_track(4.0, position_m, speed_mps, &[(1.0, 0.0)], 0.5);
+        let steady =
+            |position_m, speed_mps| driven_track(4.0, position_m, speed_mps, &[(1.0, 0.0)], 0.5);
         let following = following_of(steady(0.0, 0.0), steady(0.0, 0.0));
-        assert_eq!((following.progress, following.mean_time_gap_s, following.fell_behind), (None, None, false));
+        assert_eq!(
+            (
+                following.progress,
+                following.mean_time_gap_s,
+                following.fell_behind
+            ),
+            (None, None, false)
+        );
         assert!(following_of(steady(9.0, 20.0), steady(0.0, 9.0)).fell_behind);
     }
 
@@ -176,7 +210,10 @@ mod tests {
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
         let alone = trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01);
         let found = UsefulnessMeasures::from_trace(&alone, &[], 0).unwrap();
-        assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
+        assert!(
+            (found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9,
+            "{found:?}"
+        );
     }
 
     /// The reference driver never brakes unnecessarily by its own measure, even with sensors and in an emergency.
@@ -184,10 +221,18 @@ mod tests {
     fn the_reference_driver_brakes_with_cause() {
         for index in 0..20 {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
-            let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
+            let run = Run::new(
+                &scenario,
+                RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+            )
+            .unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
-            let found = UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap();
-            assert!(found.unnecessary.is_empty() && found.hard.is_empty(), "{found:?}");
+            let found =
+                UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap();
+            assert!(
+                found.unnecessary.is_empty() && found.hard.is_empty(),
+                "{found:?}"
+            );
         }
     }
 

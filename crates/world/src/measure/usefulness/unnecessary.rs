@@ -99,15 +99,24 @@ impl UnnecessaryBraking {
     /// does not exceed the limit; `None` if there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`], it has
     /// no margin: 2.1 m/s² where 1.9 m/s² was justified exceeds a limit of 2 m/s².
     #[must_use]
-    pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let exceeds_limit = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
+    pub fn from_trace_above_limit(
+        limit_mps2: f64,
+        trace: &Trace,
+        impacts: &[Impact],
+        index: usize,
+    ) -> Option<Self> {
+        let exceeds_limit = |brake: &BrakeInstant| {
+            brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2
+        };
         drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, exceeds_limit))
     }
 
     /// Measures the braking of a drive.
     #[must_use]
     pub fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
-        Self::from_steps_where(steps, |brake| brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2)
+        Self::from_steps_where(steps, |brake| {
+            brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2
+        })
     }
 
     /// Measures braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] was justified.
@@ -126,14 +135,20 @@ impl UnnecessaryBraking {
     /// Returns the margin of vehicle `index` to unnecessary braking, in m/s². Without unnecessary braking it is the
     /// smallest margin of the drive. With unnecessary braking it is negative: minus the largest excess. `None` if there
     /// is no such vehicle, or it never reaches [`MIN_BRAKING_SPEED_MPS`].
-    pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
-        let margin = |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
+    pub(in crate::measure) fn margin_mps2(
+        trace: &Trace,
+        impacts: &[Impact],
+        index: usize,
+    ) -> Option<f64> {
+        let margin =
+            |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
         if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {
             return Some(margin(hardest));
         }
         // Excess that is too short to count is clipped to 0.
         let all = brake_instants(drive_steps(trace, impacts, index)?);
-        all.map(|(_, brake)| margin(brake).max(0.0)).reduce(f64::min)
+        all.map(|(_, brake)| margin(brake).max(0.0))
+            .reduce(f64::min)
     }
 
     /// Measures all braking of sufficient duration for which the predicate holds.
@@ -148,7 +163,11 @@ impl UnnecessaryBraking {
                 Some(braking) if step.time_s < braking.until_s + MIN_BRAKING_S => {
                     braking.extend(step.duration_s, brake)
                 }
-                _ => sum.add(open.replace(OpenBraking { until_s, lasted_s: step.duration_s, hardest: brake })),
+                _ => sum.add(open.replace(OpenBraking {
+                    until_s,
+                    lasted_s: step.duration_s,
+                    hardest: brake,
+                })),
             }
         }
         sum.add(open);
@@ -157,23 +176,43 @@ impl UnnecessaryBraking {
 
     fn add(&mut self, braking: Option<OpenBraking>) {
         // The tolerance is for rounding, because times are sums of steps.
-        let Some(braking) = braking.filter(|braking| braking.lasted_s >= MIN_BRAKING_S * (1.0 - 1e-6)) else {
+        let Some(braking) =
+            braking.filter(|braking| braking.lasted_s >= MIN_BRAKING_S * (1.0 - 1e-6))
+        else {
             return;
         };
         self.time_s += braking.lasted_s;
         self.count += 1;
-        self.hardest = Some(self.hardest.map_or(braking.hardest, |hardest| hardest.max_excess(braking.hardest)));
+        self.hardest = Some(self.hardest.map_or(braking.hardest, |hardest| {
+            hardest.max_excess(braking.hardest)
+        }));
     }
 }
 
 /// Returns actual and justified braking at each step of sufficient speed.
-fn brake_instants(steps: impl Iterator<Item = DriveStep>) -> impl Iterator<Item = (DriveStep, BrakeInstant)> {
+fn brake_instants(
+    steps: impl Iterator<Item = DriveStep>,
+) -> impl Iterator<Item = (DriveStep, BrakeInstant)> {
     let reference = Idm::from(&IdmSettings::default());
     let mut largest = SlidingExtreme::new(|new, old| new >= old);
     let all = steps.map(move |step| {
-        let now_mps2 = step.ahead.as_ref().map_or(0.0, |state| justified_mps2(&reference, state));
-        let caused_mps2 = largest.push(now_mps2, step.time_s + step.duration_s, step.time_s - CAUSE_LASTS_S);
-        (step, BrakeInstant { time_s: step.time_s, brake_mps2: step.brake_mps2(), justified_mps2: caused_mps2 })
+        let now_mps2 = step
+            .ahead
+            .as_ref()
+            .map_or(0.0, |state| justified_mps2(&reference, state));
+        let caused_mps2 = largest.push(
+            now_mps2,
+            step.time_s + step.duration_s,
+            step.time_s - CAUSE_LASTS_S,
+        );
+        (
+            step,
+            BrakeInstant {
+                time_s: step.time_s,
+                brake_mps2: step.brake_mps2(),
+                justified_mps2: caused_mps2,
+            },
+        )
     });
     all.filter(|(step, _)| step.speed_mps >= MIN_BRAKING_SPEED_MPS)
 }
@@ -181,7 +220,11 @@ fn brake_instants(steps: impl Iterator<Item = DriveStep>) -> impl Iterator<Item 
 impl BrakeInstant {
     /// Returns the instant with the larger excess; the earlier of equals.
     fn max_excess(self, later: Self) -> Self {
-        if later.brake_mps2 - later.justified_mps2 > self.brake_mps2 - self.justified_mps2 { later } else { self }
+        if later.brake_mps2 - later.justified_mps2 > self.brake_mps2 - self.justified_mps2 {
+            later
+        } else {
+            self
+        }
     }
 }
 
@@ -208,12 +251,30 @@ pub fn justified_brake_mps2(state: &PairState) -> f64 {
 }
 
 fn justified_mps2(reference: &Idm, state: &PairState) -> f64 {
-    let PairState { gap_m, front_speed_mps, rear_speed_mps, front_acceleration_mps2, .. } = *state;
+    let PairState {
+        gap_m,
+        front_speed_mps,
+        rear_speed_mps,
+        front_acceleration_mps2,
+        ..
+    } = *state;
     let followed_mps2 = reference.interaction_brake_mps2(rear_speed_mps, [gap_m, front_speed_mps]);
-    let required_mps2 = required_brake_mps2(gap_m, front_speed_mps, -front_acceleration_mps2, rear_speed_mps);
-    let follows = time_gap_s(gap_m, rear_speed_mps).is_some_and(|gap_s| gap_s <= MAX_FOLLOWING_TIME_GAP_S);
-    let matched_mps2 = if follows { -front_acceleration_mps2 } else { 0.0 };
-    followed_mps2.max(required_mps2.unwrap_or(0.0)).max(matched_mps2)
+    let required_mps2 = required_brake_mps2(
+        gap_m,
+        front_speed_mps,
+        -front_acceleration_mps2,
+        rear_speed_mps,
+    );
+    let follows =
+        time_gap_s(gap_m, rear_speed_mps).is_some_and(|gap_s| gap_s <= MAX_FOLLOWING_TIME_GAP_S);
+    let matched_mps2 = if follows {
+        -front_acceleration_mps2
+    } else {
+        0.0
+    };
+    followed_mps2
+        .max(required_mps2.unwrap_or(0.0))
+        .max(matched_mps2)
 }
 
 #[cfg(test)]

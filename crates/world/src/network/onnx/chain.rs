@@ -4,33 +4,71 @@ use std::collections::HashMap;
 use std::rc::Rc;
 
 use super::super::{
-    Elementwise, FeedForward, Linear, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError, NetworkStep,
+    Elementwise, FeedForward, Linear, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError,
+    NetworkStep,
 };
-use super::constants::{broadcast, constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows};
+use super::constants::{
+    broadcast, constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows,
+};
 use super::model::{OnnxModel, OnnxNode, OnnxTensor, TensorData, is_default_domain};
 
 /// Builds the network of a graph that is a straight chain.
 pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkError> {
-    let OnnxModel { opset, nodes, constants, inputs, outputs } = model;
-    let given: Vec<_> = inputs.into_iter().filter(|(name, _)| !constants.contains_key(name)).collect();
+    let OnnxModel {
+        opset,
+        nodes,
+        constants,
+        inputs,
+        outputs,
+    } = model;
+    let given: Vec<_> = inputs
+        .into_iter()
+        .filter(|(name, _)| !constants.contains_key(name))
+        .collect();
     let [(input, shape)] = given.as_slice() else {
         let names: Vec<_> = given.iter().map(|(name, _)| name.as_str()).collect();
-        let problem = format!("the graph has {} inputs ({}), and crumple supports one", names.len(), names.join(", "));
+        let problem = format!(
+            "the graph has {} inputs ({}), and crumple supports one",
+            names.len(),
+            names.join(", ")
+        );
         return Err(NetworkError::Unsupported(problem));
     };
     let Some(shape) = shape.clone() else {
-        return Err(NetworkError::Unsupported(format!("the graph does not state the shape of its input `{input}`")));
+        return Err(NetworkError::Unsupported(format!(
+            "the graph does not state the shape of its input `{input}`"
+        )));
     };
-    let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
+    let count = shape
+        .iter()
+        .try_fold(1_usize, |count, &size| count.checked_mul(size));
     let Some(count) = count.filter(|&count| count <= MAX_LAYER_WIDTH) else {
-        let problem = format!("the graph's input `{input}` has more than {MAX_LAYER_WIDTH} numbers");
+        let problem =
+            format!("the graph's input `{input}` has more than {MAX_LAYER_WIDTH} numbers");
         return Err(NetworkError::Unsupported(problem));
     };
-    let mut chain = Chain { opset, constants, current: input.clone(), shape, parameters: 0, steps: Vec::new() };
+    let mut chain = Chain {
+        opset,
+        constants,
+        current: input.clone(),
+        shape,
+        parameters: 0,
+        steps: Vec::new(),
+    };
     for (index, node) in nodes.into_iter().enumerate() {
-        let name = if node.name.is_empty() { index.to_string() } else { format!("`{}`", node.name) };
+        let name = if node.name.is_empty() {
+            index.to_string()
+        } else {
+            format!("`{}`", node.name)
+        };
         let operator = node.operator.clone();
-        chain.apply_node(node).map_err(|problem| NetworkError::Node { node: name, operator, problem })?;
+        chain
+            .apply_node(node)
+            .map_err(|problem| NetworkError::Node {
+                node: name,
+                operator,
+                problem,
+            })?;
     }
     match outputs.as_slice() {
         [output] if *output == chain.current => FeedForward::new(count, chain.steps),
@@ -39,8 +77,11 @@ pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkErro
             chain.current
         ))),
         more => {
-            let problem =
-                format!("the graph has {} outputs ({}), and crumple supports one", more.len(), more.join(", "));
+            let problem = format!(
+                "the graph has {} outputs ({}), and crumple supports one",
+                more.len(),
+                more.join(", ")
+            );
             Err(NetworkError::Unsupported(problem))
         }
     }
@@ -72,10 +113,16 @@ fn mismatch_hint(taken: usize, count: usize) -> &'static str {
 impl Chain {
     fn apply_node(&mut self, node: OnnxNode) -> Result<(), String> {
         if !is_default_domain(&node.domain) {
-            return Err(format!("the operators of `{}` are not supported", node.domain));
+            return Err(format!(
+                "the operators of `{}` are not supported",
+                node.domain
+            ));
         }
         let [output] = node.outputs.as_slice() else {
-            return Err(format!("it has {} outputs, and crumple supports one", node.outputs.len()));
+            return Err(format!(
+                "it has {} outputs, and crumple supports one",
+                node.outputs.len()
+            ));
         };
         let output = output.clone();
         if node.operator == "Constant" {
@@ -83,7 +130,12 @@ impl Chain {
             self.constants.insert(output, Rc::new(constant));
             return Ok(());
         }
-        if node.operator == "Identity" && node.inputs.first().is_some_and(|name| self.constants.contains_key(name)) {
+        if node.operator == "Identity"
+            && node
+                .inputs
+                .first()
+                .is_some_and(|name| self.constants.contains_key(name))
+        {
             let constant = self.constant(&node, 0)?;
             self.constants.insert(output, constant);
             return Ok(());
@@ -91,8 +143,17 @@ impl Chain {
         if self.steps.len() >= MAX_STEPS {
             return Err(format!("the network has more than {MAX_STEPS} steps"));
         }
-        if node.inputs.iter().filter(|name| **name == self.current).count() != 1 {
-            return Err(format!("it does not use `{}` exactly once, so the graph is not a simple chain", self.current));
+        if node
+            .inputs
+            .iter()
+            .filter(|name| **name == self.current)
+            .count()
+            != 1
+        {
+            return Err(format!(
+                "it does not use `{}` exactly once, so the graph is not a simple chain",
+                self.current
+            ));
         }
         match node.operator.as_str() {
             "Gemm" => self.gemm(&node)?,
@@ -105,17 +166,21 @@ impl Chain {
                 self.push_elementwise(Elementwise::Divide(self.broadcast_operand(&node)?));
             }
             "Relu" => self.push_elementwise(Elementwise::Relu),
-            "LeakyRelu" => {
-                self.push_elementwise(Elementwise::LeakyRelu { slope: float_attribute(&node, "alpha", 0.01) })
-            }
-            "Elu" => self.push_elementwise(Elementwise::Elu { alpha: float_attribute(&node, "alpha", 1.0) }),
+            "LeakyRelu" => self.push_elementwise(Elementwise::LeakyRelu {
+                slope: float_attribute(&node, "alpha", 0.01),
+            }),
+            "Elu" => self.push_elementwise(Elementwise::Elu {
+                alpha: float_attribute(&node, "alpha", 1.0),
+            }),
             "Tanh" => self.push_elementwise(Elementwise::Tanh),
             "Sigmoid" => self.push_elementwise(Elementwise::Sigmoid),
             "Clip" => self.clip(&node)?,
             "Identity" => {}
             // Single and double precision: all computations use single.
             "Cast" if matches!(integer_attribute(&node, "to"), Some(1 | 11)) => {}
-            "Cast" => return Err("only casts to single and double precision are supported".to_owned()),
+            "Cast" => {
+                return Err("only casts to single and double precision are supported".to_owned());
+            }
             "Flatten" => self.shape = vec![1, self.element_count()],
             "Reshape" => self.reshape(&node)?,
             _ => return Err("this operator is not supported".to_owned()),
@@ -133,11 +198,15 @@ impl Chain {
     }
 
     fn constant(&self, node: &OnnxNode, place: usize) -> Result<Rc<OnnxTensor>, String> {
-        let name = node.inputs.get(place).filter(|name| !name.is_empty()).ok_or("it lacks an input")?;
+        let name = node
+            .inputs
+            .get(place)
+            .filter(|name| !name.is_empty())
+            .ok_or("it lacks an input")?;
         let constant = self.constants.get(name);
-        constant
-            .cloned()
-            .ok_or_else(|| format!("its input `{name}` is not a constant, so the graph is not a simple chain"))
+        constant.cloned().ok_or_else(|| {
+            format!("its input `{name}` is not a constant, so the graph is not a simple chain")
+        })
     }
 
     /// Returns the constant operand, and true if it is on the left.
@@ -152,7 +221,8 @@ impl Chain {
         let mut shape = constant.shape.clone();
         // Before opset 7, an attribute gave the axis of the constant's first dimension.
         if self.opset < 7
-            && let Some(axis) = integer_attribute(node, "axis").and_then(|axis| usize::try_from(axis).ok())
+            && let Some(axis) =
+                integer_attribute(node, "axis").and_then(|axis| usize::try_from(axis).ok())
         {
             shape.resize(self.shape.len().saturating_sub(axis).max(shape.len()), 1);
         }
@@ -160,7 +230,10 @@ impl Chain {
     }
 
     fn reserve_parameters(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
-        self.parameters = self.parameters.saturating_add(weights).saturating_add(outputs);
+        self.parameters = self
+            .parameters
+            .saturating_add(weights)
+            .saturating_add(outputs);
         if self.parameters > MAX_PARAMETERS || outputs > MAX_LAYER_WIDTH {
             return Err(format!(
                 "more than {MAX_PARAMETERS} weights and biases, or more than {MAX_LAYER_WIDTH} outputs"
@@ -170,7 +243,8 @@ impl Chain {
     }
 
     fn push_linear(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
-        self.steps.push(NetworkStep::Linear(Linear { weights, biases }));
+        self.steps
+            .push(NetworkStep::Linear(Linear { weights, biases }));
         self.shape = shape;
     }
 
@@ -186,7 +260,10 @@ impl Chain {
             (_, []) => false,
         };
         if !is_vector || taken != self.element_count() {
-            let problem = format!("a matrix of {rows} by {columns} against numbers of shape {:?}", self.shape);
+            let problem = format!(
+                "a matrix of {rows} by {columns} against numbers of shape {:?}",
+                self.shape
+            );
             return Err(problem + mismatch_hint(taken, self.element_count()));
         }
         let outputs = if transposed { rows } else { columns };
@@ -195,7 +272,11 @@ impl Chain {
         let weights = to_input_rows(numbers, [rows, columns], transposed).into_owned();
         let rank = self.shape.len();
         let mut shape = vec![1; rank.max(1)];
-        let at = if transposed && rank > 1 { rank - 2 } else { shape.len() - 1 };
+        let at = if transposed && rank > 1 {
+            rank - 2
+        } else {
+            shape.len() - 1
+        };
         shape[at] = outputs;
         self.push_linear(weights, vec![0.0; outputs], shape);
         Ok(())
@@ -203,15 +284,29 @@ impl Chain {
 
     /// Appends α A B + β C. Before opset 7, a four-dimensional A counts as a row.
     fn gemm(&mut self, node: &OnnxNode) -> Result<(), String> {
-        let (alpha, beta) = (float_attribute(node, "alpha", 1.0), float_attribute(node, "beta", 1.0));
+        let (alpha, beta) = (
+            float_attribute(node, "alpha", 1.0),
+            float_attribute(node, "beta", 1.0),
+        );
         let is_set = |name: &str| integer_attribute(node, name).is_some_and(|value| value != 0);
         let (constant, is_left) = self.constant_operand(node)?;
         let shape @ [rows, columns] = matrix_shape(&constant.shape)?;
         // With the constant on the left, its rows are the outputs.
         let transposed = is_set(if is_left { "transA" } else { "transB" }) != is_left;
-        let (inputs, outputs) = if transposed { (columns, rows) } else { (rows, columns) };
+        let (inputs, outputs) = if transposed {
+            (columns, rows)
+        } else {
+            (rows, columns)
+        };
         if inputs != self.element_count() {
-            let (count, noun) = (self.element_count(), if self.element_count() == 1 { "number" } else { "numbers" });
+            let (count, noun) = (
+                self.element_count(),
+                if self.element_count() == 1 {
+                    "number"
+                } else {
+                    "numbers"
+                },
+            );
             return Err(format!(
                 "a matrix of {rows} by {columns} against {count} {noun}{}",
                 mismatch_hint(inputs, count)
@@ -231,11 +326,18 @@ impl Chain {
                 return Err(format!("{} numbers are added to {outputs}", numbers.len()));
             }
             for (index, bias) in biases.iter_mut().enumerate() {
-                let number = numbers.get(if numbers.len() == 1 { 0 } else { index }).copied().unwrap_or_default();
+                let number = numbers
+                    .get(if numbers.len() == 1 { 0 } else { index })
+                    .copied()
+                    .unwrap_or_default();
                 *bias = if beta == 1.0 { number } else { beta * number };
             }
         }
-        let shape = if is_left { vec![outputs, 1] } else { vec![1, outputs] };
+        let shape = if is_left {
+            vec![outputs, 1]
+        } else {
+            vec![1, outputs]
+        };
         self.push_linear(weights, biases, shape);
         Ok(())
     }
@@ -244,20 +346,25 @@ impl Chain {
     fn full_convolution(&mut self, node: &OnnxNode) -> Result<(), String> {
         let constant = self.constant(node, 1)?;
         let all = |name: &str, wanted: i64| {
-            node.attributes.get(name).is_none_or(|value| value.integers.iter().all(|&number| number == wanted))
+            node.attributes
+                .get(name)
+                .is_none_or(|value| value.integers.iter().all(|&number| number == wanted))
         };
         let is_whole = match (constant.shape.as_slice(), self.shape.as_slice()) {
             ([_, kernel @ ..], [1, image @ ..]) => kernel == image && !kernel.is_empty(),
             _ => false,
         };
-        let is_plain =
-            all("pads", 0) && all("dilations", 1) && integer_attribute(node, "group").is_none_or(|group| group == 1);
+        let is_plain = all("pads", 0)
+            && all("dilations", 1)
+            && integer_attribute(node, "group").is_none_or(|group| group == 1);
         if !is_whole
             || !is_plain
             || node.attributes.contains_key("auto_pad")
             || node.inputs.first() != Some(&self.current)
         {
-            return Err("only a kernel over the whole input, without padding, is supported".to_owned());
+            return Err(
+                "only a kernel over the whole input, without padding, is supported".to_owned(),
+            );
         }
         let [outputs, inputs] = matrix_shape(&constant.shape)?;
         let numbers = constant.floats()?;
@@ -277,9 +384,15 @@ impl Chain {
 
     /// Adds `sign` times a constant: to the biases of the previous product, or as a step.
     fn add(&mut self, node: &OnnxNode, sign: f32) -> Result<(), String> {
-        let operands: Vec<f32> = self.broadcast_operand(node)?.into_iter().map(|number| sign * number).collect();
+        let operands: Vec<f32> = self
+            .broadcast_operand(node)?
+            .into_iter()
+            .map(|number| sign * number)
+            .collect();
         match self.steps.last_mut() {
-            Some(NetworkStep::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => {
+            Some(NetworkStep::Linear(Linear { biases, .. }))
+                if biases.iter().all(|bias| *bias == 0.0) =>
+            {
                 *biases = operands
             }
             _ => self.push_elementwise(Elementwise::Add(operands)),
@@ -307,18 +420,28 @@ impl Chain {
                 return Ok(open);
             }
             let constant = self.constant(node, place)?;
-            let [limit] = constant.floats()? else { return Err("a limit that is not one number".to_owned()) };
+            let [limit] = constant.floats()? else {
+                return Err("a limit that is not one number".to_owned());
+            };
             Ok(*limit)
         };
-        let (low, high) = (limit(1, "min", f32::NEG_INFINITY)?, limit(2, "max", f32::INFINITY)?);
+        let (low, high) = (
+            limit(1, "min", f32::NEG_INFINITY)?,
+            limit(2, "max", f32::INFINITY)?,
+        );
         let count = self.element_count();
-        self.push_elementwise(Elementwise::Clip { low: vec![low; count], high: vec![high; count] });
+        self.push_elementwise(Elementwise::Clip {
+            low: vec![low; count],
+            high: vec![high; count],
+        });
         Ok(())
     }
 
     fn reshape(&mut self, node: &OnnxNode) -> Result<(), String> {
         let constant = self.constant(node, 1)?;
-        let TensorData::Integer(wanted) = &constant.data else { return Err("a shape that is not whole".to_owned()) };
+        let TensorData::Integer(wanted) = &constant.data else {
+            return Err("a shape that is not whole".to_owned());
+        };
         let keeps_zero = integer_attribute(node, "allowzero").is_some_and(|value| value != 0);
         let sizes = wanted.iter().enumerate().map(|(index, &size)| match size {
             0 if !keeps_zero => self.shape.get(index).copied(),
@@ -327,12 +450,21 @@ impl Chain {
         });
         let shape: Option<Vec<usize>> = sizes.collect();
         let mut shape = shape.ok_or_else(|| format!("to shape {wanted:?}"))?;
-        let count = |shape: &[usize]| shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
+        let count = |shape: &[usize]| {
+            shape
+                .iter()
+                .try_fold(1_usize, |count, &size| count.checked_mul(size))
+        };
         if let Some(open) = wanted.iter().position(|&size| size == -1) {
-            shape[open] = count(&shape).and_then(|count| self.element_count().checked_div(count)).unwrap_or(0);
+            shape[open] = count(&shape)
+                .and_then(|count| self.element_count().checked_div(count))
+                .unwrap_or(0);
         }
         if count(&shape) != Some(self.element_count()) || wanted.len() > 8 {
-            return Err(format!("{} numbers to shape {wanted:?}", self.element_count()));
+            return Err(format!(
+                "{} numbers to shape {wanted:?}",
+                self.element_count()
+            ));
         }
         self.shape = shape;
         Ok(())

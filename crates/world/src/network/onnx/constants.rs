@@ -11,8 +11,14 @@ pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {
         return Ok(tensor);
     }
     let one = |name: &str| attributes.get(name);
-    let real = |shape, numbers| OnnxTensor { shape, data: TensorData::Float(numbers) };
-    let whole = |shape, numbers| OnnxTensor { shape, data: TensorData::Integer(numbers) };
+    let real = |shape, numbers| OnnxTensor {
+        shape,
+        data: TensorData::Float(numbers),
+    };
+    let whole = |shape, numbers| OnnxTensor {
+        shape,
+        data: TensorData::Integer(numbers),
+    };
     if let Some(number) = one("value_float").and_then(|value| value.float) {
         return Ok(real(vec![], vec![number]));
     }
@@ -29,7 +35,10 @@ pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {
 }
 
 pub(super) fn float_attribute(node: &OnnxNode, name: &str, otherwise: f32) -> f32 {
-    node.attributes.get(name).and_then(|value| value.float).unwrap_or(otherwise)
+    node.attributes
+        .get(name)
+        .and_then(|value| value.float)
+        .unwrap_or(otherwise)
 }
 
 pub(super) fn integer_attribute(node: &OnnxNode, name: &str) -> Option<i64> {
@@ -40,35 +49,63 @@ pub(super) fn integer_attribute(node: &OnnxNode, name: &str) -> Option<i64> {
 pub(super) fn matrix_shape(shape: &[usize]) -> Result<[usize; 2], String> {
     match shape {
         [rows, columns @ ..] if !columns.is_empty() => {
-            let [first, rest @ ..] = columns else { return Err("a constant that is no matrix".to_owned()) };
-            let columns = rest.iter().try_fold(*first, |product, &size| product.checked_mul(size));
-            columns.map(|columns| [*rows, columns]).ok_or_else(|| "a constant that is too large".to_owned())
+            let [first, rest @ ..] = columns else {
+                return Err("a constant that is no matrix".to_owned());
+            };
+            let columns = rest
+                .iter()
+                .try_fold(*first, |product, &size| product.checked_mul(size));
+            columns
+                .map(|columns| [*rows, columns])
+                .ok_or_else(|| "a constant that is too large".to_owned())
         }
         _ => Err(format!("a constant of shape {shape:?}, which is no matrix")),
     }
 }
 
 /// Returns a matrix with one row per input.
-pub(super) fn to_input_rows(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Cow<'_, [f32]> {
+pub(super) fn to_input_rows(
+    numbers: &[f32],
+    [rows, columns]: [usize; 2],
+    transposed: bool,
+) -> Cow<'_, [f32]> {
     if !transposed {
         return Cow::Borrowed(numbers);
     }
     Cow::Owned(
-        (0..columns).flat_map(|column| numbers.iter().skip(column).step_by(columns).take(rows).copied()).collect(),
+        (0..columns)
+            .flat_map(|column| {
+                numbers
+                    .iter()
+                    .skip(column)
+                    .step_by(columns)
+                    .take(rows)
+                    .copied()
+            })
+            .collect(),
     )
 }
 
 /// Broadcasts numbers to another shape, as NumPy does.
 pub(super) fn broadcast(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
-    let refused = || Err(format!("a constant of shape {from:?} against numbers of shape {to:?}"));
+    let refused = || {
+        Err(format!(
+            "a constant of shape {from:?} against numbers of shape {to:?}"
+        ))
+    };
     let excess = from.len().saturating_sub(to.len());
     let count: usize = to.iter().product();
     if from.iter().take(excess).any(|&size| size != 1) || count > MAX_PARAMETERS {
         return refused();
     }
-    let from_aligned: Vec<usize> =
-        std::iter::repeat_n(1, to.len().saturating_sub(from.len())).chain(from.iter().skip(excess).copied()).collect();
-    if from_aligned.iter().zip(to).any(|(&from, &to)| from != 1 && from != to) {
+    let from_aligned: Vec<usize> = std::iter::repeat_n(1, to.len().saturating_sub(from.len()))
+        .chain(from.iter().skip(excess).copied())
+        .collect();
+    if from_aligned
+        .iter()
+        .zip(to)
+        .any(|(&from, &to)| from != 1 && from != to)
+    {
         return refused();
     }
     let place = |mut index: usize| {
@@ -80,5 +117,12 @@ pub(super) fn broadcast(numbers: &[f32], from: &[usize], to: &[usize]) -> Result
         }
         place
     };
-    (0..count).map(|index| numbers.get(place(index)).copied().ok_or_else(|| "too few numbers".to_owned())).collect()
+    (0..count)
+        .map(|index| {
+            numbers
+                .get(place(index))
+                .copied()
+                .ok_or_else(|| "too few numbers".to_owned())
+        })
+        .collect()
 }

@@ -14,7 +14,10 @@ const MIN_OPSET: i64 = 6;
 pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
     let model = model::OnnxModel::read(bytes)?;
     if model.opset < MIN_OPSET {
-        let problem = format!("opset {} is too old: those from {MIN_OPSET} are read", model.opset);
+        let problem = format!(
+            "opset {} is too old: those from {MIN_OPSET} are read",
+            model.opset
+        );
         return Err(NetworkError::Unsupported(problem));
     }
     chain::build_network(model)

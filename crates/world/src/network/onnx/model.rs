@@ -56,7 +56,9 @@ impl OnnxTensor {
     pub(super) fn floats(&self) -> Result<&[f32], String> {
         match &self.data {
             TensorData::Float(numbers) => Ok(numbers),
-            TensorData::Integer(_) => Err("holds integers where floating-point numbers are expected".to_owned()),
+            TensorData::Integer(_) => {
+                Err("holds integers where floating-point numbers are expected".to_owned())
+            }
             TensorData::Unsupported(why) => Err(why.clone()),
         }
     }
@@ -79,8 +81,13 @@ impl OnnxModel {
         }
         let opset = opset.ok_or_else(|| damaged("it does not state its opset"))?;
         let graph = graph.ok_or_else(|| damaged("it holds no graph"))?;
-        let mut model =
-            Self { opset, nodes: Vec::new(), constants: HashMap::new(), inputs: Vec::new(), outputs: Vec::new() };
+        let mut model = Self {
+            opset,
+            nodes: Vec::new(),
+            constants: HashMap::new(),
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+        };
         let mut numbers = 0;
         let mut rest = Message(graph);
         while let Some((field, value)) = rest.next_field()? {
@@ -105,9 +112,16 @@ impl OnnxModel {
                 }
                 _ => {}
             }
-            let parts = [model.nodes.len(), model.constants.len(), model.inputs.len(), model.outputs.len()];
+            let parts = [
+                model.nodes.len(),
+                model.constants.len(),
+                model.inputs.len(),
+                model.outputs.len(),
+            ];
             if parts.iter().any(|&parts| parts > MAX_PARTS) {
-                let problem = format!("the graph has more than {MAX_PARTS} nodes, constants, inputs or outputs");
+                let problem = format!(
+                    "the graph has more than {MAX_PARTS} nodes, constants, inputs or outputs"
+                );
                 return Err(NetworkError::Unsupported(problem));
             }
         }
@@ -149,8 +163,16 @@ impl OnnxNode {
                 7 => node.domain = value.text()?,
                 _ => {}
             }
-            if node.inputs.len().max(node.outputs.len()).max(node.attributes.len()) > MAX_PARTS {
-                return Err(damaged(format!("a node of more than {MAX_PARTS} inputs, outputs or attributes")));
+            if node
+                .inputs
+                .len()
+                .max(node.outputs.len())
+                .max(node.attributes.len())
+                > MAX_PARTS
+            {
+                return Err(damaged(format!(
+                    "a node of more than {MAX_PARTS} inputs, outputs or attributes"
+                )));
             }
         }
         Ok(node)
@@ -194,7 +216,11 @@ fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
     }
     let shape: Option<Vec<usize>> = dims.iter().map(|&dim| usize::try_from(dim).ok()).collect();
     let shape = shape.filter(|shape| shape.len() <= MAX_DIMENSIONS);
-    let count = shape.as_ref().and_then(|shape| shape.iter().try_fold(1_usize, |count, &dim| count.checked_mul(dim)));
+    let count = shape.as_ref().and_then(|shape| {
+        shape
+            .iter()
+            .try_fold(1_usize, |count, &dim| count.checked_mul(dim))
+    });
     let (Some(shape), Some(count)) = (shape, count) else {
         return Err(damaged(format!("constant `{name}` has an invalid shape")));
     };
@@ -229,7 +255,13 @@ fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
         let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
         return Err(damaged(problem));
     }
-    Ok((name, OnnxTensor { shape, data: numbers }))
+    Ok((
+        name,
+        OnnxTensor {
+            shape,
+            data: numbers,
+        },
+    ))
 }
 
 fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
@@ -241,7 +273,10 @@ fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), Networ
             // The type of a tensor, which contains its shape.
             2 => {
                 let tensor = find_field(value.bytes()?, 1)?;
-                let message = tensor.map(|tensor| find_field(tensor, 2)).transpose()?.flatten();
+                let message = tensor
+                    .map(|tensor| find_field(tensor, 2))
+                    .transpose()?
+                    .flatten();
                 shape = message.map(parse_dimensions).transpose()?;
             }
             _ => {}
@@ -275,7 +310,9 @@ fn parse_dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
             }
         }
         if all.len() == MAX_DIMENSIONS {
-            return Err(damaged(format!("an input of more than {MAX_DIMENSIONS} dimensions")));
+            return Err(damaged(format!(
+                "an input of more than {MAX_DIMENSIONS} dimensions"
+            )));
         }
         all.push(size);
     }

@@ -66,16 +66,25 @@ fn unsupported_with_hint<T>(what: impl std::fmt::Display) -> Result<T, NetworkEr
 
 pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
     if weights::is_legacy(bytes) {
-        return Err(weights::legacy_error("it is a file of `torch.save`, not a model of Stable-Baselines3, and"));
+        return Err(weights::legacy_error(
+            "it is a file of `torch.save`, not a model of Stable-Baselines3, and",
+        ));
     }
     let archive = Archive::read(bytes)?;
     let data = archive.member("data")?;
     if data.len() > MAX_DATA_BYTES {
-        return unsupported(format!("its member `data` has more than {MAX_DATA_BYTES} bytes"));
+        return unsupported(format!(
+            "its member `data` has more than {MAX_DATA_BYTES} bytes"
+        ));
     }
-    let wrong = |error: serde_json::Error| NetworkError::damaged("member `data`", sanitized(&error.to_string()));
+    let wrong = |error: serde_json::Error| {
+        NetworkError::damaged("member `data`", sanitized(&error.to_string()))
+    };
     let settings: serde_json::Map<String, Value> = serde_json::from_slice(data).map_err(wrong)?;
-    if let Some(missing) = REQUIRED_FIELDS.into_iter().find(|needed| !settings.contains_key(*needed)) {
+    if let Some(missing) = REQUIRED_FIELDS
+        .into_iter()
+        .find(|needed| !settings.contains_key(*needed))
+    {
         return unsupported(format!(
             "it was saved without `{missing}`, which describes its inputs or outputs: save it without excluding that \
                 field"
@@ -87,10 +96,17 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
     let actions = space::read_box(&data.action_space, "action_space")?;
     let weights = Weights::read(archive.member("policy.pth")?)?;
     let mut steps = actor.steps(&weights, &data)?;
-    if let Some(NetworkStep::Linear(last)) = steps.iter().rev().find(|step| matches!(step, NetworkStep::Linear(_)))
+    if let Some(NetworkStep::Linear(last)) = steps
+        .iter()
+        .rev()
+        .find(|step| matches!(step, NetworkStep::Linear(_)))
         && last.biases.len() != actions.low.len()
     {
-        let problem = format!("its actor has {} outputs for {} actions", last.biases.len(), actions.low.len());
+        let problem = format!(
+            "its actor has {} outputs for {} actions",
+            last.biases.len(),
+            actions.low.len()
+        );
         return Err(NetworkError::damaged("model", problem));
     }
     steps.extend(actor.output_steps(&data, actions.clone()));
@@ -98,11 +114,18 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
     let saved = SavedModel {
         algorithm: saved_model::algorithm(class, &settings),
         version: saved_model::sb3_version(&archive),
-        vec_normalize: VecNormalizeUse::from_observations(&data.last_obs, original, actor == ActorKind::OnPolicy),
+        vec_normalize: VecNormalizeUse::from_observations(
+            &data.last_obs,
+            original,
+            actor == ActorKind::OnPolicy,
+        ),
         observation_space: observed,
         action_space: actions,
     };
-    Ok((FeedForward::new(saved.observation_space.low.len(), steps)?, saved))
+    Ok((
+        FeedForward::new(saved.observation_space.low.len(), steps)?,
+        saved,
+    ))
 }
 
 impl ActorKind {
@@ -113,9 +136,15 @@ impl ActorKind {
             return unsupported_with_hint("its policy is a custom class, which is not supported");
         };
         match (module, name) {
-            ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok((Self::OnPolicy, "ActorCriticPolicy")),
-            ("stable_baselines3.sac.policies", "SACPolicy") => Ok((Self::SoftActorCritic, "SACPolicy")),
-            ("stable_baselines3.td3.policies", "TD3Policy") => Ok((Self::Deterministic, "TD3Policy")),
+            ("stable_baselines3.common.policies", "ActorCriticPolicy") => {
+                Ok((Self::OnPolicy, "ActorCriticPolicy"))
+            }
+            ("stable_baselines3.sac.policies", "SACPolicy") => {
+                Ok((Self::SoftActorCritic, "SACPolicy"))
+            }
+            ("stable_baselines3.td3.policies", "TD3Policy") => {
+                Ok((Self::Deterministic, "TD3Policy"))
+            }
             _ => unsupported_with_hint(format_args!(
                 "its policy `{}.{}` is not supported: crumple reads PPO, A2C, SAC, TD3 and DDPG with MlpPolicy",
                 sanitized(module),
@@ -127,9 +156,15 @@ impl ActorKind {
     /// Builds the steps from the observation to the answer, before it is mapped to the action space.
     fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<NetworkStep>, NetworkError> {
         let kwargs = &data.policy_kwargs;
-        let class = kwargs.get("features_extractor_class").and_then(Value::as_str);
-        if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
-            return unsupported_with_hint("it has a custom features extractor, which is not supported");
+        let class = kwargs
+            .get("features_extractor_class")
+            .and_then(Value::as_str);
+        if class.is_some_and(|class| !class.contains("FlattenExtractor"))
+            || weights.has_part("features_extractor")
+        {
+            return unsupported_with_hint(
+                "it has a custom features extractor, which is not supported",
+            );
         }
         let activation = activation(kwargs, self)?;
         let mut steps = Vec::new();
@@ -154,7 +189,10 @@ impl ActorKind {
                 let width = mean.biases.len();
                 steps.push(NetworkStep::Linear(mean));
                 if is_cut {
-                    let limit = kwargs.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
+                    let limit = kwargs
+                        .get("clip_mean")
+                        .and_then(Value::as_f64)
+                        .unwrap_or(2.0) as f32;
                     steps.push(NetworkStep::Elementwise(Elementwise::Clip {
                         low: vec![-limit; width],
                         high: vec![limit; width],
@@ -164,25 +202,44 @@ impl ActorKind {
             Self::Deterministic => {
                 hidden("actor.mu")?;
                 // The last layer has tanh, for any activation of the others.
-                if steps.last().is_some_and(|step| matches!(step, NetworkStep::Elementwise(_))) {
+                if steps
+                    .last()
+                    .is_some_and(|step| matches!(step, NetworkStep::Elementwise(_)))
+                {
                     steps.pop();
                 }
             }
         }
-        if steps.is_empty() { unsupported_with_hint("its policy has no layers with known names") } else { Ok(steps) }
+        if steps.is_empty() {
+            unsupported_with_hint("its policy has no layers with known names")
+        } else {
+            Ok(steps)
+        }
     }
 
     /// Builds the steps from the answer to the action space.
     fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<NetworkStep> {
-        let is_told = data.policy_kwargs.get("squash_output").and_then(Value::as_bool) == Some(true);
+        let is_told = data
+            .policy_kwargs
+            .get("squash_output")
+            .and_then(Value::as_bool)
+            == Some(true);
         let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
         let BoxSpace { low, high } = actions;
         if !is_squashed {
             return vec![NetworkStep::Elementwise(Elementwise::Clip { low, high })];
         }
-        let ends = || low.iter().zip(&high).map(|(&low, &high)| (f64::from(low), f64::from(high)));
-        let half: Vec<f32> = ends().map(|(low, high)| (0.5 * (high - low)) as f32).collect();
-        let middle: Vec<f32> = ends().map(|(low, high)| (0.5 * (high + low)) as f32).collect();
+        let ends = || {
+            low.iter()
+                .zip(&high)
+                .map(|(&low, &high)| (f64::from(low), f64::from(high)))
+        };
+        let half: Vec<f32> = ends()
+            .map(|(low, high)| (0.5 * (high - low)) as f32)
+            .collect();
+        let middle: Vec<f32> = ends()
+            .map(|(low, high)| (0.5 * (high + low)) as f32)
+            .collect();
         let mut steps = vec![NetworkStep::Elementwise(Elementwise::Tanh)];
         if half.iter().any(|&half| half != 1.0) {
             steps.push(NetworkStep::Elementwise(Elementwise::Multiply(half)));
@@ -197,10 +254,18 @@ impl ActorKind {
 /// Returns the activation of hidden layers; `None` for the identity.
 fn activation(kwargs: &Value, actor: ActorKind) -> Result<Option<Elementwise>, NetworkError> {
     let Some(text) = kwargs.get("activation_fn") else {
-        return Ok(Some(if actor == ActorKind::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));
+        return Ok(Some(if actor == ActorKind::OnPolicy {
+            Elementwise::Tanh
+        } else {
+            Elementwise::Relu
+        }));
     };
     let text = text.as_str().unwrap_or_default();
-    let name = text.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
+    let name = text
+        .trim_end_matches("'>")
+        .rsplit('.')
+        .next()
+        .unwrap_or_default();
     if !text.contains("torch.nn.modules.") {
         return unsupported_with_hint(format_args!(
             "its activation function `{}` is not one of PyTorch's",

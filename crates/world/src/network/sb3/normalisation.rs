@@ -31,10 +31,20 @@ pub enum VecNormalizeUse {
 impl VecNormalizeUse {
     /// Compares the last observation before and after `VecNormalize`. On-policy algorithms store the original one only
     /// with `VecNormalize`. The others always store one; without `VecNormalize` it is that of the previous step.
-    pub(super) fn from_observations(last: &Value, original: Option<&Value>, is_on_policy: bool) -> Self {
-        let Some(original) = original else { return Self::Unknown };
+    pub(super) fn from_observations(
+        last: &Value,
+        original: Option<&Value>,
+        is_on_policy: bool,
+    ) -> Self {
+        let Some(original) = original else {
+            return Self::Unknown;
+        };
         if original.is_null() {
-            return if is_on_policy && !last.is_null() { Self::None } else { Self::Unknown };
+            return if is_on_policy && !last.is_null() {
+                Self::None
+            } else {
+                Self::Unknown
+            };
         }
         match (observation_values(last), observation_values(original)) {
             (Some(last), Some(original)) if last == original => Self::None,
@@ -79,9 +89,12 @@ impl VecNormalizeStats {
     #[must_use]
     pub fn load(path: &Path) -> Self {
         let mut bytes = Vec::new();
-        let read = regular_file::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+        let read = regular_file::open(path)
+            .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
         match read {
-            Ok(_) if bytes.len() as u64 <= MAX_BYTES => Self::read(&bytes).unwrap_or(Self::Unreadable),
+            Ok(_) if bytes.len() as u64 <= MAX_BYTES => {
+                Self::read(&bytes).unwrap_or(Self::Unreadable)
+            }
             _ => Self::Unreadable,
         }
     }
@@ -99,14 +112,26 @@ impl VecNormalizeStats {
         let running = pickle.call(field("obs_rms")?)?;
         let numbers = |name| space::array_values(&pickle, pickle.entry(running.state?, name)?);
         let (means, variances) = (numbers("mean")?, numbers("var")?);
-        let (epsilon, limit) = (pickle.number(field("epsilon")?)?, pickle.number(field("clip_obs")?)?);
-        let deviations: Vec<f64> = variances.iter().map(|variance| (variance + epsilon).sqrt()).collect();
+        let (epsilon, limit) = (
+            pickle.number(field("epsilon")?)?,
+            pickle.number(field("clip_obs")?)?,
+        );
+        let deviations: Vec<f64> = variances
+            .iter()
+            .map(|variance| (variance + epsilon).sqrt())
+            .collect();
         let is_usable = means.len() == deviations.len()
             && means.iter().all(|mean| mean.is_finite())
-            && deviations.iter().all(|deviation| deviation.is_finite() && *deviation > 0.0)
+            && deviations
+                .iter()
+                .all(|deviation| deviation.is_finite() && *deviation > 0.0)
             && limit.is_finite()
             && limit > 0.0;
-        is_usable.then_some(Self::Observations(Normalisation { means, deviations, limit }))
+        is_usable.then_some(Self::Observations(Normalisation {
+            means,
+            deviations,
+            limit,
+        }))
     }
 
     /// Finds the statistics file of a model: beside it, under the names of Stable-Baselines3
@@ -121,17 +146,32 @@ impl VecNormalizeStats {
         if found.is_empty() {
             // RL Zoo creates a folder with the name of the model, or one with the training settings.
             let own = model.with_extension("");
-            let is_of_training = |below: &PathBuf| *below == own || below.join("config.yml").is_file();
+            let is_of_training =
+                |below: &PathBuf| *below == own || below.join("config.yml").is_file();
             let mut below: Vec<PathBuf> = folders.into_iter().filter(is_of_training).collect();
             below.sort();
-            found = below.into_iter().flat_map(|below| list_statistics(&below).0).collect();
+            found = below
+                .into_iter()
+                .flat_map(|below| list_statistics(&below).0)
+                .collect();
         }
-        let of_checkpoint = model.file_stem().and_then(|stem| stem.to_str()).and_then(checkpoint_stats_name);
-        let is_own = |path: &&PathBuf| of_checkpoint.as_ref().is_some_and(|name| path.ends_with(name));
-        found.iter().find(is_own).or(found.first()).map(|path| match path.strip_prefix("./") {
-            Ok(path) => path.to_owned(),
-            Err(_) => path.clone(),
-        })
+        let of_checkpoint = model
+            .file_stem()
+            .and_then(|stem| stem.to_str())
+            .and_then(checkpoint_stats_name);
+        let is_own = |path: &&PathBuf| {
+            of_checkpoint
+                .as_ref()
+                .is_some_and(|name| path.ends_with(name))
+        };
+        found
+            .iter()
+            .find(is_own)
+            .or(found.first())
+            .map(|path| match path.strip_prefix("./") {
+                Ok(path) => path.to_owned(),
+                Err(_) => path.clone(),
+            })
     }
 }
 
@@ -144,10 +184,21 @@ fn checkpoint_stats_name(stem: &str) -> Option<String> {
 /// Lists the statistics files of a folder in order of their names, and its subfolders.
 fn list_statistics(folder: &Path) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let (mut found, mut folders) = (Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder).into_iter().flatten().take(MAX_DIR_ENTRIES).flatten() {
+    for entry in fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .take(MAX_DIR_ENTRIES)
+        .flatten()
+    {
         let name = entry.file_name().to_string_lossy().to_lowercase();
-        let is_theirs = ["vecnormalize", "vec_normalize"].iter().any(|theirs| name.contains(theirs));
-        if is_theirs && [".pkl", ".pickle"].iter().any(|ending| name.ends_with(ending)) {
+        let is_theirs = ["vecnormalize", "vec_normalize"]
+            .iter()
+            .any(|theirs| name.contains(theirs));
+        if is_theirs
+            && [".pkl", ".pickle"]
+                .iter()
+                .any(|ending| name.ends_with(ending))
+        {
             found.push(entry.path());
         } else if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
             folders.push(entry.path());
@@ -167,7 +218,10 @@ mod tests {
             ("m.zip", Some("vecnormalize.pkl")),
             ("m.zip", Some("vec_normalize.pkl")),
             ("m.zip", Some("m_VecNormalize.pkl")),
-            ("rl_model_128_steps.zip", Some("rl_model_vecnormalize_128_steps.pkl")),
+            (
+                "rl_model_128_steps.zip",
+                Some("rl_model_vecnormalize_128_steps.pkl"),
+            ),
             ("Env-v1.zip", Some("Env-v1/vecnormalize.pkl")),
             ("m.zip", Some("Env-v1/vecnormalize.pkl")),
             ("m.zip", None),
@@ -182,19 +236,36 @@ mod tests {
             if let Some(wanted) = &wanted {
                 fs::write(wanted, "").unwrap();
             }
-            assert_eq!(VecNormalizeStats::find_for_model(&folder.path().join(model)), wanted, "{model}");
+            assert_eq!(
+                VecNormalizeStats::find_for_model(&folder.path().join(model)),
+                wanted,
+                "{model}"
+            );
         }
         let folder = tempfile::tempdir().unwrap();
         for steps in [128, 256] {
-            fs::write(folder.path().join(format!("rl_model_vecnormalize_{steps}_steps.pkl")), "").unwrap();
+            fs::write(
+                folder
+                    .path()
+                    .join(format!("rl_model_vecnormalize_{steps}_steps.pkl")),
+                "",
+            )
+            .unwrap();
         }
-        let found = VecNormalizeStats::find_for_model(&folder.path().join("rl_model_256_steps.zip"));
-        assert_eq!(found, Some(folder.path().join("rl_model_vecnormalize_256_steps.pkl")));
+        let found =
+            VecNormalizeStats::find_for_model(&folder.path().join("rl_model_256_steps.zip"));
+        assert_eq!(
+            found,
+            Some(folder.path().join("rl_model_vecnormalize_256_steps.pkl"))
+        );
     }
 
     #[test]
     fn other_pickles_are_unreadable() {
-        assert_eq!(VecNormalizeStats::load(Path::new("there/is/none.pkl")), VecNormalizeStats::Unreadable);
+        assert_eq!(
+            VecNormalizeStats::load(Path::new("there/is/none.pkl")),
+            VecNormalizeStats::Unreadable
+        );
         for bytes in [&b""[..], b"\x80\x04N.", b"\x80\x04)."] {
             assert_eq!(VecNormalizeStats::read(bytes), None);
         }

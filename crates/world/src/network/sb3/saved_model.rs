@@ -25,14 +25,19 @@ pub struct SavedModel {
 
 pub(super) fn sb3_version(archive: &Archive<'_>) -> Option<String> {
     let text = archive.member("_stable_baselines3_version").ok()?;
-    std::str::from_utf8(text).ok().map(|text| sanitized(text.trim())).filter(|text| !text.is_empty())
+    std::str::from_utf8(text)
+        .ok()
+        .map(|text| sanitized(text.trim()))
+        .filter(|text| !text.is_empty())
 }
 
 pub(super) fn algorithm(class: &str, settings: &serde_json::Map<String, Value>) -> &'static str {
     let has = |name: &str| settings.contains_key(name);
     match class {
         "SACPolicy" => "SAC",
-        "TD3Policy" if settings.get("target_noise_clip").and_then(Value::as_f64) == Some(0.0) => "DDPG",
+        "TD3Policy" if settings.get("target_noise_clip").and_then(Value::as_f64) == Some(0.0) => {
+            "DDPG"
+        }
         "TD3Policy" => "TD3",
         _ if has("clip_range") => "PPO",
         _ if has("cg_max_steps") => "TRPO",

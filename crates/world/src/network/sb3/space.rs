@@ -21,7 +21,10 @@ impl BoxSpace {
     /// Returns the bounds of a number.
     #[must_use]
     pub fn bounds(&self, index: usize) -> Option<(f64, f64)> {
-        Some((f64::from(*self.low.get(index)?), f64::from(*self.high.get(index)?)))
+        Some((
+            f64::from(*self.low.get(index)?),
+            f64::from(*self.high.get(index)?),
+        ))
     }
 }
 
@@ -29,7 +32,12 @@ impl BoxSpace {
 pub(super) fn serialized_bytes(value: &Value, field: &str) -> Result<Vec<u8>, NetworkError> {
     let text = value.get(":serialized:").and_then(Value::as_str);
     let bytes = text.and_then(decode_base64);
-    bytes.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} holds no serialized object")))
+    bytes.ok_or_else(|| {
+        NetworkError::damaged(
+            "member `data`",
+            format!("{field} holds no serialized object"),
+        )
+    })
 }
 
 /// Reads the space in a member of `data`, which must be a box.
@@ -49,13 +57,32 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
         ));
     }
     let bound = |name: &str| {
-        let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| array_values(&pickle, id));
-        let array = array.map(|array| array.into_iter().map(|bound| bound as f32).collect::<Vec<_>>());
-        array.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} has no readable bound `{name}`")))
+        let array = call
+            .state
+            .and_then(|state| pickle.entry(state, name))
+            .and_then(|id| array_values(&pickle, id));
+        let array = array.map(|array| {
+            array
+                .into_iter()
+                .map(|bound| bound as f32)
+                .collect::<Vec<_>>()
+        });
+        array.ok_or_else(|| {
+            NetworkError::damaged(
+                "member `data`",
+                format!("{field} has no readable bound `{name}`"),
+            )
+        })
     };
     let (low, high) = (bound("low")?, bound("high")?);
-    if low.len() != high.len() || low.is_empty() || !low.iter().zip(&high).all(|(low, high)| low < high) {
-        return Err(NetworkError::damaged("member `data`", format!("{field} has bounds that contradict each other")));
+    if low.len() != high.len()
+        || low.is_empty()
+        || !low.iter().zip(&high).all(|(low, high)| low < high)
+    {
+        return Err(NetworkError::damaged(
+            "member `data`",
+            format!("{field} has bounds that contradict each other"),
+        ));
     }
     Ok(BoxSpace { low, high })
 }
@@ -67,33 +94,54 @@ pub(super) fn array_values(pickle: &Pickle<'_>, id: ValueId) -> Option<Vec<f64>>
     let (bytes, kind) = match name {
         // Arguments: bytes, type, shape, order.
         "_frombuffer" => {
-            let [bytes, kind, ..] = pickle.tuple(call.arguments)? else { return None };
+            let [bytes, kind, ..] = pickle.tuple(call.arguments)? else {
+                return None;
+            };
             (*bytes, *kind)
         }
         // State: version, shape, type, order, bytes.
         "_reconstruct" => {
-            let [_, _, kind, _, bytes] = pickle.tuple(call.state?)? else { return None };
+            let [_, _, kind, _, bytes] = pickle.tuple(call.state?)? else {
+                return None;
+            };
             (*bytes, *kind)
         }
         _ => return None,
     };
-    let Object::Bytes(bytes) = pickle.get(bytes) else { return None };
+    let Object::Bytes(bytes) = pickle.get(bytes) else {
+        return None;
+    };
     let kind = pickle.call(kind)?;
-    match (pickle.text(*pickle.tuple(kind.arguments)?.first()?)?, is_little_endian(pickle, kind.state)) {
+    match (
+        pickle.text(*pickle.tuple(kind.arguments)?.first()?)?,
+        is_little_endian(pickle, kind.state),
+    ) {
         ("f4", true) => {
             let (numbers, rest) = bytes.as_chunks::<4>();
-            rest.is_empty().then(|| numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect())
+            rest.is_empty().then(|| {
+                numbers
+                    .iter()
+                    .map(|&bytes| f32::from_le_bytes(bytes).into())
+                    .collect()
+            })
         }
         ("f8", true) => {
             let (numbers, rest) = bytes.as_chunks::<8>();
-            rest.is_empty().then(|| numbers.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect())
+            rest.is_empty().then(|| {
+                numbers
+                    .iter()
+                    .map(|&bytes| f64::from_le_bytes(bytes))
+                    .collect()
+            })
         }
         _ => None,
     }
 }
 
 fn is_little_endian(pickle: &Pickle<'_>, state: Option<ValueId>) -> bool {
-    let order = state.and_then(|state| pickle.tuple(state)).and_then(|state| state.get(1).copied());
+    let order = state
+        .and_then(|state| pickle.tuple(state))
+        .and_then(|state| state.get(1).copied());
     order.and_then(|order| pickle.text(order)) == Some("<")
 }
 

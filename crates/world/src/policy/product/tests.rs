@@ -10,7 +10,9 @@ fn numbers(seed: u64, count: usize) -> Vec<f32> {
 }
 
 fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    (0..columns).flat_map(|c| (0..rows).map(move |r| matrix[r * columns + c])).collect()
+    (0..columns)
+        .flat_map(|c| (0..rows).map(move |r| matrix[r * columns + c]))
+        .collect()
 }
 
 #[test]
@@ -21,7 +23,10 @@ fn a_product_shared_out_is_the_same() {
     let panels = PackedPanels::new(Rhs::Rows(&b), None, [k, n]);
     let product = |left: Lhs<'_>, threads| {
         let mut out = vec![f32::NAN; m * n];
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| panels.multiply_parallel(left, m, false, &mut out));
         out
     };

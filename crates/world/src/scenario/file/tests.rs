@@ -2,7 +2,9 @@ use super::super::{built_in_scenario, built_in_scenario_names};
 use super::*;
 
 fn error_of(text: &str) -> String {
-    from_toml(text, Path::new("bad.toml")).expect_err("must be refused").to_string()
+    from_toml(text, Path::new("bad.toml"))
+        .expect_err("must be refused")
+        .to_string()
 }
 
 const GOOD: &str = r#"version = 1
@@ -28,16 +30,28 @@ fn errors_name_the_line_of_invalid_or_truncated_text() {
     let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
     for at in (1..json.len()).filter(|&at| json.is_char_boundary(at)) {
         let cut = &json[..at];
-        let output = from_json(cut, Path::new("cut.json")).unwrap_err().to_string();
-        let line = output.strip_prefix("cut.json:").and_then(|rest| rest.split(':').next()).unwrap();
-        assert!(line.parse::<usize>().is_ok_and(|line| (1..=cut.lines().count() + 1).contains(&line)), "{output}");
+        let output = from_json(cut, Path::new("cut.json"))
+            .unwrap_err()
+            .to_string();
+        let line = output
+            .strip_prefix("cut.json:")
+            .and_then(|rest| rest.split(':').next())
+            .unwrap();
+        assert!(
+            line.parse::<usize>()
+                .is_ok_and(|line| (1..=cut.lines().count() + 1).contains(&line)),
+            "{output}"
+        );
         assert!(!output.contains('?'), "{output}");
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("latin-1.toml");
     fs::write(&path, b"version = 1\nname = \"two\"\n# f\xfcr\n").unwrap();
     let output = load(&path).unwrap_err().to_string();
-    assert!(output.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"), "{output}");
+    assert!(
+        output.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"),
+        "{output}"
+    );
 }
 
 /// Deep or long texts yield an error, and no overflow of stack or memory.
@@ -65,15 +79,28 @@ fn no_depth_or_length_is_too_much() {
     }
     let long = format!("{GOOD}#{}\n", " ".repeat(MAX_TOML_BYTES as usize));
     let output = error_of(&long);
-    assert!(output.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{output}");
+    assert!(
+        output.starts_with("bad.toml:1: holds more than 3 MiB of TOML"),
+        "{output}"
+    );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("long.json");
     fs::write(&path, " ".repeat(MAX_BYTES as usize + 1)).unwrap();
-    assert!(load(&path).unwrap_err().to_string().ends_with("holds more than 8 MiB, too much for such a file"));
+    assert!(
+        load(&path)
+            .unwrap_err()
+            .to_string()
+            .ends_with("holds more than 8 MiB, too much for such a file")
+    );
     let many = folder.path().join("many");
     fs::create_dir(&many).unwrap();
     (0..=MAX_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
-    assert!(load_all(&many).unwrap_err().to_string().contains("more than 10000 scenario files"));
+    assert!(
+        load_all(&many)
+            .unwrap_err()
+            .to_string()
+            .contains("more than 10000 scenario files")
+    );
 }
 
 /// Replaces every structure of a scenario by a list of its values, one at a time: all are rejected.
@@ -113,17 +140,32 @@ fn a_list_is_no_structure_at_any_depth() {
             let found = from_json(&changed.to_string(), Path::new("list.json"));
             assert!(found.is_err(), "{name}, list {index} is read: {changed}");
             if let Ok(toml) = toml::to_string(&changed) {
-                assert!(from_toml(&toml, Path::new("list.toml")).is_err(), "{name}, list {index}: {toml}");
+                assert!(
+                    from_toml(&toml, Path::new("list.toml")).is_err(),
+                    "{name}, list {index}: {toml}"
+                );
             }
             tried += 1;
         }
     }
     assert!(tried >= 20, "{tried}");
     let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
-    let bad = json.replacen("\"vehicles\": [\n    {", "\"vehicles\": [\n    [1, 2], {", 1);
-    let output = from_json(&bad, Path::new("bad.json")).unwrap_err().to_string();
-    let line = 1 + bad.lines().position(|line| line.contains("[1, 2]")).unwrap();
-    assert_eq!(output, format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names"));
+    let bad = json.replacen(
+        "\"vehicles\": [\n    {",
+        "\"vehicles\": [\n    [1, 2], {",
+        1,
+    );
+    let output = from_json(&bad, Path::new("bad.json"))
+        .unwrap_err()
+        .to_string();
+    let line = 1 + bad
+        .lines()
+        .position(|line| line.contains("[1, 2]"))
+        .unwrap();
+    assert_eq!(
+        output,
+        format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names")
+    );
 }
 
 /// The error for a text or a number where a list is required shows the list.
@@ -136,14 +178,31 @@ fn errors_show_how_a_list_is_written() {
             "command = \"./aeb --fast\"",
             "command: must be a list of the program and its arguments, as in `command = [\"./aeb\", \"--fast\"]`",
         ),
-        ("command = 5", "command: invalid type: integer `5`, expected a list of the program and its arguments"),
-        ("command = [\"./aeb\", 5]", "command[1]: invalid type: integer `5`, expected a string"),
-        ("command = [\"./aeb\"]\nfiles = \"aeb\"", "files: must be a list in square brackets, as in `[\"aeb\"]`"),
-        ("network = [\"a.onnx\"]", "network: must be one text in quotation marks, not a list"),
+        (
+            "command = 5",
+            "command: invalid type: integer `5`, expected a list of the program and its arguments",
+        ),
+        (
+            "command = [\"./aeb\", 5]",
+            "command[1]: invalid type: integer `5`, expected a string",
+        ),
+        (
+            "command = [\"./aeb\"]\nfiles = \"aeb\"",
+            "files: must be a list in square brackets, as in `[\"aeb\"]`",
+        ),
+        (
+            "network = [\"a.onnx\"]",
+            "network: must be one text in quotation marks, not a list",
+        ),
     ] {
         fs::write(&path, format!("version = 1\n{line}\n")).unwrap();
-        let error = crate::sim::NamedController::find_for_user(&path.to_string_lossy(), Path::new("")).unwrap_err();
+        let error =
+            crate::sim::NamedController::find_for_user(&path.to_string_lossy(), Path::new(""))
+                .unwrap_err();
         let number = 1 + line.lines().count();
-        assert_eq!(error.to_string(), format!("{}:{number}: {expected}", path.display()));
+        assert_eq!(
+            error.to_string(),
+            format!("{}:{number}: {expected}", path.display())
+        );
     }
 }

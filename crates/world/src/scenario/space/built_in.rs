@@ -9,25 +9,61 @@ use crate::scenario::file::FileError;
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
-    ("paper", "training distribution of the paper: small variations of scenarios 1 and 2", PAPER),
+    (
+        "paper",
+        "training distribution of the paper: small variations of scenarios 1 and 2",
+        PAPER,
+    ),
     (
         "high-risk",
         "whole ranges of speeds, gaps, leader braking, load and friction; baseline drives the follower",
         HIGH_RISK,
     ),
-    ("traffic", "everyday driving without hard braking; idm or acc-aeb drives the follower", TRAFFIC),
-    ("standing", "a standing vehicle ahead, 2 to 12 s away at 10 to 130 km/h", STANDING),
-    ("slower", "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away", SLOWER),
-    ("alone", "no follower, and a leader that brakes to any fraction of its speed", ALONE),
-    ("assisted", "the emergencies of high-risk, with a follower that idm or acc-aeb drives", ASSISTED),
-    ("steady", "a leader that never brakes, 15 to 100 m ahead, and any follower", STEADY),
+    (
+        "traffic",
+        "everyday driving without hard braking; idm or acc-aeb drives the follower",
+        TRAFFIC,
+    ),
+    (
+        "standing",
+        "a standing vehicle ahead, 2 to 12 s away at 10 to 130 km/h",
+        STANDING,
+    ),
+    (
+        "slower",
+        "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away",
+        SLOWER,
+    ),
+    (
+        "alone",
+        "no follower, and a leader that brakes to any fraction of its speed",
+        ALONE,
+    ),
+    (
+        "assisted",
+        "the emergencies of high-risk, with a follower that idm or acc-aeb drives",
+        ASSISTED,
+    ),
+    (
+        "steady",
+        "a leader that never brakes, 15 to 100 m ahead, and any follower",
+        STEADY,
+    ),
 ];
 
 /// Name, one-line description and base of each variant of a built-in space: a human drives the last vehicle. Variants
 /// are not in [`BUILT_IN_SPACES`], so that no default includes them.
 pub const HUMAN_SPACES: [(&str, &str, &str); 2] = [
-    ("high-risk-human", "the emergencies of high-risk, with a human as the follower", "high-risk"),
-    ("traffic-human", "the everyday driving of traffic, with a human as the follower", "traffic"),
+    (
+        "high-risk-human",
+        "the emergencies of high-risk, with a human as the follower",
+        "high-risk",
+    ),
+    (
+        "traffic-human",
+        "the everyday driving of traffic, with a human as the follower",
+        "traffic",
+    ),
 ];
 
 const PAPER: &str = include_str!("built_in/paper.toml");
@@ -64,20 +100,28 @@ pub enum FindSpaceError {
 pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     match built_in_space(name) {
         Some(space) => Ok(space),
-        None if Path::new(name).extension().is_none() => Err(FindSpaceError::Name { name: name.to_owned() }),
+        None if Path::new(name).extension().is_none() => Err(FindSpaceError::Name {
+            name: name.to_owned(),
+        }),
         None => Ok(file::load(Path::new(name))?),
     }
 }
 
 /// Returns the names of all built-in spaces and their variants.
 pub fn built_in_space_names() -> impl Iterator<Item = &'static str> {
-    BUILT_IN_SPACES.into_iter().chain(HUMAN_SPACES).map(|(name, ..)| name)
+    BUILT_IN_SPACES
+        .into_iter()
+        .chain(HUMAN_SPACES)
+        .map(|(name, ..)| name)
 }
 
 /// Returns the one-line description of a built-in space; `None` for any other space, also one with the same name.
 #[must_use]
 pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
-    let (name, summary, _) = BUILT_IN_SPACES.iter().chain(&HUMAN_SPACES).find(|(known, ..)| *known == space.name())?;
+    let (name, summary, _) = BUILT_IN_SPACES
+        .iter()
+        .chain(&HUMAN_SPACES)
+        .find(|(known, ..)| *known == space.name())?;
     (built_in_space(name)?.spec() == space.spec()).then_some(*summary)
 }
 
@@ -90,9 +134,15 @@ pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
     let (_, summary, base) = HUMAN_SPACES.iter().find(|(known, ..)| *known == name)?;
     let mut spec = built_in_space(base)?.spec().clone();
     (spec.name, spec.about) = (name.to_owned(), (*summary).to_owned());
-    spec.parameters.retain(|parameter| parameter.name != "follower");
-    let Base::Inline(scenario) = &mut spec.base else { return None };
-    (scenario.name, scenario.about) = (name.to_owned(), format!("A scenario of the space `{name}`."));
+    spec.parameters
+        .retain(|parameter| parameter.name != "follower");
+    let Base::Inline(scenario) = &mut spec.base else {
+        return None;
+    };
+    (scenario.name, scenario.about) = (
+        name.to_owned(),
+        format!("A scenario of the space `{name}`."),
+    );
     let human = ControllerSpec::Human(HumanSettings::default());
     scenario.vehicles.last_mut()?.driver = Driver::Controller(human);
     ScenarioSpace::new(spec, Path::new("")).ok()

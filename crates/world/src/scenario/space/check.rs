@@ -11,8 +11,8 @@ use super::{ScenarioSpace, SpaceParameter};
 use crate::control::StartRefusal;
 use crate::scenario::file::FileError;
 use crate::scenario::{
-    FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
-    format_compact,
+    FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names,
+    file, format_compact,
 };
 
 /// An invalid field of a space, with its path and its problem.
@@ -30,13 +30,25 @@ pub struct InvalidSpace {
 impl InvalidSpace {
     /// Creates an error from a field and its problem.
     pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self { field: field.into(), problem: problem.into(), start_refused: None }
+        Self {
+            field: field.into(),
+            problem: problem.into(),
+            start_refused: None,
+        }
     }
 
     fn from_base(field: String, problem: FieldProblem) -> Self {
         let words = problem.to_string();
-        let start_refused = if let FieldProblem::StartRefused(refused) = problem { Some(refused) } else { None };
-        Self { field, problem: words, start_refused }
+        let start_refused = if let FieldProblem::StartRefused(refused) = problem {
+            Some(refused)
+        } else {
+            None
+        };
+        Self {
+            field,
+            problem: words,
+            start_refused,
+        }
     }
 }
 
@@ -66,10 +78,17 @@ fn with_superscripts(unit: &str) -> String {
 }
 
 fn class_names(between: &str) -> String {
-    VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
+    VehicleClass::ALL
+        .iter()
+        .map(|class| format!("`{}`", class.name()))
+        .collect::<Vec<_>>()
+        .join(between)
 }
 
-pub(super) fn reject<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
+pub(super) fn reject<T>(
+    field: impl Into<String>,
+    problem: impl Into<String>,
+) -> Result<T, InvalidSpace> {
     Err(InvalidSpace::new(field, problem))
 }
 
@@ -83,17 +102,28 @@ impl ScenarioSpace {
             let found = spec.version;
             return reject(
                 "version",
-                format!("version {found} is not supported: this release reads version {SPACE_VERSION}"),
+                format!(
+                    "version {found} is not supported: this release reads version {SPACE_VERSION}"
+                ),
             );
         }
-        if spec.name.is_empty() || spec.name.chars().count() > 100 || spec.name.chars().any(char::is_control) {
-            return reject("name", "must have 1 to 100 characters, none of them a control character");
+        if spec.name.is_empty()
+            || spec.name.chars().count() > 100
+            || spec.name.chars().any(char::is_control)
+        {
+            return reject(
+                "name",
+                "must have 1 to 100 characters, none of them a control character",
+            );
         }
         let base = load_base(&spec.base, folder)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
         if !(1..=MAX_PARAMETERS).contains(&spec.parameters.len()) {
             let found = spec.parameters.len();
-            return reject("parameters", format!("must be 1 to {MAX_PARAMETERS}, found {found}"));
+            return reject(
+                "parameters",
+                format!("must be 1 to {MAX_PARAMETERS}, found {found}"),
+            );
         }
         let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
         let lines_up = !spec.parameters.iter().any(is_place);
@@ -104,21 +134,41 @@ impl ScenarioSpace {
             }
         }
         let (parameters, order) = (Vec::new(), Vec::new());
-        let mut space = Self { spec, template, uses_gaps: lines_up, parameters, order, copula: None, region: None };
+        let mut space = Self {
+            spec,
+            template,
+            uses_gaps: lines_up,
+            parameters,
+            order,
+            copula: None,
+            region: None,
+        };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
             space.add_parameter(index, &mut written)?;
         }
         if space.dimension() > MAX_COORDINATES {
             let found = space.dimension();
-            return reject("parameters", format!("must have at most {MAX_COORDINATES} coordinates, found {found}"));
+            return reject(
+                "parameters",
+                format!("must have at most {MAX_COORDINATES} coordinates, found {found}"),
+            );
         }
         let names = space.coordinate_names();
-        if let Some(doubled) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
-            return reject("parameters", format!("two coordinates are called `{}`", doubled.1));
+        if let Some(doubled) = names
+            .iter()
+            .enumerate()
+            .find(|(index, name)| names[..*index].contains(name))
+        {
+            return reject(
+                "parameters",
+                format!("two coordinates are called `{}`", doubled.1),
+            );
         }
         space.order = (0..space.parameters.len()).collect();
-        space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
+        space
+            .order
+            .sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
         space.check_range_ends()?;
         space.check_corners()?;
         if let Some(dependence) = &space.spec.dependence {
@@ -134,23 +184,49 @@ impl ScenarioSpace {
         Ok(space)
     }
 
-    fn add_parameter(&mut self, index: usize, written: &mut Vec<(String, String)>) -> Result<(), InvalidSpace> {
+    fn add_parameter(
+        &mut self,
+        index: usize,
+        written: &mut Vec<(String, String)>,
+    ) -> Result<(), InvalidSpace> {
         let at = |field: &str| format!("parameters[{index}].{field}");
-        let Some(spec) = self.spec.parameters.get(index) else { return Ok(()) };
+        let Some(spec) = self.spec.parameters.get(index) else {
+            return Ok(());
+        };
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
-            return reject(at("name"), "must be 1 to 60 letters, digits and underscores");
+            return reject(
+                at("name"),
+                "must be 1 to 60 letters, digits and underscores",
+            );
         }
-        if KEY_COLUMNS.iter().chain(&RESULT_COLUMNS).any(|column| *column == spec.name) {
-            return reject(at("name"), format!("`{}` is a column of every table of evaluations", spec.name));
+        if KEY_COLUMNS
+            .iter()
+            .chain(&RESULT_COLUMNS)
+            .any(|column| *column == spec.name)
+        {
+            return reject(
+                at("name"),
+                format!("`{}` is a column of every table of evaluations", spec.name),
+            );
         }
         if self.parameters.iter().any(|known| known.name == spec.name) {
-            return reject(at("name"), format!("`{}` is the name of another parameter", spec.name));
+            return reject(
+                at("name"),
+                format!("`{}` is the name of another parameter", spec.name),
+            );
         }
         let field = ParameterField::resolve(&spec.field, &self.template)
             .map_err(|problem| InvalidSpace::new(at("field"), problem))?;
-        let is_gap = |field| matches!(field, VehicleField::Gap | VehicleField::TimeGap | VehicleField::ClosingTime);
-        if matches!(field.target, FieldTarget::Vehicle(_, target) if is_gap(target)) && !self.uses_gaps {
+        let is_gap = |field| {
+            matches!(
+                field,
+                VehicleField::Gap | VehicleField::TimeGap | VehicleField::ClosingTime
+            )
+        };
+        if matches!(field.target, FieldTarget::Vehicle(_, target) if is_gap(target))
+            && !self.uses_gaps
+        {
             return reject(at("field"), "a space has gaps or positions, not both");
         }
         if with_superscripts(&spec.unit) != field.unit {
@@ -158,26 +234,43 @@ impl ScenarioSpace {
                 "" => format!("`{}` has no unit", spec.field),
                 unit => {
                     let plain = unit.replace('²', "2").replace('³', "3");
-                    let or_plain = if plain == unit { String::new() } else { format!(" (or `{plain}`)") };
+                    let or_plain = if plain == unit {
+                        String::new()
+                    } else {
+                        format!(" (or `{plain}`)")
+                    };
                     format!("the unit of `{}` is `{unit}`{or_plain}", spec.field)
                 }
             };
-            let found =
-                if spec.unit.is_empty() { "none is given".to_owned() } else { format!("found `{}`", spec.unit) };
+            let found = if spec.unit.is_empty() {
+                "none is given".to_owned()
+            } else {
+                format!("found `{}`", spec.unit)
+            };
             let problem = format!("{expected}, {found}");
             return reject(at("unit"), problem);
         }
         for write in &field.written_paths {
-            if let Some((_, other)) = written.iter().find(|(known, _)| is_overlapping(known, write)) {
-                return reject(at("field"), format!("`{write}` is set by the parameter `{other}` already"));
+            if let Some((_, other)) = written
+                .iter()
+                .find(|(known, _)| is_overlapping(known, write))
+            {
+                return reject(
+                    at("field"),
+                    format!("`{write}` is set by the parameter `{other}` already"),
+                );
             }
         }
-        written.extend(field.written_paths.iter().map(|write| (write.clone(), spec.name.clone())));
+        written.extend(
+            field
+                .written_paths
+                .iter()
+                .map(|write| (write.clone(), spec.name.clone())),
+        );
         let kind = field.target.kind();
-        let marginal = spec
-            .distribution
-            .marginal()
-            .map_err(|(field, problem)| InvalidSpace::new(at(&format!("distribution{field}")), problem))?;
+        let marginal = spec.distribution.marginal().map_err(|(field, problem)| {
+            InvalidSpace::new(at(&format!("distribution{field}")), problem)
+        })?;
         if kind != spec.distribution.kind() {
             let problem = match kind {
                 ValueKind::Number => "a number is expected".to_owned(),
@@ -199,18 +292,25 @@ impl ScenarioSpace {
             Some(value) => vec![value.number(); field.length],
         };
         let fits = |value: &f64| marginal.value(marginal.coordinate(*value)) - value;
-        let is_off = |value: &&f64| !value.is_finite() || fits(value).abs() > 1e-9 * (1.0 + value.abs());
+        let is_off =
+            |value: &&f64| !value.is_finite() || fits(value).abs() > 1e-9 * (1.0 + value.abs());
         if let Some(value) = nominal.iter().find(is_off) {
             let found = format_compact(*value);
             let problem = match marginal {
-                CoordinateMarginal::Choice { .. } => format!("{found} is not a value of the distribution"),
+                CoordinateMarginal::Choice { .. } => {
+                    format!("{found} is not a value of the distribution")
+                }
                 _ => format!(
                     "must be from {} to {}, found {found}",
                     format_compact(marginal.low()),
                     format_compact(marginal.high())
                 ),
             };
-            let from = if spec.nominal.is_some() { "" } else { " in the base scenario" };
+            let from = if spec.nominal.is_some() {
+                ""
+            } else {
+                " in the base scenario"
+            };
             return reject(at("nominal"), problem + from);
         }
         let start = self.dimension();
@@ -235,7 +335,10 @@ impl ScenarioSpace {
         for (index, parameter) in self.parameters.iter().enumerate() {
             for end in parameter.ends() {
                 let mut values = nominal.clone();
-                values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
+                values
+                    .get_mut(parameter.coordinates.clone())
+                    .unwrap_or_default()
+                    .fill(end);
                 if let Err(invalid) = self.scenario(&values)
                     && (matches!(parameter.target, FieldTarget::Vehicle(_, VehicleField::Gap))
                         || !is_joint_problem(&invalid))
@@ -243,7 +346,10 @@ impl ScenarioSpace {
                     let name = &parameter.name;
                     return reject(
                         format!("parameters[{index}].distribution"),
-                        format!("with {name} = {} the scenario is invalid: {invalid}", format_compact(end)),
+                        format!(
+                            "with {name} = {} the scenario is invalid: {invalid}",
+                            format_compact(end)
+                        ),
                     );
                 }
             }
@@ -258,13 +364,16 @@ impl ScenarioSpace {
             let near = |parameter: &&SpaceParameter| {
                 let collided = parameter.target.affected_vehicle();
                 let of_all = matches!(parameter.target, FieldTarget::AllVehicles(_));
-                of_all || collided.is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
+                of_all
+                    || collided
+                        .is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
             };
             let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {
                 let found = parameters.len();
-                let problem =
-                    format!("at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}");
+                let problem = format!(
+                    "at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}"
+                );
                 return reject("parameters", problem);
             }
             for corner in 0..1_usize << parameters.len() {
@@ -272,11 +381,18 @@ impl ScenarioSpace {
                 for (bit, parameter) in parameters.iter().enumerate() {
                     let [low, high] = parameter.ends();
                     let end = if corner >> bit & 1 == 0 { low } else { high };
-                    values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
+                    values
+                        .get_mut(parameter.coordinates.clone())
+                        .unwrap_or_default()
+                        .fill(end);
                 }
                 if let Err(invalid) = self.scenario(&values) {
-                    let names: Vec<_> = parameters.iter().map(|p| format!("`{}`", p.name)).collect();
-                    return reject("parameters", format!("{} do not fit together: {invalid}", names.join(", ")));
+                    let names: Vec<_> =
+                        parameters.iter().map(|p| format!("`{}`", p.name)).collect();
+                    return reject(
+                        "parameters",
+                        format!("{} do not fit together: {invalid}", names.join(", ")),
+                    );
                 }
             }
         }
@@ -286,40 +402,63 @@ impl ScenarioSpace {
 
 /// Returns true if the paths are equal or one contains the other.
 fn is_overlapping(a: &str, b: &str) -> bool {
-    let is_part =
-        |part: &str, of: &str| part.strip_prefix(of).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    let is_part = |part: &str, of: &str| {
+        part.strip_prefix(of)
+            .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+    };
     is_part(a, b) || is_part(b, a)
 }
 
 /// Returns true for problems that several fields cause jointly.
 fn is_joint_problem(invalid: &InvalidField) -> bool {
     use crate::scenario::FieldProblem as P;
-    matches!(invalid.problem, P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. })
+    matches!(
+        invalid.problem,
+        P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. }
+    )
 }
 
 fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
     match base {
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
-            let in_base = |InvalidField { field, problem }| InvalidSpace::from_base(format!("base.{field}"), problem);
-            spec.read_drivers(folder).and_then(|()| Scenario::new(spec)).map_err(in_base)
+            let in_base = |InvalidField { field, problem }| {
+                InvalidSpace::from_base(format!("base.{field}"), problem)
+            };
+            spec.read_drivers(folder)
+                .and_then(|()| Scenario::new(spec))
+                .map_err(in_base)
         }
         Base::Named(name) => match built_in_scenario(name) {
             Some(scenario) => Ok(scenario),
             None if Path::new(name).extension().is_none() => {
-                let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
+                let known: Vec<_> = built_in_scenario_names()
+                    .iter()
+                    .map(|(name, _)| *name)
+                    .collect();
                 let known = known.join(", ");
-                reject("base", format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"))
+                reject(
+                    "base",
+                    format!(
+                        "`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"
+                    ),
+                )
             }
             None => file::load(&folder.join(name)).map_err(|error| match error {
                 FileError::Invalid {
                     path,
                     line,
                     invalid:
-                        InvalidField { field, problem: FieldProblem::StartRefused(StartRefusal { location: place }) },
+                        InvalidField {
+                            field,
+                            problem: FieldProblem::StartRefused(StartRefusal { location: place }),
+                        },
                 } => {
                     let place = format!("{}:{line}: {field}: {place}", path.display());
-                    InvalidSpace::from_base("base".to_owned(), StartRefusal { location: place }.into())
+                    InvalidSpace::from_base(
+                        "base".to_owned(),
+                        StartRefusal { location: place }.into(),
+                    )
                 }
                 other => InvalidSpace::new("base", other.to_string()),
             }),

@@ -51,22 +51,41 @@ pub(super) struct Copula {
 const CORRELATION: &str = "dependence.gaussian-copula.correlation";
 
 impl Copula {
-    pub(super) fn new(dependence: &Dependence, parameters: &[SpaceParameter]) -> Result<Self, InvalidSpace> {
+    pub(super) fn new(
+        dependence: &Dependence,
+        parameters: &[SpaceParameter],
+    ) -> Result<Self, InvalidSpace> {
         let Dependence::GaussianCopula(spec) = dependence;
         let coordinates = spec.coordinates(parameters)?;
         let correlation = spec.correlation_matrix()?;
         let least = correlation.clone().symmetric_eigenvalues().min();
-        let Some(cholesky) = correlation.clone().cholesky().filter(|_| least >= MIN_EIGENVALUE) else {
+        let Some(cholesky) = correlation
+            .clone()
+            .cholesky()
+            .filter(|_| least >= MIN_EIGENVALUE)
+        else {
             let found = format_compact(least);
             return reject(
                 CORRELATION,
-                format!("must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {found}"),
+                format!(
+                    "must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {found}"
+                ),
             );
         };
         let size = correlation.nrows();
-        let half_ln_determinant = cholesky.l_dirty().diagonal().iter().map(|entry| entry.ln()).sum();
+        let half_ln_determinant = cholesky
+            .l_dirty()
+            .diagonal()
+            .iter()
+            .map(|entry| entry.ln())
+            .sum();
         let precision = cholesky.inverse() - DMatrix::identity(size, size);
-        Ok(Self { coordinates, cholesky_factor: cholesky.l(), precision, half_ln_determinant })
+        Ok(Self {
+            coordinates,
+            cholesky_factor: cholesky.l(),
+            precision,
+            half_ln_determinant,
+        })
     }
 
     /// Makes independent uniform numbers dependent.
@@ -74,7 +93,9 @@ impl Copula {
         let normal = self.normal_scores(uniform);
         let mut depending = uniform.to_vec();
         for (row, &place) in self.coordinates.iter().enumerate() {
-            let sum: f64 = (0..=row).map(|column| self.cholesky_factor[(row, column)] * normal[column]).sum();
+            let sum: f64 = (0..=row)
+                .map(|column| self.cholesky_factor[(row, column)] * normal[column])
+                .sum();
             if let Some(share) = depending.get_mut(place) {
                 *share = Gauss::standard().cdf(sum);
             }
@@ -90,7 +111,9 @@ impl Copula {
     /// Replaces scores of dependent coordinates by independent ones, for CDF values `below`.
     pub(super) fn decorrelate(&self, below: &[f64], scores: &mut [f64]) {
         let depending = DVector::from_vec(self.normal_scores(below));
-        let Some(independent) = self.cholesky_factor.solve_lower_triangular(&depending) else { return };
+        let Some(independent) = self.cholesky_factor.solve_lower_triangular(&depending) else {
+            return;
+        };
         for (&place, &score) in self.coordinates.iter().zip(independent.iter()) {
             if let Some(found) = scores.get_mut(place) {
                 *found = score;
@@ -113,9 +136,16 @@ impl Copula {
     /// Returns the normal scores of the dependent coordinates; 0 for missing ones.
     fn normal_scores(&self, shares: &[f64]) -> Vec<f64> {
         let share = |&place: &usize| {
-            shares.get(place).copied().unwrap_or(0.5).clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1])
+            shares
+                .get(place)
+                .copied()
+                .unwrap_or(0.5)
+                .clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1])
         };
-        self.coordinates.iter().map(|place| Gauss::standard().inverse_cdf(share(place))).collect()
+        self.coordinates
+            .iter()
+            .map(|place| Gauss::standard().inverse_cdf(share(place)))
+            .collect()
     }
 }
 
@@ -125,11 +155,15 @@ impl GaussianCopula {
         let found = self.parameters.len();
         if !(2..=MAX_CORRELATED).contains(&found) {
             let field = "dependence.gaussian-copula.parameters";
-            return reject(field, format!("must be 2 to {MAX_CORRELATED}, found {found}"));
+            return reject(
+                field,
+                format!("must be 2 to {MAX_CORRELATED}, found {found}"),
+            );
         }
         let mut coordinates = Vec::with_capacity(found);
         for (index, name) in self.parameters.iter().enumerate() {
-            let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name) else {
+            let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name)
+            else {
                 return reject(at(index), format!("there is no parameter `{name}`"));
             };
             if parameter.target.kind() != ValueKind::Number {
@@ -141,7 +175,9 @@ impl GaussianCopula {
             if parameter.coordinates().len() != 1 {
                 return reject(
                     at(index),
-                    format!("`{name}` is a signal, and only parameters with one value can be correlated"),
+                    format!(
+                        "`{name}` is a signal, and only parameters with one value can be correlated"
+                    ),
                 );
             }
             if coordinates.contains(&parameter.coordinates().start) {
@@ -155,28 +191,52 @@ impl GaussianCopula {
     fn correlation_matrix(&self) -> Result<DMatrix<f64>, InvalidSpace> {
         let size = self.parameters.len();
         if self.correlation.len() != size {
-            return reject(CORRELATION, format!("must have {size} rows, found {}", self.correlation.len()));
+            return reject(
+                CORRELATION,
+                format!("must have {size} rows, found {}", self.correlation.len()),
+            );
         }
         for (row, entries) in self.correlation.iter().enumerate() {
             let at = format!("{CORRELATION}[{row}]");
             if entries.len() != size {
-                return reject(at, format!("must have {size} entries, found {}", entries.len()));
+                return reject(
+                    at,
+                    format!("must have {size} entries, found {}", entries.len()),
+                );
             }
             for (column, &found) in entries.iter().enumerate() {
-                let mirrored = self.correlation.get(column).and_then(|other| other.get(row)).copied();
+                let mirrored = self
+                    .correlation
+                    .get(column)
+                    .and_then(|other| other.get(row))
+                    .copied();
                 if !(-1.0..=1.0).contains(&found) {
-                    return reject(at, format!("must be from -1 to 1, found {}", format_compact(found)));
+                    return reject(
+                        at,
+                        format!("must be from -1 to 1, found {}", format_compact(found)),
+                    );
                 }
                 if row == column && found != 1.0 {
-                    return reject(at, format!("must have 1 on the diagonal, found {}", format_compact(found)));
+                    return reject(
+                        at,
+                        format!(
+                            "must have 1 on the diagonal, found {}",
+                            format_compact(found)
+                        ),
+                    );
                 }
                 if let Some(other) = mirrored.filter(|other| *other != found) {
-                    let problem =
-                        format!("must be symmetric, found {} and {}", format_compact(found), format_compact(other));
+                    let problem = format!(
+                        "must be symmetric, found {} and {}",
+                        format_compact(found),
+                        format_compact(other)
+                    );
                     return reject(at, problem);
                 }
             }
         }
-        Ok(DMatrix::from_fn(size, size, |row, column| self.correlation[row][column]))
+        Ok(DMatrix::from_fn(size, size, |row, column| {
+            self.correlation[row][column]
+        }))
     }
 }

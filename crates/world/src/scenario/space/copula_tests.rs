@@ -51,30 +51,102 @@ fn space(text: &str) -> Result<ScenarioSpace, String> {
 #[test]
 fn errors_of_dependence_exposure_and_data_name_their_field() {
     let damaged: [(&str, &str, &str); 25] = [
-        (MATRIX, "[[1.0, 1.0], [1.0, 1.0]]", "correlation: must be positive definite"),
-        (MATRIX, "[[1.0, -0.6], [-0.5, 1.0]]", "correlation[0]: must be symmetric, found -0.6 and -0.5"),
-        (MATRIX, "[[1.0, -0.6], [-0.6, 0.9]]", "correlation[1]: must have 1 on the diagonal, found 0.9"),
-        (MATRIX, "[[1.0, -1.6], [-1.6, 1.0]]", "correlation[0]: must be from -1 to 1"),
-        (MATRIX, "[[1.0, nan], [nan, 1.0]]", "correlation[0]: must be from -1 to 1"),
-        (MATRIX, "[[1.0, -0.6]]", "correlation: must have 2 rows, found 1"),
-        (MATRIX, "[[1.0], [-0.6, 1.0]]", "correlation[0]: must have 2 entries, found 1"),
-        (NAMES, "[\"ahead_m\", \"nobody\"]", "parameters[1]: there is no parameter `nobody`"),
-        (NAMES, "[\"ahead_m\", \"ahead_m\"]", "parameters[1]: `ahead_m` is named twice"),
-        (NAMES, "[\"ahead_m\", \"class\"]", "parameters[1]: `class` is a class or a driver"),
-        (NAMES, "[\"ahead_m\"]", "parameters: must be 2 to 50, found 1"),
+        (
+            MATRIX,
+            "[[1.0, 1.0], [1.0, 1.0]]",
+            "correlation: must be positive definite",
+        ),
+        (
+            MATRIX,
+            "[[1.0, -0.6], [-0.5, 1.0]]",
+            "correlation[0]: must be symmetric, found -0.6 and -0.5",
+        ),
+        (
+            MATRIX,
+            "[[1.0, -0.6], [-0.6, 0.9]]",
+            "correlation[1]: must have 1 on the diagonal, found 0.9",
+        ),
+        (
+            MATRIX,
+            "[[1.0, -1.6], [-1.6, 1.0]]",
+            "correlation[0]: must be from -1 to 1",
+        ),
+        (
+            MATRIX,
+            "[[1.0, nan], [nan, 1.0]]",
+            "correlation[0]: must be from -1 to 1",
+        ),
+        (
+            MATRIX,
+            "[[1.0, -0.6]]",
+            "correlation: must have 2 rows, found 1",
+        ),
+        (
+            MATRIX,
+            "[[1.0], [-0.6, 1.0]]",
+            "correlation[0]: must have 2 entries, found 1",
+        ),
+        (
+            NAMES,
+            "[\"ahead_m\", \"nobody\"]",
+            "parameters[1]: there is no parameter `nobody`",
+        ),
+        (
+            NAMES,
+            "[\"ahead_m\", \"ahead_m\"]",
+            "parameters[1]: `ahead_m` is named twice",
+        ),
+        (
+            NAMES,
+            "[\"ahead_m\", \"class\"]",
+            "parameters[1]: `class` is a class or a driver",
+        ),
+        (
+            NAMES,
+            "[\"ahead_m\"]",
+            "parameters: must be 2 to 50, found 1",
+        ),
         ("gaussian-copula", "clayton-copula", "clayton-copula"),
-        (HOURS, "hours = 0.0\nkilometres = 30.0\n[[", "exposure.hours: must be a finite number above 0"),
-        (HOURS, "hours = 0.6\nkilometres = 30.0\n[[", "exposure.hours: is 0.6, and the sources add up to 0.5"),
+        (
+            HOURS,
+            "hours = 0.0\nkilometres = 30.0\n[[",
+            "exposure.hours: must be a finite number above 0",
+        ),
+        (
+            HOURS,
+            "hours = 0.6\nkilometres = 30.0\n[[",
+            "exposure.hours: is 0.6, and the sources add up to 0.5",
+        ),
         (
             "episodes = 3\nhours = 0.5\nkilometres = 30.0\n[[",
             "episodes = 0\nhours = 0.5\nkilometres = 30.0\n[[",
             "exposure.episodes: must be at least 1",
         ),
-        ("name = \"a.csv\"", "name = \"\"", "exposure.sources[0].name: must have 1 to 200 characters"),
-        ("[0, 0, 1]", "[0, 1]", "exposure.episodes: is 3, and 2 are observed"),
-        ("[0, 0, 1]", "[0, 0, 3]", "observed.waves: must be below the number of episodes, 3, found 3"),
-        ("[0.5, 0.6, 0.9]", "[0.5, 0.6]", "observed.parameters[0].values: must be 3, one an episode, found 2"),
-        ("[0.5, 0.6, 0.9]", "[0.5, 0.6, 1.9]", "observed.parameters[0].values: must be from 0.3 to 1, found 1.9"),
+        (
+            "name = \"a.csv\"",
+            "name = \"\"",
+            "exposure.sources[0].name: must have 1 to 200 characters",
+        ),
+        (
+            "[0, 0, 1]",
+            "[0, 1]",
+            "exposure.episodes: is 3, and 2 are observed",
+        ),
+        (
+            "[0, 0, 1]",
+            "[0, 0, 3]",
+            "observed.waves: must be below the number of episodes, 3, found 3",
+        ),
+        (
+            "[0.5, 0.6, 0.9]",
+            "[0.5, 0.6]",
+            "observed.parameters[0].values: must be 3, one an episode, found 2",
+        ),
+        (
+            "[0.5, 0.6, 0.9]",
+            "[0.5, 0.6, 1.9]",
+            "observed.parameters[0].values: must be from 0.3 to 1, found 1.9",
+        ),
         (
             "name = \"friction\"\nlow",
             "name = \"nobody\"\nlow",
@@ -85,7 +157,11 @@ fn errors_of_dependence_exposure_and_data_name_their_field() {
             "shape = 0.0",
             "parameters[0].distribution.gamma: shape must be from 0.01 to 1000000, found 0",
         ),
-        ("scale = 0.035", "scale = -1.0", "parameters[0].distribution.gamma: scale must be from 1e-9 to 1e9, found -1"),
+        (
+            "scale = 0.035",
+            "scale = -1.0",
+            "parameters[0].distribution.gamma: scale must be from 1e-9 to 1e9, found -1",
+        ),
         (
             "ln_deviation = 0.4",
             "ln_deviation = 0.0",
@@ -101,7 +177,10 @@ fn errors_of_dependence_exposure_and_data_name_their_field() {
     for (was, is, message) in damaged {
         assert!(SPACE.contains(was), "{was}");
         let error = space(&SPACE.replacen(was, is, 1)).expect_err(is);
-        assert!(error.contains(message) && error.starts_with("pairs.toml:"), "{is}: {error}");
+        assert!(
+            error.contains(message) && error.starts_with("pairs.toml:"),
+            "{is}: {error}"
+        );
     }
 }
 

@@ -10,7 +10,11 @@ const MIN_CLOSING_GAP_M: f64 = 2.0;
 
 /// Returns the gap that vehicle `index` closes in `time_s` at its closing speed, in metres; at least 2 m.
 pub(super) fn closing_gap_m(spec: &ScenarioSpec, index: usize, time_s: f64) -> f64 {
-    let speed_mps = |index: usize| spec.vehicles.get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
+    let speed_mps = |index: usize| {
+        spec.vehicles
+            .get(index)
+            .map_or(0.0, |vehicle| vehicle.speed_mps)
+    };
     let closing_mps = speed_mps(index) - index.checked_sub(1).map_or(0.0, speed_mps);
     (time_s * closing_mps).max(MIN_CLOSING_GAP_M)
 }
@@ -26,16 +30,24 @@ pub(super) fn apply_load(vehicle: &mut VehicleSpec, load: f64) {
 /// not leave it further. A reduced acceleration stays within all limits that the original one satisfies.
 pub(super) fn apply_cruise(vehicle: &mut VehicleSpec, wanted_mps2: &[f64], until_s: f64) {
     let mut speed_mps = vehicle.speed_mps;
-    let Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })) = &mut vehicle.driver else {
+    let Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })) =
+        &mut vehicle.driver
+    else {
         return;
     };
     let [lowest_mps, highest_mps] = CRUISE_SPEED_RANGE_MPS;
     let ends_s = from_s.iter().skip(1).copied().chain([until_s]);
-    for (((accel_mps2, &from_s), to_s), &wanted_mps2) in
-        accel_mps2.iter_mut().zip(&*from_s).zip(ends_s).zip(wanted_mps2)
+    for (((accel_mps2, &from_s), to_s), &wanted_mps2) in accel_mps2
+        .iter_mut()
+        .zip(&*from_s)
+        .zip(ends_s)
+        .zip(wanted_mps2)
     {
         let held_s = (to_s - from_s).max(0.0);
-        let (down_mps, up_mps) = (lowest_mps.min(speed_mps) - speed_mps, highest_mps.max(speed_mps) - speed_mps);
+        let (down_mps, up_mps) = (
+            lowest_mps.min(speed_mps) - speed_mps,
+            highest_mps.max(speed_mps) - speed_mps,
+        );
         *accel_mps2 = match wanted_mps2 * held_s {
             gained_mps if gained_mps < down_mps => down_mps / held_s,
             gained_mps if gained_mps > up_mps => up_mps / held_s,

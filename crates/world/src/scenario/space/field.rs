@@ -2,8 +2,9 @@
 
 use super::derived::{apply_cruise, apply_load, closing_gap_m};
 use super::numeric_fields::{
-    DERIVED_FIELDS, DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS, VEHICLE_FIELDS,
-    accelerations_mut, brake_rate_mut, final_speed_mut, known_fields_text, pieces_mut, setting_mut,
+    DERIVED_FIELDS, DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS,
+    VEHICLE_FIELDS, accelerations_mut, brake_rate_mut, final_speed_mut, known_fields_text,
+    pieces_mut, setting_mut,
 };
 use super::spec::{DriverName, ValueKind};
 use crate::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
@@ -88,7 +89,9 @@ impl ParameterField {
             .and_then(|rest| rest.split_once("]."))
             .ok_or_else(|| format!("{}; {}", unknown(), known_fields_text()))?;
         if index == "*" {
-            let number = VEHICLE_FIELDS.iter().find(|(known, ..)| *known == rest && *known != "position_m");
+            let number = VEHICLE_FIELDS
+                .iter()
+                .find(|(known, ..)| *known == rest && *known != "position_m");
             let (_, unit, access) = number.ok_or_else(unknown)?;
             return Ok(scalar(FieldTarget::AllVehicles(*access), unit));
         }
@@ -97,7 +100,9 @@ impl ParameterField {
         let vehicle = base.vehicles.get(index).ok_or_else(|| {
             format!("there is no vehicles[{index}]: the base scenario has {count} vehicles, counted from 0")
         })?;
-        let of_vehicle = |field: VehicleField, unit: &'static str| Ok(scalar(FieldTarget::Vehicle(index, field), unit));
+        let of_vehicle = |field: VehicleField, unit: &'static str| {
+            Ok(scalar(FieldTarget::Vehicle(index, field), unit))
+        };
         if let Some((_, unit, access)) = VEHICLE_FIELDS.iter().find(|(known, ..)| *known == rest) {
             return of_vehicle(VehicleField::Number(*access), unit);
         }
@@ -113,23 +118,33 @@ impl ParameterField {
             }
             _ => {}
         }
-        if let Some((when, (_, access))) =
-            LANE_CHANGES.iter().find_map(|change| Some((rest.strip_prefix(change.0)?, change)))
+        if let Some((when, (_, access))) = LANE_CHANGES
+            .iter()
+            .find_map(|change| Some((rest.strip_prefix(change.0)?, change)))
         {
             let stated = access(&mut vehicle.clone()).copied();
             let stated = stated
                 .filter(|change| change.field() == when)
-                .ok_or_else(|| format!("vehicle {index} of the base scenario does not state `{rest}`"))?;
-            let unit = if matches!(stated, LaneChange::Gap(_)) { "m" } else { "s" };
+                .ok_or_else(|| {
+                    format!("vehicle {index} of the base scenario does not state `{rest}`")
+                })?;
+            let unit = if matches!(stated, LaneChange::Gap(_)) {
+                "m"
+            } else {
+                "s"
+            };
             return of_vehicle(VehicleField::LaneChange(*access), unit);
         }
         let derived = DERIVED_FIELDS.iter().find(|(known, ..)| *known == rest);
         if let Some(setting) = rest.strip_prefix("driver.") {
             let (kind, setting) = setting.split_once('.').ok_or_else(unknown)?;
             if kind != name {
-                return Err(format!("vehicle {index} of the base scenario is driven by `{name}`, not by `{kind}`"));
+                return Err(format!(
+                    "vehicle {index} of the base scenario is driven by `{name}`, not by `{kind}`"
+                ));
             }
-            if let Some((_, unit, access)) = DRIVER_FIELDS.iter().find(|(known, ..)| *known == rest) {
+            if let Some((_, unit, access)) = DRIVER_FIELDS.iter().find(|(known, ..)| *known == rest)
+            {
                 return of_vehicle(VehicleField::Driver(*access), unit);
             }
             if let Driver::Controller(spec) = &vehicle.driver
@@ -145,7 +160,10 @@ impl ParameterField {
             target: FieldTarget::Vehicle(index, *field),
             unit,
             length: field.numbers_mut(&mut vehicle.clone()).len().max(1),
-            written_paths: writes.iter().map(|field| format!("vehicles[{index}].{field}")).collect(),
+            written_paths: writes
+                .iter()
+                .map(|field| format!("vehicles[{index}].{field}"))
+                .collect(),
         })
     }
 }
@@ -174,20 +192,30 @@ impl FieldTarget {
                 return;
             }
             Self::AllVehicles(access) => {
-                return spec.vehicles.iter_mut().for_each(|vehicle| *access(vehicle) = value);
+                return spec
+                    .vehicles
+                    .iter_mut()
+                    .for_each(|vehicle| *access(vehicle) = value);
             }
             Self::Vehicle(index, field) => (index, field),
         };
         let (friction, until_s) = (spec.environment.friction, spec.duration_s);
-        let gap_m = if matches!(field, VehicleField::ClosingTime) { closing_gap_m(spec, index, value) } else { 0.0 };
-        let Some(vehicle) = spec.vehicles.get_mut(index) else { return };
+        let gap_m = if matches!(field, VehicleField::ClosingTime) {
+            closing_gap_m(spec, index, value)
+        } else {
+            0.0
+        };
+        let Some(vehicle) = spec.vehicles.get_mut(index) else {
+            return;
+        };
         match field {
             VehicleField::Class => {
                 let class = VehicleClass::ALL.get(value as usize).copied();
                 vehicle.class = class.unwrap_or(vehicle.class);
             }
             VehicleField::ControllerChoice => {
-                let other = DriverName::from_number(value).filter(|name| name.name() != vehicle.driver.name());
+                let other = DriverName::from_number(value)
+                    .filter(|name| name.name() != vehicle.driver.name());
                 if let Some(controller) = other.and_then(DriverName::controller) {
                     vehicle.driver = Driver::Controller(controller);
                 }
@@ -199,21 +227,32 @@ impl FieldTarget {
             VehicleField::ClosingTime => vehicle.position_m = gap_m,
             VehicleField::SpeedShare => vehicle.speed_mps *= value,
             VehicleField::Load => apply_load(vehicle, value),
-            VehicleField::BrakeOffset => vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value),
+            VehicleField::BrakeOffset => {
+                vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value)
+            }
             VehicleField::PiecesOnset => {
                 if let Some(pieces) = pieces_mut(&mut vehicle.driver) {
                     let later_s = value - pieces.from_s.first().copied().unwrap_or(0.0);
-                    pieces.from_s.iter_mut().for_each(|from_s| *from_s += later_s);
+                    pieces
+                        .from_s
+                        .iter_mut()
+                        .for_each(|from_s| *from_s += later_s);
                 }
             }
             VehicleField::PiecesCruise => apply_cruise(vehicle, values, until_s),
             VehicleField::PiecesScale => {
-                accelerations_mut(&mut vehicle.driver).unwrap_or_default().iter_mut().for_each(|piece| *piece *= value);
+                accelerations_mut(&mut vehicle.driver)
+                    .unwrap_or_default()
+                    .iter_mut()
+                    .for_each(|piece| *piece *= value);
             }
             _ => {
                 let unit = field.size_of_one(vehicle, friction);
                 let numbers = field.numbers_mut(vehicle);
-                numbers.iter_mut().zip(values).for_each(|(number, value)| *number = value * unit);
+                numbers
+                    .iter_mut()
+                    .zip(values)
+                    .for_each(|(number, value)| *number = value * unit);
             }
         }
     }
@@ -225,27 +264,41 @@ impl FieldTarget {
             Self::AllVehicles(access) => (0, VehicleField::Number(access)),
             Self::Vehicle(index, field) => (index, field),
         };
-        let Some(mut vehicle) = spec.vehicles.get(index).cloned() else { return Vec::new() };
+        let Some(mut vehicle) = spec.vehicles.get(index).cloned() else {
+            return Vec::new();
+        };
         match field {
             VehicleField::Class => vec![f64::from(vehicle.class.number())],
-            VehicleField::ControllerChoice => {
-                DriverName::find(vehicle.driver.name()).map(DriverName::number).into_iter().collect()
-            }
+            VehicleField::ControllerChoice => DriverName::find(vehicle.driver.name())
+                .map(DriverName::number)
+                .into_iter()
+                .collect(),
             VehicleField::Size => vec![vehicle.length_m()],
             VehicleField::ClosingTime => {
-                let ahead = index.checked_sub(1).and_then(|front| spec.vehicles.get(front));
-                let time_s = |ahead: &VehicleSpec| vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps);
+                let ahead = index
+                    .checked_sub(1)
+                    .and_then(|front| spec.vehicles.get(front));
+                let time_s = |ahead: &VehicleSpec| {
+                    vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps)
+                };
                 ahead.map(time_s).into_iter().collect()
             }
             VehicleField::SpeedShare | VehicleField::PiecesScale => vec![1.0],
             VehicleField::Load => vec![vehicle.mass_kg() / vehicle.class.mass_kg()],
-            VehicleField::BrakeOffset => vec![vehicle.max_brake_mps2() - vehicle.class.max_brake_mps2()],
-            VehicleField::PiecesOnset => {
-                pieces_mut(&mut vehicle.driver).and_then(|pieces| pieces.from_s.first().copied()).into_iter().collect()
+            VehicleField::BrakeOffset => {
+                vec![vehicle.max_brake_mps2() - vehicle.class.max_brake_mps2()]
             }
+            VehicleField::PiecesOnset => pieces_mut(&mut vehicle.driver)
+                .and_then(|pieces| pieces.from_s.first().copied())
+                .into_iter()
+                .collect(),
             _ => {
                 let unit = field.size_of_one(&vehicle, spec.environment.friction);
-                field.numbers_mut(&mut vehicle).iter().map(|number| *number / unit).collect()
+                field
+                    .numbers_mut(&mut vehicle)
+                    .iter()
+                    .map(|number| *number / unit)
+                    .collect()
             }
         }
     }
@@ -263,7 +316,10 @@ impl FieldTarget {
         use VehicleField as F;
         match self {
             Self::Scenario(_) | Self::AllVehicles(_) => None,
-            Self::Vehicle(_, F::Number(_) | F::LaneChange(_) | F::Class | F::Size | F::Gap | F::TimeGap) => None,
+            Self::Vehicle(
+                _,
+                F::Number(_) | F::LaneChange(_) | F::Class | F::Size | F::Gap | F::TimeGap,
+            ) => None,
             Self::Vehicle(_, F::ClosingTime | F::SpeedShare | F::Load | F::BrakeOffset) => None,
             Self::Vehicle(index, _) => Some(index),
         }

@@ -21,14 +21,27 @@ pub fn load(path: &Path) -> Result<ScenarioSpace, FileError> {
 pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, FileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    ScenarioSpace::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| match start_refused {
-        Some(refused) => {
-            let line = line_in_toml(text, &field);
-            let invalid = InvalidField { field, problem: refused.into() };
-            FileError::Invalid { path: path.to_owned(), line, invalid }
-        }
-        None => FileError::from_field(path, text, &field, problem),
-    })
+    ScenarioSpace::new(spec, folder).map_err(
+        |InvalidSpace {
+             field,
+             problem,
+             start_refused,
+         }| match start_refused {
+            Some(refused) => {
+                let line = line_in_toml(text, &field);
+                let invalid = InvalidField {
+                    field,
+                    problem: refused.into(),
+                };
+                FileError::Invalid {
+                    path: path.to_owned(),
+                    line,
+                    invalid,
+                }
+            }
+            None => FileError::from_field(path, text, &field, problem),
+        },
+    )
 }
 
 /// Serializes the space as TOML, with its base scenario inline.

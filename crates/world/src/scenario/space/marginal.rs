@@ -70,7 +70,9 @@ impl MixturePosition {
     fn to_unit(self, slice: f64, is_first: bool) -> f64 {
         match self {
             Self::PointMass(within) if is_first => within.min(1.0 - f64::EPSILON) * slice,
-            Self::PointMass(within) => (1.0 - slice + within * slice).max((1.0 - slice).next_up()).min(1.0),
+            Self::PointMass(within) => (1.0 - slice + within * slice)
+                .max((1.0 - slice).next_up())
+                .min(1.0),
             Self::Others(within) if is_first => (slice + within * (1.0 - slice)).min(1.0),
             Self::Others(within) => within * (1.0 - slice),
         }
@@ -110,7 +112,11 @@ impl ContinuousDistribution {
             Self::LogNormal(law) => law.inverse_cdf(share),
             Self::Gamma(law) => {
                 let least = 2.0 * MIN_SCALED / law.rate();
-                if self.cdf(least) >= share { least } else { law.inverse_cdf(share) }
+                if self.cdf(least) >= share {
+                    least
+                } else {
+                    law.inverse_cdf(share)
+                }
             }
             Self::Weibull(law) => law.inverse_cdf(share),
         }
@@ -128,14 +134,20 @@ impl ContinuousDistribution {
     /// Returns the smallest value at which the density of a range from `low` is evaluated: positive distributions may
     /// be unbounded at 0.
     fn min_pdf_argument(&self, low: f64, high: f64) -> f64 {
-        if matches!(self, Self::Normal(_)) { low } else { low.max(1e-9 * high) }
+        if matches!(self, Self::Normal(_)) {
+            low
+        } else {
+            low.max(1e-9 * high)
+        }
     }
 }
 
 impl CoordinateMarginal {
     pub(super) fn low(&self) -> f64 {
         match self {
-            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Truncated { low, .. } => *low,
+            Self::Uniform { low, .. }
+            | Self::LogUniform { low, .. }
+            | Self::Truncated { low, .. } => *low,
             Self::Histogram { edges, .. } => edges.first().copied().unwrap_or(f64::NAN),
             Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
             Self::PointMass { at, others, .. } => at.min(others.low()),
@@ -144,7 +156,9 @@ impl CoordinateMarginal {
 
     pub(super) fn high(&self) -> f64 {
         match self {
-            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Truncated { high, .. } => *high,
+            Self::Uniform { high, .. }
+            | Self::LogUniform { high, .. }
+            | Self::Truncated { high, .. } => *high,
             Self::Histogram { edges, .. } => edges.last().copied().unwrap_or(f64::NAN),
             Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             Self::PointMass { at, others, .. } => at.max(others.high()),
@@ -159,17 +173,22 @@ impl CoordinateMarginal {
                 (low + u * (high - low)).clamp(*low, *high)
             }
             Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
-            Self::Histogram { .. } => (self.low() + u * (self.high() - self.low())).clamp(self.low(), self.high()),
+            Self::Histogram { .. } => {
+                (self.low() + u * (self.high() - self.low())).clamp(self.low(), self.high())
+            }
             Self::Choice { values, .. } => {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
                 values.get(index).copied().unwrap_or(f64::NAN)
             }
-            Self::PointMass { at, is_first, others, .. } => {
-                match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
-                    MixturePosition::PointMass(_) => *at,
-                    MixturePosition::Others(within) => others.value(within),
-                }
-            }
+            Self::PointMass {
+                at,
+                is_first,
+                others,
+                ..
+            } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                MixturePosition::PointMass(_) => *at,
+                MixturePosition::Others(within) => others.value(within),
+            },
         }
     }
 
@@ -179,19 +198,30 @@ impl CoordinateMarginal {
             Self::Uniform { low, high } | Self::Truncated { low, high, .. } => {
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
             }
-            Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
-            Self::Histogram { .. } => ((value - self.low()) / (self.high() - self.low())).clamp(0.0, 1.0),
+            Self::LogUniform { low, high } => {
+                (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0)
+            }
+            Self::Histogram { .. } => {
+                ((value - self.low()) / (self.high() - self.low())).clamp(0.0, 1.0)
+            }
             Self::Choice { values, .. } => {
-                let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
-                let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
+                let distance = |index: &usize| {
+                    values
+                        .get(*index)
+                        .map_or(f64::INFINITY, |v| (v - value).abs())
+                };
+                let nearest = (0..values.len())
+                    .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                    .unwrap_or(0);
                 (nearest as f64 + 0.5) / values.len() as f64
             }
             Self::PointMass { at, is_first, .. } if value == *at => {
                 MixturePosition::PointMass(0.5).to_unit(POINT_MASS_WIDTH, *is_first)
             }
-            Self::PointMass { is_first, others, .. } => {
-                MixturePosition::Others(others.coordinate(value)).to_unit(POINT_MASS_WIDTH, *is_first)
-            }
+            Self::PointMass {
+                is_first, others, ..
+            } => MixturePosition::Others(others.coordinate(value))
+                .to_unit(POINT_MASS_WIDTH, *is_first),
         }
     }
 
@@ -201,11 +231,21 @@ impl CoordinateMarginal {
         let u = u.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Truncated { low, high, distribution: law, cdf_low: below, mass } => {
-                let value = law.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
+            Self::Truncated {
+                low,
+                high,
+                distribution: law,
+                cdf_low: below,
+                mass,
+            } => {
+                let value = law
+                    .inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
             }
-            Self::Histogram { edges, probabilities } => {
+            Self::Histogram {
+                edges,
+                probabilities,
+            } => {
                 let mut before = 0.0;
                 for (bin, share) in edges.windows(2).zip(probabilities) {
                     if u <= before + share && *share > 0.0 {
@@ -215,24 +255,35 @@ impl CoordinateMarginal {
                 }
                 1.0
             }
-            Self::Choice { probabilities: shares, .. } => {
+            Self::Choice {
+                probabilities: shares,
+                ..
+            } => {
                 let mut before = 0.0;
                 for (index, share) in shares.iter().enumerate() {
                     if u < before + share || index + 1 == shares.len() {
-                        let within = if *share > 0.0 { ((u - before) / share).clamp(0.0, 1.0) } else { 0.5 };
-                        return (index as f64 + within.min(1.0 - f64::EPSILON)) / shares.len() as f64;
+                        let within = if *share > 0.0 {
+                            ((u - before) / share).clamp(0.0, 1.0)
+                        } else {
+                            0.5
+                        };
+                        return (index as f64 + within.min(1.0 - f64::EPSILON))
+                            / shares.len() as f64;
                     }
                     before += share;
                 }
                 1.0
             }
-            Self::PointMass { probability: share, is_first, others, .. } => {
-                match MixturePosition::from_unit(u, *share, *is_first) {
-                    MixturePosition::Others(within) => MixturePosition::Others(others.quantile(within)),
-                    point => point,
-                }
-                .to_unit(POINT_MASS_WIDTH, *is_first)
+            Self::PointMass {
+                probability: share,
+                is_first,
+                others,
+                ..
+            } => match MixturePosition::from_unit(u, *share, *is_first) {
+                MixturePosition::Others(within) => MixturePosition::Others(others.quantile(within)),
+                point => point,
             }
+            .to_unit(POINT_MASS_WIDTH, *is_first),
         }
     }
 
@@ -240,38 +291,64 @@ impl CoordinateMarginal {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Truncated { distribution: law, cdf_low: below, mass, .. } => {
-                ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0)
-            }
-            Self::Histogram { edges, probabilities } => {
+            Self::Truncated {
+                distribution: law,
+                cdf_low: below,
+                mass,
+                ..
+            } => ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0),
+            Self::Histogram {
+                edges,
+                probabilities,
+            } => {
                 let value = self.value(u);
                 let within = |bin: &[f64]| ((value - bin[0]) / (bin[1] - bin[0])).clamp(0.0, 1.0);
-                let shares = edges.windows(2).zip(probabilities).map(|(bin, share)| within(bin) * share);
+                let shares = edges
+                    .windows(2)
+                    .zip(probabilities)
+                    .map(|(bin, share)| within(bin) * share);
                 shares.sum::<f64>().clamp(0.0, 1.0)
             }
-            Self::Choice { probabilities: shares, .. } => {
+            Self::Choice {
+                probabilities: shares,
+                ..
+            } => {
                 let place = u * shares.len() as f64;
                 let index = (place as usize).min(shares.len() - 1);
                 let before: f64 = shares.iter().take(index).sum();
                 let share = shares.get(index).copied().unwrap_or(0.0);
                 (before + share * (place - index as f64)).clamp(0.0, 1.0)
             }
-            Self::PointMass { probability: share, is_first, others, .. } => {
-                match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
-                    MixturePosition::Others(within) => MixturePosition::Others(others.cdf(within)),
-                    point => point,
-                }
-                .to_unit(*share, *is_first)
+            Self::PointMass {
+                probability: share,
+                is_first,
+                others,
+                ..
+            } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                MixturePosition::Others(within) => MixturePosition::Others(others.cdf(within)),
+                point => point,
             }
+            .to_unit(*share, *is_first),
         }
     }
 
     /// Returns the probability of values up to `value`.
     pub(super) fn cdf_of_value(&self, value: f64) -> f64 {
         match self {
-            Self::PointMass { at, is_first: true, .. } if value < *at => 0.0,
-            Self::PointMass { at, probability: share, is_first: true, .. } if value == *at => *share,
-            Self::PointMass { at, is_first: false, .. } if value >= *at => 1.0,
+            Self::PointMass {
+                at, is_first: true, ..
+            } if value < *at => 0.0,
+            Self::PointMass {
+                at,
+                probability: share,
+                is_first: true,
+                ..
+            } if value == *at => *share,
+            Self::PointMass {
+                at,
+                is_first: false,
+                ..
+            } if value >= *at => 1.0,
             _ => self.cdf(self.coordinate(value)),
         }
     }
@@ -282,22 +359,49 @@ impl CoordinateMarginal {
     pub(super) fn ln_density(&self, coordinate: f64) -> f64 {
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => 0.0,
-            Self::Truncated { low, high, distribution: law, mass, .. } => {
-                let value = self.value(coordinate).max(law.min_pdf_argument(*low, *high));
+            Self::Truncated {
+                low,
+                high,
+                distribution: law,
+                mass,
+                ..
+            } => {
+                let value = self
+                    .value(coordinate)
+                    .max(law.min_pdf_argument(*low, *high));
                 law.ln_pdf(value) - mass.ln() + (high - low).ln()
             }
-            Self::Histogram { edges, probabilities } => {
+            Self::Histogram {
+                edges,
+                probabilities,
+            } => {
                 let value = self.value(coordinate);
-                let bin = edges.windows(2).zip(probabilities).find(|(bin, _)| value <= bin[1]);
+                let bin = edges
+                    .windows(2)
+                    .zip(probabilities)
+                    .find(|(bin, _)| value <= bin[1]);
                 let density = bin.map_or(0.0, |(bin, share)| share / (bin[1] - bin[0]));
                 (density * (self.high() - self.low())).ln()
             }
-            Self::Choice { probabilities: shares, .. } => {
-                let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
+            Self::Choice {
+                probabilities: shares,
+                ..
+            } => {
+                let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize)
+                    .min(shares.len() - 1);
                 (shares.get(index).copied().unwrap_or(0.0) * shares.len() as f64).ln()
             }
-            Self::PointMass { probability: share, is_first, others, .. } => {
-                match MixturePosition::from_unit(coordinate.clamp(0.0, 1.0), POINT_MASS_WIDTH, *is_first) {
+            Self::PointMass {
+                probability: share,
+                is_first,
+                others,
+                ..
+            } => {
+                match MixturePosition::from_unit(
+                    coordinate.clamp(0.0, 1.0),
+                    POINT_MASS_WIDTH,
+                    *is_first,
+                ) {
                     MixturePosition::PointMass(_) => (share / POINT_MASS_WIDTH).ln(),
                     MixturePosition::Others(within) => {
                         ((1.0 - share) / (1.0 - POINT_MASS_WIDTH)).ln() + others.ln_density(within)

@@ -70,16 +70,17 @@ use std::ops::Range;
 use rand::RngExt;
 
 pub use built_in::{
-    BUILT_IN_SPACES, FindSpaceError, HUMAN_SPACES, built_in_space, built_in_space_names, built_in_space_summary,
-    find_space,
+    BUILT_IN_SPACES, FindSpaceError, HUMAN_SPACES, built_in_space, built_in_space_names,
+    built_in_space_summary, find_space,
 };
 pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 pub use parameter_distribution::ParameterDistribution;
 pub use spec::{
-    Base, ChoiceSpec, DistributionSpec, DriverName, HistogramSpec, LogNormalSpec, NormalSpec, ParameterSpec,
-    ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec, UniformSpec,
+    Base, ChoiceSpec, DistributionSpec, DriverName, HistogramSpec, LogNormalSpec, NormalSpec,
+    ParameterSpec, ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec,
+    UniformSpec,
 };
 
 use self::copula::Copula;
@@ -189,7 +190,9 @@ impl SpaceParameter {
     pub fn format_value(&self, value: f64) -> String {
         let name = match self.target.kind() {
             ValueKind::Number => None,
-            ValueKind::Class => VehicleClass::ALL.get(value as usize).map(|class| class.name()),
+            ValueKind::Class => VehicleClass::ALL
+                .get(value as usize)
+                .map(|class| class.name()),
             ValueKind::Driver => DriverName::from_number(value).map(DriverName::name),
         };
         name.map_or_else(|| value.to_string(), str::to_owned)
@@ -199,7 +202,9 @@ impl SpaceParameter {
 /// Returns the unit of a field that may vary, `path`, for the given base scenario; `None` if it may not vary.
 #[must_use]
 pub fn field_unit(path: &str, base: &ScenarioSpec) -> Option<&'static str> {
-    field::ParameterField::resolve(path, base).ok().map(|field| field.unit)
+    field::ParameterField::resolve(path, base)
+        .ok()
+        .map(|field| field.unit)
 }
 
 impl ScenarioSpace {
@@ -224,7 +229,9 @@ impl ScenarioSpace {
     /// Returns the number of coordinates of a point, at least one.
     #[must_use]
     pub fn dimension(&self) -> usize {
-        self.parameters.last().map_or(0, |parameter| parameter.coordinates.end)
+        self.parameters
+            .last()
+            .map_or(0, |parameter| parameter.coordinates.end)
     }
 
     /// Returns a name for each coordinate: the parameter's, with the number of the piece for a signal.
@@ -233,7 +240,9 @@ impl ScenarioSpace {
         let name = |parameter: &SpaceParameter| -> Vec<String> {
             match parameter.coordinates.len() {
                 1 => vec![parameter.name.clone()],
-                pieces => (0..pieces).map(|piece| format!("{}_{piece}", parameter.name)).collect(),
+                pieces => (0..pieces)
+                    .map(|piece| format!("{}_{piece}", parameter.name))
+                    .collect(),
             }
         };
         self.parameters.iter().flat_map(name).collect()
@@ -241,7 +250,9 @@ impl ScenarioSpace {
 
     /// Returns the parameter of each coordinate.
     pub fn coordinate_parameters(&self) -> impl Iterator<Item = &SpaceParameter> {
-        self.parameters.iter().flat_map(|parameter| std::iter::repeat_n(parameter, parameter.coordinates.len()))
+        self.parameters
+            .iter()
+            .flat_map(|parameter| std::iter::repeat_n(parameter, parameter.coordinates.len()))
     }
 
     /// Returns the space with another noise seed for its scenarios.
@@ -255,7 +266,10 @@ impl ScenarioSpace {
     /// Returns the nominal values, one for each coordinate.
     #[must_use]
     pub fn nominal(&self) -> Vec<f64> {
-        self.parameters.iter().flat_map(|parameter| parameter.nominal.iter().copied()).collect()
+        self.parameters
+            .iter()
+            .flat_map(|parameter| parameter.nominal.iter().copied())
+            .collect()
     }
 
     /// Returns the values at a point. Missing coordinates are nominal; coordinates outside [0, 1] are clipped.
@@ -273,7 +287,9 @@ impl ScenarioSpace {
     #[must_use]
     pub fn point(&self, values: &[f64]) -> Vec<f64> {
         let pairs = self.coordinate_parameters().zip(values);
-        pairs.map(|(parameter, &value)| parameter.marginal.coordinate(value)).collect()
+        pairs
+            .map(|(parameter, &value)| parameter.marginal.coordinate(value))
+            .collect()
     }
 
     /// Returns true if all values, one for each coordinate, are in the space: within the range, or among those of a
@@ -308,7 +324,11 @@ impl ScenarioSpace {
     ///
     /// # Errors
     /// None, as for [`ScenarioSpace::scenario_at`].
-    pub fn scenario_at_with_seed(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
+    pub fn scenario_at_with_seed(
+        &self,
+        point: &[f64],
+        seed: u64,
+    ) -> Result<Scenario, InvalidField> {
         let mut spec = self.fill_template(&self.values(point));
         // TOML integers are signed.
         spec.seed = seed & i64::MAX as u64;
@@ -320,16 +340,27 @@ impl ScenarioSpace {
     pub fn quantile(&self, uniform: &[f64]) -> Vec<f64> {
         let depending = self.copula.as_ref().map(|copula| copula.correlate(uniform));
         let shares = depending.as_deref().unwrap_or(uniform);
-        self.coordinate_parameters().zip(shares).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
+        self.coordinate_parameters()
+            .zip(shares)
+            .map(|(parameter, &u)| parameter.marginal.quantile(u))
+            .collect()
     }
 
     /// Returns the logarithm of the density at a point, relative to the uniform distribution over all ranges.
     #[must_use]
     pub fn ln_likelihood(&self, point: &[f64]) -> f64 {
-        let apart: f64 =
-            self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.ln_density(x)).sum();
-        let Some(copula) = &self.copula else { return apart };
-        let below = self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.cdf(x));
+        let apart: f64 = self
+            .coordinate_parameters()
+            .zip(point)
+            .map(|(parameter, &x)| parameter.marginal.ln_density(x))
+            .sum();
+        let Some(copula) = &self.copula else {
+            return apart;
+        };
+        let below = self
+            .coordinate_parameters()
+            .zip(point)
+            .map(|(parameter, &x)| parameter.marginal.cdf(x));
         apart + copula.ln_density(&below.collect::<Vec<_>>())
     }
 
@@ -356,8 +387,17 @@ impl ScenarioSpace {
 
     fn fill_template(&self, values: &[f64]) -> ScenarioSpec {
         let mut spec = self.template.clone();
-        for parameter in self.order.iter().filter_map(|&index| self.parameters.get(index)) {
-            parameter.target.set(&mut spec, values.get(parameter.coordinates.clone()).unwrap_or_default());
+        for parameter in self
+            .order
+            .iter()
+            .filter_map(|&index| self.parameters.get(index))
+        {
+            parameter.target.set(
+                &mut spec,
+                values
+                    .get(parameter.coordinates.clone())
+                    .unwrap_or_default(),
+            );
         }
         if self.uses_gaps {
             let mut rear_bumper_m = 0.0;

@@ -86,24 +86,40 @@ pub struct ObservedParameter {
 
 impl DrivingExposure {
     pub(super) fn check(&self) -> Result<(), InvalidSpace> {
-        let above =
-            |field: &str, found: f64, least: bool| match found.is_finite() && (found > 0.0 || least && found == 0.0) {
-                true => Ok(()),
-                false => reject(field, format!("must be a finite number above 0, found {}", format_compact(found))),
-            };
+        let above = |field: &str, found: f64, least: bool| match found.is_finite()
+            && (found > 0.0 || least && found == 0.0)
+        {
+            true => Ok(()),
+            false => reject(
+                field,
+                format!(
+                    "must be a finite number above 0, found {}",
+                    format_compact(found)
+                ),
+            ),
+        };
         if self.episodes == 0 {
             return reject("exposure.episodes", "must be at least 1, found 0");
         }
         above("exposure.hours", self.hours, false)?;
         above("exposure.kilometres", self.kilometres, false)?;
         if self.sources.len() > MAX_SOURCES {
-            return reject("exposure.sources", format!("must be at most {MAX_SOURCES}, found {}", self.sources.len()));
+            return reject(
+                "exposure.sources",
+                format!(
+                    "must be at most {MAX_SOURCES}, found {}",
+                    self.sources.len()
+                ),
+            );
         }
         for (index, source) in self.sources.iter().enumerate() {
             let at = |field: &str| format!("exposure.sources[{index}].{field}");
             let length = source.name.chars().count();
             if !(1..=200).contains(&length) || source.name.chars().any(char::is_control) {
-                return reject(at("name"), "must have 1 to 200 characters, none of them a control character");
+                return reject(
+                    at("name"),
+                    "must have 1 to 200 characters, none of them a control character",
+                );
             }
             above(&at("hours"), source.hours, true)?;
             above(&at("kilometres"), source.kilometres, true)?;
@@ -113,15 +129,31 @@ impl DrivingExposure {
         }
         let sum = |of: fn(&SourceExposure) -> f64| self.sources.iter().map(of).sum::<f64>();
         for (field, all, found) in [
-            ("exposure.episodes", self.episodes as f64, sum(|source| source.episodes as f64)),
+            (
+                "exposure.episodes",
+                self.episodes as f64,
+                sum(|source| source.episodes as f64),
+            ),
             ("exposure.hours", self.hours, sum(|source| source.hours)),
-            ("exposure.kilometres", self.kilometres, sum(|source| source.kilometres)),
-            ("exposure.left_out", self.undescribed_brakings as f64, sum(|source| source.undescribed_brakings as f64)),
+            (
+                "exposure.kilometres",
+                self.kilometres,
+                sum(|source| source.kilometres),
+            ),
+            (
+                "exposure.left_out",
+                self.undescribed_brakings as f64,
+                sum(|source| source.undescribed_brakings as f64),
+            ),
         ] {
             if (all - found).abs() > 1e-6 * all {
                 return reject(
                     field,
-                    format!("is {}, and the sources add up to {}", format_compact(all), format_compact(found)),
+                    format!(
+                        "is {}, and the sources add up to {}",
+                        format_compact(all),
+                        format_compact(found)
+                    ),
                 );
             }
         }
@@ -133,15 +165,25 @@ impl ObservedData {
     pub(super) fn check(&self, space: &SpaceSpec) -> Result<(), InvalidSpace> {
         let episodes = self.braking_clusters.len();
         if !(2..=MAX_EPISODES).contains(&episodes) {
-            return reject("observed.waves", format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"));
+            return reject(
+                "observed.waves",
+                format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"),
+            );
         }
-        if let Some(cluster) = self.braking_clusters.iter().find(|cluster| **cluster as usize >= episodes) {
+        if let Some(cluster) = self
+            .braking_clusters
+            .iter()
+            .find(|cluster| **cluster as usize >= episodes)
+        {
             return reject(
                 "observed.waves",
                 format!("must be below the number of episodes, {episodes}, found {cluster}"),
             );
         }
-        if let Some(found) = self.search_share.filter(|share| !(0.5..1.0).contains(share)) {
+        if let Some(found) = self
+            .search_share
+            .filter(|share| !(0.5..1.0).contains(share))
+        {
             return reject(
                 "observed.search_share",
                 format!("must be from 0.5, below 1, found {}", format_compact(found)),
@@ -151,18 +193,32 @@ impl ObservedData {
             && exposure.episodes != episodes as u64
         {
             let found = exposure.episodes;
-            return reject("exposure.episodes", format!("is {found}, and {episodes} are observed"));
+            return reject(
+                "exposure.episodes",
+                format!("is {found}, and {episodes} are observed"),
+            );
         }
         if self.parameters.is_empty() {
             return reject("observed.parameters", "must have at least one");
         }
         for (index, parameter) in self.parameters.iter().enumerate() {
             let at = |field: &str| format!("observed.parameters[{index}].{field}");
-            let ObservedParameter { name, low, high, point_mass, values } = parameter;
+            let ObservedParameter {
+                name,
+                low,
+                high,
+                point_mass,
+                values,
+            } = parameter;
             if !space.parameters.iter().any(|known| known.name == *name) {
                 return reject(at("name"), format!("there is no parameter `{name}`"));
             }
-            if self.parameters.iter().take(index).any(|known| known.name == *name) {
+            if self
+                .parameters
+                .iter()
+                .take(index)
+                .any(|known| known.name == *name)
+            {
                 return reject(at("name"), format!("`{name}` is named twice"));
             }
             if !(low.is_finite() && high.is_finite() && low < high) {
@@ -174,15 +230,32 @@ impl ObservedData {
                 return reject(at("low"), problem);
             }
             if let Some(found) = point_mass.filter(|point| point != low && point != high) {
-                let (low, high, found) = (format_compact(*low), format_compact(*high), format_compact(found));
-                return reject(at("point_mass"), format!("must be {low} or {high}, found {found}"));
+                let (low, high, found) = (
+                    format_compact(*low),
+                    format_compact(*high),
+                    format_compact(found),
+                );
+                return reject(
+                    at("point_mass"),
+                    format!("must be {low} or {high}, found {found}"),
+                );
             }
             if values.len() != episodes {
-                return reject(at("values"), format!("must be {episodes}, one an episode, found {}", values.len()));
+                return reject(
+                    at("values"),
+                    format!("must be {episodes}, one an episode, found {}", values.len()),
+                );
             }
             if let Some(found) = values.iter().find(|value| !(low..=high).contains(value)) {
-                let (low, high, found) = (format_compact(*low), format_compact(*high), format_compact(*found));
-                return reject(at("values"), format!("must be from {low} to {high}, found {found}"));
+                let (low, high, found) = (
+                    format_compact(*low),
+                    format_compact(*high),
+                    format_compact(*found),
+                );
+                return reject(
+                    at("values"),
+                    format!("must be from {low} to {high}, found {found}"),
+                );
             }
         }
         Ok(())

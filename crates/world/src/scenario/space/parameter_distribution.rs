@@ -37,7 +37,9 @@ impl ParameterDistribution {
     pub fn truncation_mass(&self) -> f64 {
         match &self.0 {
             CoordinateMarginal::Truncated { mass, .. } => *mass,
-            CoordinateMarginal::PointMass { others, .. } => Self((**others).clone()).truncation_mass(),
+            CoordinateMarginal::PointMass { others, .. } => {
+                Self((**others).clone()).truncation_mass()
+            }
             _ => 1.0,
         }
     }

@@ -20,14 +20,29 @@ pub(super) struct LikelihoodRegion {
 impl LikelihoodRegion {
     pub(super) fn new(space: &ScenarioSpace, observed: &ObservedData) -> Option<Self> {
         let share = observed.search_share?;
-        let of_observed = |name: &str| observed.parameters.iter().any(|parameter| parameter.name == name);
-        let mut coordinates: Vec<usize> =
-            space.parameters.iter().filter(|one| of_observed(&one.name)).flat_map(|one| one.coordinates()).collect();
+        let of_observed = |name: &str| {
+            observed
+                .parameters
+                .iter()
+                .any(|parameter| parameter.name == name)
+        };
+        let mut coordinates: Vec<usize> = space
+            .parameters
+            .iter()
+            .filter(|one| of_observed(&one.name))
+            .flat_map(|one| one.coordinates())
+            .collect();
         coordinates.extend(space.copula.iter().flat_map(|copula| copula.coordinates()));
         coordinates.sort_unstable();
         coordinates.dedup();
-        let radius = ChiSquared::new(coordinates.len() as f64).ok()?.inverse_cdf(share).sqrt();
-        Some(Self { radius, coordinates })
+        let radius = ChiSquared::new(coordinates.len() as f64)
+            .ok()?
+            .inverse_cdf(share)
+            .sqrt();
+        Some(Self {
+            radius,
+            coordinates,
+        })
     }
 }
 
@@ -38,10 +53,15 @@ impl ScenarioSpace {
     #[must_use]
     pub fn search_point(&self, point: &[f64]) -> Vec<f64> {
         let mut narrowed = point.to_vec();
-        let Some(region) = &self.region else { return narrowed };
-        let [below, above] = [-region.radius, region.radius].map(|score| Gauss::standard().cdf(score));
+        let Some(region) = &self.region else {
+            return narrowed;
+        };
+        let [below, above] =
+            [-region.radius, region.radius].map(|score| Gauss::standard().cdf(score));
         for &index in &region.coordinates {
-            let Some(parameter) = self.coordinate_parameters().nth(index) else { continue };
+            let Some(parameter) = self.coordinate_parameters().nth(index) else {
+                continue;
+            };
             let [low, high] = [below, above].map(|share| parameter.marginal.quantile(share));
             if let Some(coordinate) = narrowed.get_mut(index) {
                 *coordinate = low + coordinate.clamp(0.0, 1.0) * (high - low);
@@ -52,10 +72,14 @@ impl ScenarioSpace {
             return narrowed;
         }
         let factor = INSIDE * region.radius / distance;
-        scores.iter_mut().for_each(|score| *score = Gauss::standard().cdf(factor * *score));
+        scores
+            .iter_mut()
+            .for_each(|score| *score = Gauss::standard().cdf(factor * *score));
         let projected = self.quantile(&scores);
         for &index in &region.coordinates {
-            if let (Some(coordinate), Some(inside)) = (narrowed.get_mut(index), projected.get(index)) {
+            if let (Some(coordinate), Some(inside)) =
+                (narrowed.get_mut(index), projected.get(index))
+            {
                 *coordinate = *inside;
             }
         }
@@ -65,19 +89,30 @@ impl ScenarioSpace {
     /// Returns true if a search may evaluate the point, up to rounding.
     #[must_use]
     pub fn is_in_search_region(&self, point: &[f64]) -> bool {
-        self.region.as_ref().is_none_or(|region| self.scores(point, region).1 <= region.radius * (1.0 + 1e-6))
+        self.region
+            .as_ref()
+            .is_none_or(|region| self.scores(point, region).1 <= region.radius * (1.0 + 1e-6))
     }
 
     /// Returns the independent normal scores of a point, and their distance from the median.
     fn scores(&self, point: &[f64], region: &LikelihoodRegion) -> (Vec<f64>, f64) {
-        let below: Vec<f64> =
-            self.coordinate_parameters().zip(point).map(|(parameter, &at)| parameter.marginal.cdf(at)).collect();
-        let score = |share: &f64| Gauss::standard().inverse_cdf(share.clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
+        let below: Vec<f64> = self
+            .coordinate_parameters()
+            .zip(point)
+            .map(|(parameter, &at)| parameter.marginal.cdf(at))
+            .collect();
+        let score = |share: &f64| {
+            Gauss::standard().inverse_cdf(share.clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON))
+        };
         let mut scores: Vec<f64> = below.iter().map(score).collect();
         if let Some(copula) = &self.copula {
             copula.decorrelate(&below, &mut scores);
         }
-        let squares = region.coordinates.iter().filter_map(|&index| scores.get(index)).map(|score| score * score);
+        let squares = region
+            .coordinates
+            .iter()
+            .filter_map(|&index| scores.get(index))
+            .map(|score| score * score);
         let distance = squares.sum::<f64>().sqrt();
         (scores, distance)
     }
@@ -85,15 +120,30 @@ impl ScenarioSpace {
     /// Returns the smallest and largest observed value of a parameter; `None` unless the space was fitted.
     #[must_use]
     pub fn observed_range(&self, parameter: &str) -> Option<[f64; 2]> {
-        let observed = self.spec.observed.as_ref()?.parameters.iter().find(|one| one.name == parameter)?;
-        let low = observed.values.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = observed.values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let observed = self
+            .spec
+            .observed
+            .as_ref()?
+            .parameters
+            .iter()
+            .find(|one| one.name == parameter)?;
+        let low = observed
+            .values
+            .iter()
+            .copied()
+            .fold(f64::INFINITY, f64::min);
+        let high = observed
+            .values
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
         Some([low, high])
     }
 
     /// Returns the smallest and largest observed value of a parameter, if `value` is outside them.
     #[must_use]
     pub fn extrapolated_range(&self, parameter: &str, value: f64) -> Option<[f64; 2]> {
-        self.observed_range(parameter).filter(|[low, high]| !(*low..=*high).contains(&value))
+        self.observed_range(parameter)
+            .filter(|[low, high]| !(*low..=*high).contains(&value))
     }
 }

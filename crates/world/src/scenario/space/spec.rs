@@ -16,7 +16,10 @@ pub const SPACE_VERSION: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a space: a table of fields")]
-#[cfg_attr(feature = "schema", schemars(rename = "Space", title = "crumple search space, version 1"))]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "Space", title = "crumple search space, version 1")
+)]
 pub struct SpaceSpec {
     /// Version of the file format: 1.
     pub version: u32,
@@ -190,7 +193,10 @@ pub struct ChoiceSpec {
 /// A value of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(untagged, expecting = "must be a number, a vehicle class or a built-in controller")]
+#[serde(
+    untagged,
+    expecting = "must be a number, a vehicle class or a built-in controller"
+)]
 pub enum ParameterValue {
     /// A number in the field's unit.
     Number(f64),
@@ -240,11 +246,16 @@ impl DriverName {
 
     /// Returns the index among the built-in controllers, which represents the name in points.
     pub(super) fn number(self) -> f64 {
-        ControllerSpec::all().iter().position(|spec| spec.name() == self.0).map_or(f64::NAN, |index| index as f64)
+        ControllerSpec::all()
+            .iter()
+            .position(|spec| spec.name() == self.0)
+            .map_or(f64::NAN, |index| index as f64)
     }
 
     pub(super) fn from_number(number: f64) -> Option<Self> {
-        ControllerSpec::all().get(number as usize).map(|spec| Self(spec.name()))
+        ControllerSpec::all()
+            .get(number as usize)
+            .map(|spec| Self(spec.name()))
     }
 }
 
@@ -257,7 +268,8 @@ impl Serialize for DriverName {
 impl<'de> Deserialize<'de> for DriverName {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let name = String::deserialize(deserializer)?;
-        Self::find(&name).ok_or_else(|| de::Error::custom(format!("there is no controller `{name}`")))
+        Self::find(&name)
+            .ok_or_else(|| de::Error::custom(format!("there is no controller `{name}`")))
     }
 }
 
@@ -269,30 +281,77 @@ impl fmt::Display for DistributionSpec {
             Self::LogUniform(UniformSpec { low, high }) => {
                 write!(out, "{low} to {high}, evenly on a logarithmic scale")
             }
-            Self::Normal(NormalSpec { mean, deviation, low, high }) => {
+            Self::Normal(NormalSpec {
+                mean,
+                deviation,
+                low,
+                high,
+            }) => {
                 write!(out, "{low} to {high}, normal: {mean} ± {deviation}")
             }
-            Self::LogNormal(LogNormalSpec { ln_mean, ln_deviation, low, high }) => {
-                write!(out, "{low} to {high}, log-normal: logarithm {ln_mean} ± {ln_deviation}")
+            Self::LogNormal(LogNormalSpec {
+                ln_mean,
+                ln_deviation,
+                low,
+                high,
+            }) => {
+                write!(
+                    out,
+                    "{low} to {high}, log-normal: logarithm {ln_mean} ± {ln_deviation}"
+                )
             }
-            Self::Gamma(ShapeScaleSpec { shape, scale, low, high }) => {
+            Self::Gamma(ShapeScaleSpec {
+                shape,
+                scale,
+                low,
+                high,
+            }) => {
                 write!(out, "{low} to {high}, gamma: shape {shape}, scale {scale}")
             }
-            Self::Weibull(ShapeScaleSpec { shape, scale, low, high }) => {
-                write!(out, "{low} to {high}, Weibull: shape {shape}, scale {scale}")
+            Self::Weibull(ShapeScaleSpec {
+                shape,
+                scale,
+                low,
+                high,
+            }) => {
+                write!(
+                    out,
+                    "{low} to {high}, Weibull: shape {shape}, scale {scale}"
+                )
             }
             Self::Histogram(HistogramSpec { edges, weights }) => {
-                let [edges, weights] = [edges, weights].map(|list| list.iter().map(f64::to_string).collect::<Vec<_>>());
-                write!(out, "histogram with edges {} and weights {}", edges.join(", "), weights.join(", "))
+                let [edges, weights] = [edges, weights]
+                    .map(|list| list.iter().map(f64::to_string).collect::<Vec<_>>());
+                write!(
+                    out,
+                    "histogram with edges {} and weights {}",
+                    edges.join(", "),
+                    weights.join(", ")
+                )
             }
             Self::Choice(ChoiceSpec { values, weights }) => {
                 let words: Vec<String> = values.iter().map(ParameterValue::to_string).collect();
                 write!(out, "{}", words.join(" or "))?;
-                let weights = weights.iter().flatten().map(f64::to_string).collect::<Vec<_>>();
-                if weights.is_empty() { Ok(()) } else { write!(out, ", {}", weights.join(" to ")) }
+                let weights = weights
+                    .iter()
+                    .flatten()
+                    .map(f64::to_string)
+                    .collect::<Vec<_>>();
+                if weights.is_empty() {
+                    Ok(())
+                } else {
+                    write!(out, ", {}", weights.join(" to "))
+                }
             }
-            Self::PointMass(PointMassSpec { at, probability, others }) => {
-                write!(out, "{at} with probability {probability}, otherwise {others}")
+            Self::PointMass(PointMassSpec {
+                at,
+                probability,
+                others,
+            }) => {
+                write!(
+                    out,
+                    "{at} with probability {probability}, otherwise {others}"
+                )
             }
         }
     }
@@ -348,7 +407,10 @@ impl schemars::JsonSchema for DriverName {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        let names: Vec<_> = ControllerSpec::all().iter().map(ControllerSpec::name).collect();
+        let names: Vec<_> = ControllerSpec::all()
+            .iter()
+            .map(ControllerSpec::name)
+            .collect();
         schemars::json_schema!({ "description": "The name of a built-in controller.", "enum": names })
     }
 }

@@ -20,7 +20,9 @@ fn over_paper_1(parameters: &str) -> Result<ScenarioSpace, String> {
 
 fn parameter(field: &str, unit: &str, distribution: &str) -> String {
     let name: String = field.chars().filter(char::is_ascii_alphanumeric).collect();
-    format!("[[parameters]]\nname = \"{name}\"\nfield = \"{field}\"\nunit = \"{unit}\"\n{distribution}\n")
+    format!(
+        "[[parameters]]\nname = \"{name}\"\nfield = \"{field}\"\nunit = \"{unit}\"\n{distribution}\n"
+    )
 }
 
 #[test]
@@ -28,7 +30,9 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
     for name in built_in_space_names() {
         let space = space(name);
         assert_eq!(space.name(), name);
-        let Base::Inline(base) = &space.spec().base else { panic!("spelled out") };
+        let Base::Inline(base) = &space.spec().base else {
+            panic!("spelled out")
+        };
         let nominal = space.scenario(&space.nominal()).unwrap();
         for (found, expected) in nominal.vehicles().iter().zip(&base.vehicles) {
             assert!((found.position_m - expected.position_m).abs() < 1e-12);
@@ -75,15 +79,22 @@ fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
     a.sort_by(f64::total_cmp);
     b.sort_by(f64::total_cmp);
     let share = |of: &[f64], x: f64| of.partition_point(|y| *y <= x) as f64 / of.len() as f64;
-    a.iter().chain(&b).map(|&x| (share(&a, x) - share(&b, x)).abs()).fold(0.0, f64::max)
+    a.iter()
+        .chain(&b)
+        .map(|&x| (share(&a, x) - share(&b, x)).abs())
+        .fold(0.0, f64::max)
 }
 
 #[test]
 fn the_paper_space_has_the_distribution_of_the_paper() {
     const DRAWS: u64 = 4000;
     let space = space("paper");
-    let ours: Vec<_> = (0..DRAWS).map(|index| space.draw(7, index).unwrap()).collect();
-    let theirs: Vec<_> = (0..DRAWS).map(|index| PaperDistribution { seed: 8 }.draw(index).unwrap()).collect();
+    let ours: Vec<_> = (0..DRAWS)
+        .map(|index| space.draw(7, index).unwrap())
+        .collect();
+    let theirs: Vec<_> = (0..DRAWS)
+        .map(|index| PaperDistribution { seed: 8 }.draw(index).unwrap())
+        .collect();
     let brake = |s: &Scenario| match &s.vehicles()[0].driver {
         Driver::Profile(LeadProfile::Brake(brake)) => brake.clone(),
         other => panic!("{other:?}"),
@@ -102,21 +113,34 @@ fn the_paper_space_has_the_distribution_of_the_paper() {
     // Two samples of one distribution exceed this distance once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
     for (name, of) in quantities {
-        let found = ks_distance(ours.iter().map(of).collect(), theirs.iter().map(of).collect());
+        let found = ks_distance(
+            ours.iter().map(of).collect(),
+            theirs.iter().map(of).collect(),
+        );
         assert!(found < limit, "{name}: {found}");
     }
     let (ours, theirs) = (ours[0].spec(), theirs[0].spec());
-    assert_eq!((ours.duration_s, ours.step_s, &ours.sensors), (theirs.duration_s, theirs.step_s, &theirs.sensors));
+    assert_eq!(
+        (ours.duration_s, ours.step_s, &ours.sensors),
+        (theirs.duration_s, theirs.step_s, &theirs.sensors)
+    );
     for (ours, theirs) in ours.vehicles.iter().zip(&theirs.vehicles) {
         assert_eq!(ours.acceleration_noise_mps2, theirs.acceleration_noise_mps2);
-        assert_eq!((ours.speed_mps, ours.driver.name()), (theirs.speed_mps, theirs.driver.name()));
+        assert_eq!(
+            (ours.speed_mps, ours.driver.name()),
+            (theirs.speed_mps, theirs.driver.name())
+        );
     }
 }
 
 #[test]
 fn dependent_speeds_and_gaps_match_their_definition() {
     let number = |field: &str, unit: &str, nominal: f64| {
-        let plain = parameter(field, unit, "distribution.uniform = { low = 0.0, high = 100.0 }");
+        let plain = parameter(
+            field,
+            unit,
+            "distribution.uniform = { low = 0.0, high = 100.0 }",
+        );
         format!("{plain}nominal = {nominal}\n")
     };
     let base = "version = 1\nname = \"s\"\n[base]\nversion = 1\nname = \"s\"\nabout = \"\"\nduration_s = 10.0\n\
@@ -124,73 +148,161 @@ fn dependent_speeds_and_gaps_match_their_definition() {
         driver.brake-to-speed = { onset_s = 1.0, rate_mps2 = 3.0, final_speed_mps = 10.0 }\n\
         [[base.vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\ndriver = \"under-test\"\n";
     let shares = [
-        parameter("vehicles[0].speed_share", "1", "distribution.uniform = { low = 0.0, high = 1.0 }"),
+        parameter(
+            "vehicles[0].speed_share",
+            "1",
+            "distribution.uniform = { low = 0.0, high = 1.0 }",
+        ),
         parameter(
             "vehicles[0].driver.brake-to-speed.final_share",
             "1",
             "distribution.uniform = { low = 0.0, high = 1.0 }",
         ),
         number("vehicles[1].closing_time_s", "s", 5.0),
-        parameter("vehicles[*].speed_mps", "m/s", "distribution.uniform = { low = 1.0, high = 40.0 }"),
+        parameter(
+            "vehicles[*].speed_mps",
+            "m/s",
+            "distribution.uniform = { low = 1.0, high = 40.0 }",
+        ),
     ];
-    let space = file::from_toml(&format!("{base}{}", shares.concat()), Path::new("s.toml")).unwrap();
+    let space =
+        file::from_toml(&format!("{base}{}", shares.concat()), Path::new("s.toml")).unwrap();
     let found = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
-    assert_eq!([0, 1].map(|index| found.vehicles()[index].speed_mps), [15.0, 30.0]);
-    assert!((found.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9, "3 s at 15 m/s");
-    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &found.vehicles()[0].driver else { panic!("a script") };
+    assert_eq!(
+        [0, 1].map(|index| found.vehicles()[index].speed_mps),
+        [15.0, 30.0]
+    );
+    assert!(
+        (found.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9,
+        "3 s at 15 m/s"
+    );
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &found.vehicles()[0].driver else {
+        panic!("a script")
+    };
     assert!((brake.final_speed_mps - 6.0).abs() < 1e-12);
     let alongside = space.scenario(&[1.0, 0.4, 3.0, 30.0]).unwrap();
-    assert!((alongside.initial_gap_m(1).unwrap() - 2.0).abs() < 1e-9, "nobody closes in");
+    assert!(
+        (alongside.initial_gap_m(1).unwrap() - 2.0).abs() < 1e-9,
+        "nobody closes in"
+    );
     let standing = built_in_space("standing").unwrap();
     for index in 0..50 {
         let drawn = standing.draw(1, index).unwrap();
         let [lead, ego] = [0, 1].map(|vehicle| drawn.vehicles()[vehicle].speed_mps);
         let closing_s = drawn.initial_gap_m(1).unwrap() / ego;
-        assert!(lead == 0.0 && (2.8..=36.1).contains(&ego) && (1.999..=12.001).contains(&closing_s));
+        assert!(
+            lead == 0.0 && (2.8..=36.1).contains(&ego) && (1.999..=12.001).contains(&closing_s)
+        );
     }
 }
 
 #[test]
 fn sensor_faults_vary() {
     let parameters = [
-        parameter("sensors.faults.latency_s", "s", "distribution.uniform = { low = 0, high = 0.5 }"),
-        parameter("sensors.faults.range_m", "m", "distribution.uniform = { low = 20, high = 200 }\nnominal = 100"),
-        parameter("sensors.faults.ghost.duration_s", "s", "distribution.uniform = { low = 0, high = 2 }"),
+        parameter(
+            "sensors.faults.latency_s",
+            "s",
+            "distribution.uniform = { low = 0, high = 0.5 }",
+        ),
+        parameter(
+            "sensors.faults.range_m",
+            "m",
+            "distribution.uniform = { low = 20, high = 200 }\nnominal = 100",
+        ),
+        parameter(
+            "sensors.faults.ghost.duration_s",
+            "s",
+            "distribution.uniform = { low = 0, high = 2 }",
+        ),
     ];
     let space = over_paper_1(&parameters.concat()).unwrap();
     let scenario = space.scenario(&[0.2, 80.0, 1.5]).unwrap();
-    let ghost = GhostObject { onset_s: 0.0, duration_s: 1.5, gap_m: 50.0, speed_mps: 0.0 };
-    let expected = SensorFaults { latency_s: 0.2, range_m: Some(80.0), ghost: Some(ghost), ..SensorFaults::default() };
+    let ghost = GhostObject {
+        onset_s: 0.0,
+        duration_s: 1.5,
+        gap_m: 50.0,
+        speed_mps: 0.0,
+    };
+    let expected = SensorFaults {
+        latency_s: 0.2,
+        range_m: Some(80.0),
+        ghost: Some(ghost),
+        ..SensorFaults::default()
+    };
     assert_eq!(scenario.spec().sensors.faults, expected);
 }
 
 #[test]
 fn derived_fields_match_their_definition() {
     let parameters = [
-        parameter("vehicles[1].gap_m", "m", "distribution.uniform = { low = 1, high = 31 }"),
-        parameter("vehicles[2].class", "", "distribution.choice = { values = [\"light\", \"heavy\"] }"),
-        parameter("vehicles[2].load", "1", "distribution.uniform = { low = 0.5, high = 2.0 }"),
-        parameter("vehicles[0].driver.brake.rate_share", "1", "distribution.uniform = { low = 0, high = 1 }"),
-        parameter("environment.friction", "1", "distribution.uniform = { low = 0.5, high = 1.0 }"),
+        parameter(
+            "vehicles[1].gap_m",
+            "m",
+            "distribution.uniform = { low = 1, high = 31 }",
+        ),
+        parameter(
+            "vehicles[2].class",
+            "",
+            "distribution.choice = { values = [\"light\", \"heavy\"] }",
+        ),
+        parameter(
+            "vehicles[2].load",
+            "1",
+            "distribution.uniform = { low = 0.5, high = 2.0 }",
+        ),
+        parameter(
+            "vehicles[0].driver.brake.rate_share",
+            "1",
+            "distribution.uniform = { low = 0, high = 1 }",
+        ),
+        parameter(
+            "environment.friction",
+            "1",
+            "distribution.uniform = { low = 0.5, high = 1.0 }",
+        ),
     ];
     let space = over_paper_1(&parameters.concat()).unwrap();
     let heavy = space.scenario(&[5.0, 1.0, 1.5, 0.8, 0.5]).unwrap();
-    assert_eq!((heavy.initial_gap_m(1), heavy.initial_gap_m(2)), (Some(5.0), Some(16.0)), "other gaps stay");
-    assert_eq!((heavy.vehicles()[2].mass_kg(), heavy.vehicles()[2].max_brake_mps2()), (22_500.0, 4.0));
+    assert_eq!(
+        (heavy.initial_gap_m(1), heavy.initial_gap_m(2)),
+        (Some(5.0), Some(16.0)),
+        "other gaps stay"
+    );
+    assert_eq!(
+        (
+            heavy.vehicles()[2].mass_kg(),
+            heavy.vehicles()[2].max_brake_mps2()
+        ),
+        (22_500.0, 4.0)
+    );
     assert_eq!(heavy.usable_brake_mps2(2), 2.0);
-    let Driver::Profile(LeadProfile::Brake(brake)) = &heavy.vehicles()[0].driver else { panic!("brakes") };
+    let Driver::Profile(LeadProfile::Brake(brake)) = &heavy.vehicles()[0].driver else {
+        panic!("brakes")
+    };
     assert_eq!(brake.rate_mps2, 0.8 * 7.5 * 0.5);
     let light = space.scenario(&[5.0, 0.0, 0.5, 0.8, 0.5]).unwrap();
-    assert_eq!((light.vehicles()[2].mass_kg(), light.vehicles()[2].max_brake_mps2()), (750.0, 7.5));
+    assert_eq!(
+        (
+            light.vehicles()[2].mass_kg(),
+            light.vehicles()[2].max_brake_mps2()
+        ),
+        (750.0, 7.5)
+    );
     let pieces = self::space("high-risk");
-    let at = pieces.parameters().iter().position(|p| p.name() == "lead_brake_share").unwrap();
+    let at = pieces
+        .parameters()
+        .iter()
+        .position(|p| p.name() == "lead_brake_share")
+        .unwrap();
     assert_eq!(pieces.parameters()[at].coordinates().len(), 5);
     let mut values = pieces.nominal();
     values[3] = 0.5;
     values[4] = 2.0;
     values[5..10].copy_from_slice(&[0.0, 1.0, 0.5, 0.0, 1.0]);
     let scenario = pieces.scenario(&values).unwrap();
-    let Driver::Profile(LeadProfile::Pieces(lead)) = &scenario.vehicles()[0].driver else { panic!("pieces") };
+    let Driver::Profile(LeadProfile::Pieces(lead)) = &scenario.vehicles()[0].driver else {
+        panic!("pieces")
+    };
     assert_eq!(lead.from_s, [2.0, 4.0, 6.0, 8.0, 10.0]);
     assert_eq!(lead.accel_mps2, [0.0, -4.5, -2.25, 0.0, -4.5]);
 }
@@ -236,21 +348,43 @@ proptest! {
 #[test]
 fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
     let space = space("traffic");
-    let scenarios: Vec<_> = (0..200).map(|index| space.draw(1, index).unwrap()).collect();
+    let scenarios: Vec<_> = (0..200)
+        .map(|index| space.draw(1, index).unwrap())
+        .collect();
     let steady = |scenario: &&Scenario| match &scenario.vehicles()[0].driver {
-        Driver::Profile(LeadProfile::Pieces(pieces)) => pieces.accel_mps2.iter().all(|accel_mps2| *accel_mps2 == 0.0),
+        Driver::Profile(LeadProfile::Pieces(pieces)) => pieces
+            .accel_mps2
+            .iter()
+            .all(|accel_mps2| *accel_mps2 == 0.0),
         other => panic!("{other:?}"),
     };
-    assert!((35..=65).contains(&scenarios.iter().filter(steady).count()), "a quarter keep their speed");
-    for (name, least, most) in [("idm", 0, 0), ("acc-aeb", 0, 0), ("policy", 80, 200), ("retrained", 160, 200)] {
+    assert!(
+        (35..=65).contains(&scenarios.iter().filter(steady).count()),
+        "a quarter keep their speed"
+    );
+    for (name, least, most) in [
+        ("idm", 0, 0),
+        ("acc-aeb", 0, 0),
+        ("policy", 80, 200),
+        ("retrained", 160, 200),
+    ] {
         let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
-        let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
+        let runs: Vec<_> = scenarios
+            .iter()
+            .map(|scenario| Run::new(scenario, options.clone()).unwrap())
+            .collect();
         let needless = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             assert!(result.outcome.is_safe(), "{name}: {:?}", result.outcome);
-            !UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap().unnecessary.is_empty()
+            !UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1)
+                .unwrap()
+                .unnecessary
+                .is_empty()
         });
         let found = needless.into_iter().filter(|needless| *needless).count();
-        assert!((least..=most).contains(&found), "{name} brakes without cause in {found} of 200 draws");
+        assert!(
+            (least..=most).contains(&found),
+            "{name} brakes without cause in {found} of 200 draws"
+        );
     }
 }
 
@@ -258,18 +392,32 @@ fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
 fn units_may_be_written_without_superscripts() {
     let uniform = "distribution.uniform = { low = 1.0, high = 5.0 }";
     let text = |unit: &str| {
-        let space = over_paper_1(&parameter("vehicles[0].driver.brake.rate_mps2", unit, uniform)).unwrap();
+        let space = over_paper_1(&parameter(
+            "vehicles[0].driver.brake.rate_mps2",
+            unit,
+            uniform,
+        ))
+        .unwrap();
         file::to_toml(&space).unwrap()
     };
     assert_eq!(text("m/s2"), text("m/s²"));
     assert_eq!(text("m/s^2"), text("m/s²"));
-    let refused = over_paper_1(&parameter("vehicles[0].driver.brake.rate_mps2", "m/s3", uniform)).unwrap_err();
-    assert!(refused.ends_with("is `m/s²` (or `m/s2`), found `m/s3`"), "{refused}");
+    let refused = over_paper_1(&parameter(
+        "vehicles[0].driver.brake.rate_mps2",
+        "m/s3",
+        uniform,
+    ))
+    .unwrap_err();
+    assert!(
+        refused.ends_with("is `m/s²` (or `m/s2`), found `m/s3`"),
+        "{refused}"
+    );
 }
 
 #[test]
 fn mistakes_name_line_and_field() {
-    let uniform = |low: f64, high: f64| format!("distribution.uniform = {{ low = {low}, high = {high} }}");
+    let uniform =
+        |low: f64, high: f64| format!("distribution.uniform = {{ low = {low}, high = {high} }}");
     let gap = parameter("vehicles[1].gap_m", "m", &uniform(1.0, 30.0));
     for (parameters, expected) in [
         (
@@ -281,40 +429,74 @@ fn mistakes_name_line_and_field() {
             gap.replace("\"m\"", "\"ft\""),
             "s.toml:7: parameters[0].unit: the unit of `vehicles[1].gap_m` is `m`, found `ft`",
         ),
-        (gap.replace("gap_m", "gap"), "s.toml:6: parameters[0].field: no field `vehicles[1].gap` may vary"),
+        (
+            gap.replace("gap_m", "gap"),
+            "s.toml:6: parameters[0].field: no field `vehicles[1].gap` may vary",
+        ),
         (
             gap.replace("s[1]", "s[9]"),
             "s.toml:6: parameters[0].field: there is no vehicles[9]: the base scenario has 3 vehicles",
         ),
-        (gap.replace("high = 30", "high = 0.5"), "s.toml:8: parameters[0].distribution.uniform: low must be below"),
-        (gap.replace("high = 30", "high = 10"), "s.toml:4: parameters[0].nominal: must be from 1 to 10, found 16"),
-        (gap.replace("high", "hihg"), "s.toml:8: parameters[0].distribution.uniform.hihg: unknown field `hihg`"),
-        (gap.clone() + &gap, "s.toml:10: parameters[1].name: `vehicles1gapm` is the name of another"),
+        (
+            gap.replace("high = 30", "high = 0.5"),
+            "s.toml:8: parameters[0].distribution.uniform: low must be below",
+        ),
+        (
+            gap.replace("high = 30", "high = 10"),
+            "s.toml:4: parameters[0].nominal: must be from 1 to 10, found 16",
+        ),
+        (
+            gap.replace("high", "hihg"),
+            "s.toml:8: parameters[0].distribution.uniform.hihg: unknown field `hihg`",
+        ),
+        (
+            gap.clone() + &gap,
+            "s.toml:10: parameters[1].name: `vehicles1gapm` is the name of another",
+        ),
         (
             gap.clone() + &gap.replace("vehicles1gapm", "q"),
             "s.toml:11: parameters[1].field: `vehicles[1].position_m` is set by",
         ),
         (
-            parameter("vehicles[0].driver.idm.accel_mps2", "m/s²", &uniform(1.0, 2.0)),
+            parameter(
+                "vehicles[0].driver.idm.accel_mps2",
+                "m/s²",
+                &uniform(1.0, 2.0),
+            ),
             "s.toml:6: parameters[0].field: vehicle 0 of the base scenario is driven by `brake`, not by `idm`",
         ),
         (
-            parameter("vehicles[0].driver.brake.rate_mps2", "m/s²", &uniform(1.0, 9.0)),
+            parameter(
+                "vehicles[0].driver.brake.rate_mps2",
+                "m/s²",
+                &uniform(1.0, 9.0),
+            ),
             "s.toml:4: parameters: `vehicles0driverbrakeratemps2` do not fit together: vehicles[0].driver.brake: asks \
              for 9",
         ),
         (
-            parameter("vehicles[1].driver", "", "distribution.choice = { values = [\"idm\"] }"),
+            parameter(
+                "vehicles[1].driver",
+                "",
+                "distribution.choice = { values = [\"idm\"] }",
+            ),
             "s.toml:6: parameters[0].field: vehicle 1 of the base scenario is driven by `under-test`, which is not a \
                 built-in controller",
         ),
         (
-            parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"light\"] }"),
+            parameter(
+                "vehicles[2].driver",
+                "",
+                "distribution.choice = { values = [\"idm\", \"light\"] }",
+            ),
             "s.toml:8: parameters[0].distribution.choice.values: must be all numbers, all classes or all drivers",
         ),
         (
-            parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"baseline\"] }")
-                + &parameter("vehicles[2].driver.baseline.ttc_s", "s", &uniform(1.0, 2.0)),
+            parameter(
+                "vehicles[2].driver",
+                "",
+                "distribution.choice = { values = [\"idm\", \"baseline\"] }",
+            ) + &parameter("vehicles[2].driver.baseline.ttc_s", "s", &uniform(1.0, 2.0)),
             "s.toml:11: parameters[1].field: `vehicles[2].driver.baseline.ttc_s` is set by the parameter \
              `vehicles2driver`",
         ),
@@ -328,9 +510,18 @@ fn mistakes_name_line_and_field() {
         ),
     ] {
         let message = over_paper_1(&parameters).expect_err("must be refused");
-        assert!(message.starts_with(expected), "{message}\n  should start with\n{expected}");
+        assert!(
+            message.starts_with(expected),
+            "{message}\n  should start with\n{expected}"
+        );
     }
-    let inline = include_str!("built_in/paper.toml").replace("speed_mps = 25.0", "speed_mps = -25.0");
-    let message = file::from_toml(&inline, Path::new("p.toml")).expect_err("refused").to_string();
-    assert!(message.contains("base.vehicles[0].speed_mps: must be"), "{message}");
+    let inline =
+        include_str!("built_in/paper.toml").replace("speed_mps = 25.0", "speed_mps = -25.0");
+    let message = file::from_toml(&inline, Path::new("p.toml"))
+        .expect_err("refused")
+        .to_string();
+    assert!(
+        message.contains("base.vehicles[0].speed_mps: must be"),
+        "{message}"
+    );
 }

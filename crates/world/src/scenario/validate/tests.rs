@@ -10,16 +10,32 @@ fn each_kind_of_nonsense_names_its_field() {
     assert_eq!(field_of(|s| s.duration_s = 99_999.0), "duration_s");
     assert_eq!(field_of(|s| s.step_s = f64::NAN), "step_s");
     assert_eq!(field_of(|s| s.seed = u64::MAX), "seed");
-    assert_eq!(field_of(|s| s.sensors.faults.latency_s = -0.1), "sensors.faults.latency_s");
-    assert_eq!(field_of(|s| s.sensors.faults.outage_rate_per_s = 1.0), "sensors.faults.outage_length_s");
-    let near = GhostObject { onset_s: 0.0, duration_s: 1.0, gap_m: 0.0, speed_mps: 0.0 };
-    assert_eq!(field_of(|s| s.sensors.faults.ghost = Some(near)), "sensors.faults.ghost.gap_m");
+    assert_eq!(
+        field_of(|s| s.sensors.faults.latency_s = -0.1),
+        "sensors.faults.latency_s"
+    );
+    assert_eq!(
+        field_of(|s| s.sensors.faults.outage_rate_per_s = 1.0),
+        "sensors.faults.outage_length_s"
+    );
+    let near = GhostObject {
+        onset_s: 0.0,
+        duration_s: 1.0,
+        gap_m: 0.0,
+        speed_mps: 0.0,
+    };
+    assert_eq!(
+        field_of(|s| s.sensors.faults.ghost = Some(near)),
+        "sensors.faults.ghost.gap_m"
+    );
     assert_eq!(field_of(|s| s.vehicles.truncate(1)), "vehicles");
 }
 
 #[test]
 fn a_scenario_within_rounding_of_whole_steps_is_accepted() {
     let paper_1 = built_in_scenario("paper-1").expect("built in");
-    let third = paper_1.edited(|s| s.duration_s = 0.1 + 0.2).expect("0.30000000000000004 s is 30 steps");
+    let third = paper_1
+        .edited(|s| s.duration_s = 0.1 + 0.2)
+        .expect("0.30000000000000004 s is 30 steps");
     assert_eq!(Scenario::steps(&third), 30);
 }

@@ -1,21 +1,35 @@
 use proptest::prelude::*;
 
-use super::super::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
+use super::super::{
+    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
+};
 use crate::control::ControllerSpec;
 use crate::measure::{InducedBraking, LeadMeasures};
 use crate::observation::EstimatorKind;
 use crate::scenario::{
-    Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in_scenario,
+    Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    built_in_scenario,
 };
 
 /// Creates a scenario with vehicles on a dry road, without noise.
 fn scenario(vehicles: Vec<VehicleSpec>, duration_s: f64) -> Scenario {
     let spec = built_in_scenario("paper-1").unwrap().spec().clone();
-    Scenario::new(ScenarioSpec { name: "lanes".to_owned(), duration_s, vehicles, ..spec }).unwrap()
+    Scenario::new(ScenarioSpec {
+        name: "lanes".to_owned(),
+        duration_s,
+        vehicles,
+        ..spec
+    })
+    .unwrap()
 }
 
 fn scripted_vehicle(position_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
-    VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Profile(profile))
+    VehicleSpec::new(
+        VehicleClass::Light,
+        position_m,
+        speed_mps,
+        Driver::Profile(profile),
+    )
 }
 
 fn steady_vehicle(position_m: f64, speed_mps: f64) -> VehicleSpec {
@@ -24,19 +38,33 @@ fn steady_vehicle(position_m: f64, speed_mps: f64) -> VehicleSpec {
 
 fn controlled_vehicle(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
     let controller = ControllerSpec::from_name(controller).unwrap();
-    VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Controller(controller))
+    VehicleSpec::new(
+        VehicleClass::Light,
+        position_m,
+        speed_mps,
+        Driver::Controller(controller),
+    )
 }
 
 fn with_entry(vehicle: VehicleSpec, enters: LaneChange) -> VehicleSpec {
-    VehicleSpec { enters: Some(enters), ..vehicle }
+    VehicleSpec {
+        enters: Some(enters),
+        ..vehicle
+    }
 }
 
 fn with_exit(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
-    VehicleSpec { leaves: Some(leaves), ..vehicle }
+    VehicleSpec {
+        leaves: Some(leaves),
+        ..vehicle
+    }
 }
 
 fn run(scenario: &Scenario) -> SimulationResult {
-    run_with(scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap()))
+    run_with(
+        scenario,
+        RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+    )
 }
 
 fn run_with(scenario: &Scenario, options: RunOptions) -> SimulationResult {
@@ -55,7 +83,10 @@ fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
 fn the_moment_is_that_of_the_closed_form() {
     // 20 m/s behind 14 m/s, gap 50 m. The gap is 17 m after 5.5 s. The TTC is 2 s when the gap is 12 m, after 38 / 6 s.
     let entered = |enters| {
-        let line = vec![with_entry(steady_vehicle(52.0, 14.0), enters), steady_vehicle(0.0, 20.0)];
+        let line = vec![
+            with_entry(steady_vehicle(52.0, 14.0), enters),
+            steady_vehicle(0.0, 20.0),
+        ];
         tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0]
     };
     assert!((entered(LaneChange::Gap(17.0)) - 5.5).abs() < 1e-9);
@@ -63,7 +94,10 @@ fn the_moment_is_that_of_the_closed_form() {
     assert_eq!(entered(LaneChange::At(3.456)), 3.456);
     assert_eq!(entered(LaneChange::At(9.0)), f64::INFINITY);
     // From behind: 26 m/s against 20 m/s is 9 m ahead, bumper to bumper, after (15 + 2 + 9) / 6 s.
-    let line = vec![with_entry(steady_vehicle(-15.0, 26.0), LaneChange::Gap(9.0)), steady_vehicle(0.0, 20.0)];
+    let line = vec![
+        with_entry(steady_vehicle(-15.0, 26.0), LaneChange::Gap(9.0)),
+        steady_vehicle(0.0, 20.0),
+    ];
     assert!((tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0] - 26.0 / 6.0).abs() < 1e-9);
 }
 
@@ -78,19 +112,36 @@ fn a_leaving_vehicle_counts_from_its_leader() {
     let simulated = run(&scenario(line, 8.0));
     assert!((tracks(&simulated)[1].in_lane_s[1] - 3.5).abs() < 1e-9);
     let contact = simulated.outcome.contact().unwrap();
-    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (0, 2), "nobody drives into the one that has left");
+    assert_eq!(
+        (contact.front_vehicle, contact.rear_vehicle),
+        (0, 2),
+        "nobody drives into the one that has left"
+    );
     assert!((contact.time_s - 138.0 / 20.0).abs() < 1e-9);
     assert_eq!(simulated.vehicles_involved(), 2);
     let impact = &simulated.impacts[0];
-    assert_eq!((impact.beside.as_slice(), impact.delta_v_mps(1)), (&[1][..], 0.0));
-    let pairs: Vec<_> = simulated.trace.as_ref().unwrap().pairs(2).iter().map(|pair| pair.front_vehicle).collect();
+    assert_eq!(
+        (impact.beside.as_slice(), impact.delta_v_mps(1)),
+        (&[1][..], 0.0)
+    );
+    let pairs: Vec<_> = simulated
+        .trace
+        .as_ref()
+        .unwrap()
+        .pairs(2)
+        .iter()
+        .map(|pair| pair.front_vehicle)
+        .collect();
     assert_eq!(pairs, [1, 0]);
 }
 
 #[test]
 fn a_vehicle_without_room_stays_in_its_lane() {
     for beside_m in [1.0, 0.0, -1.5] {
-        let line = vec![with_entry(steady_vehicle(beside_m, 20.0), LaneChange::At(1.0)), steady_vehicle(0.0, 20.0)];
+        let line = vec![
+            with_entry(steady_vehicle(beside_m, 20.0), LaneChange::At(1.0)),
+            steady_vehicle(0.0, 20.0),
+        ];
         let simulated = run(&scenario(line, 3.0));
         assert_eq!(tracks(&simulated)[0].in_lane_s, [f64::INFINITY; 2]);
         assert!(simulated.outcome.is_safe());
@@ -101,11 +152,24 @@ fn a_vehicle_without_room_stays_in_its_lane() {
 /// Trace and engine agree: the last vehicle leaves before any motion, and never had a leader.
 #[test]
 fn leaving_at_the_start_equals_absence() {
-    for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
-        let simulated =
-            run(&scenario(vec![steady_vehicle(12.0, 20.0), with_exit(steady_vehicle(0.0, 28.0), leaves)], 3.0));
+    for leaves in [
+        LaneChange::At(0.0),
+        LaneChange::At(1e-10),
+        LaneChange::TimeToCollision(1.4),
+    ] {
+        let simulated = run(&scenario(
+            vec![
+                steady_vehicle(12.0, 20.0),
+                with_exit(steady_vehicle(0.0, 28.0), leaves),
+            ],
+            3.0,
+        ));
         let trace = simulated.trace.as_ref().unwrap();
-        assert_eq!((simulated.vehicles[1].min_gap_m, trace.pairs(1).len()), (None, 0), "{leaves:?}");
+        assert_eq!(
+            (simulated.vehicles[1].min_gap_m, trace.pairs(1).len()),
+            (None, 0),
+            "{leaves:?}"
+        );
         assert_eq!(LeadMeasures::from_trace(trace, &simulated.impacts, 1), None);
     }
 }
@@ -116,16 +180,26 @@ fn simultaneous_lane_changes_happen_together() {
     // s. Without the second the third would stay.
     let line = vec![
         steady_vehicle(134.0, 0.0),
-        with_exit(steady_vehicle(100.0, 20.0), LaneChange::TimeToCollision(2.0)),
+        with_exit(
+            steady_vehicle(100.0, 20.0),
+            LaneChange::TimeToCollision(2.0),
+        ),
         with_exit(steady_vehicle(90.0, 28.0), LaneChange::TimeToCollision(1.2)),
         steady_vehicle(0.0, 20.0),
     ];
     let simulated = run(&scenario(line, 2.0));
-    assert_eq!([1, 2].map(|vehicle| tracks(&simulated)[vehicle].in_lane_s[1]), [0.0, 0.0]);
+    assert_eq!(
+        [1, 2].map(|vehicle| tracks(&simulated)[vehicle].in_lane_s[1]),
+        [0.0, 0.0]
+    );
 }
 
 fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
-    for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
+    for track in simulated
+        .trace
+        .iter_mut()
+        .flat_map(|trace| &mut trace.vehicles)
+    {
         track.in_lane_s = Track::THROUGHOUT_S;
     }
     simulated
@@ -136,11 +210,18 @@ fn entering_at_the_start_equals_presence() {
     for spec in ControllerSpec::all() {
         for estimator in EstimatorKind::ALL {
             let paper = built_in_scenario("paper-1").unwrap();
-            let entering = paper.edited(|spec| spec.vehicles[0].enters = Some(LaneChange::At(0.0))).unwrap();
+            let entering = paper
+                .edited(|spec| spec.vehicles[0].enters = Some(LaneChange::At(0.0)))
+                .unwrap();
             let options = || RunOptions::new(spec.clone()).with_estimator(estimator);
             if let Ok(run) = Run::new(&entering, options()) {
                 let there = simulate(&Run::new(&paper, options()).unwrap(), RecordingLevel::Trace);
-                assert_eq!(without_lanes(simulate(&run, RecordingLevel::Trace)), there, "{}", spec.name());
+                assert_eq!(
+                    without_lanes(simulate(&run, RecordingLevel::Trace)),
+                    there,
+                    "{}",
+                    spec.name()
+                );
             }
         }
     }

@@ -7,7 +7,9 @@ use super::per_run::RunSet;
 use crate::sim::motion::{closest_gap_m, first_contact};
 use crate::sim::platoon::PlatoonState;
 use crate::sim::recorder::assemble_result;
-use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace};
+use crate::sim::{
+    AfterContact, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace,
+};
 
 /// Runs with the same shape, at most [`RunSet::CAPACITY`]. The last run takes the slot of a finished one.
 pub(super) struct LockstepBlock<'a> {
@@ -37,22 +39,38 @@ struct ScalarFallback {
 }
 
 impl<'a> LockstepBlock<'a> {
-    pub(super) fn new(arch: Arch, runs: &'a [Run], members: &[usize], keep: RecordingLevel) -> Self {
-        let platoons: Vec<PlatoonState> = members.iter().map(|&index| runs[index].initial_platoon()).collect();
+    pub(super) fn new(
+        arch: Arch,
+        runs: &'a [Run],
+        members: &[usize],
+        keep: RecordingLevel,
+    ) -> Self {
+        let platoons: Vec<PlatoonState> = members
+            .iter()
+            .map(|&index| runs[index].initial_platoon())
+            .collect();
         let lanes: Vec<_> = members
             .iter()
             .zip(&platoons)
             .map(|(&index, platoon)| {
                 let (run, steps) = (&runs[index], runs[index].scenario().steps());
                 let trace = Trace::begin(keep, platoon, steps * run.substeps() + 1);
-                RunLane { index, run, steps, impacts: Vec::new(), trace }
+                RunLane {
+                    index,
+                    run,
+                    steps,
+                    impacts: Vec::new(),
+                    trace,
+                }
             })
             .collect();
         let vehicles = platoons.first().map_or(0, |platoon| platoon.motion.len());
         let mut block = Self {
             arch,
             recording_level: keep,
-            columns: (0..vehicles).map(|vehicle| VehicleColumn::new(&lanes, &platoons, vehicle)).collect(),
+            columns: (0..vehicles)
+                .map(|vehicle| VehicleColumn::new(&lanes, &platoons, vehicle))
+                .collect(),
             lanes,
             collided: RunSet::default(),
             next_end: 0,
@@ -64,7 +82,9 @@ impl<'a> LockstepBlock<'a> {
 
     /// Simulates all runs; passes results with their index to `done`. Not generic, so that the engine compiles once.
     pub(super) fn run(mut self, done: &mut dyn FnMut(usize, SimulationResult)) {
-        let Some(first) = self.lanes.first().map(|lane| lane.run) else { return };
+        let Some(first) = self.lanes.first().map(|lane| lane.run) else {
+            return;
+        };
         for step in 0.. {
             if step == self.next_end {
                 for lane in (0..self.lanes.len()).rev() {
@@ -77,7 +97,13 @@ impl<'a> LockstepBlock<'a> {
             if self.lanes.is_empty() {
                 return;
             }
-            self.decide([first.time_grid.time_s(step, 0), first.time_grid.time_s(step + 1, 0)], done);
+            self.decide(
+                [
+                    first.time_grid.time_s(step, 0),
+                    first.time_grid.time_s(step + 1, 0),
+                ],
+                done,
+            );
             if self.lanes.is_empty() {
                 return;
             }
@@ -94,13 +120,23 @@ impl<'a> LockstepBlock<'a> {
         for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
             if let [own, behind @ ..] = rest {
-                let failures =
-                    own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.collided);
-                failed.extend(
-                    failures
-                        .into_iter()
-                        .map(|(lane, failure)| (lane, FailedController { time_s: span_s[0], vehicle, failure })),
+                let failures = own.decide(
+                    self.arch,
+                    &self.lanes,
+                    [front.last(), behind.first()],
+                    span_s,
+                    self.collided,
                 );
+                failed.extend(failures.into_iter().map(|(lane, failure)| {
+                    (
+                        lane,
+                        FailedController {
+                            time_s: span_s[0],
+                            vehicle,
+                            failure,
+                        },
+                    )
+                }));
             }
         }
         // Descending, because the last run takes the slot of one that ends. If several drivers of a run fail, the
@@ -112,7 +148,10 @@ impl<'a> LockstepBlock<'a> {
             self.finish_run(lane, Some(failed), done);
         }
         for column in &mut self.columns {
-            std::mem::swap(&mut column.acceleration_mps2, &mut column.next_acceleration_mps2);
+            std::mem::swap(
+                &mut column.acceleration_mps2,
+                &mut column.next_acceleration_mps2,
+            );
         }
         for lane in self.collided.iter() {
             let mut platoon = self.gather(lane);
@@ -129,7 +168,10 @@ impl<'a> LockstepBlock<'a> {
             column.step(self.arch, dt_s);
         }
         let (touching, closest) = self.find_contacts(dt_s);
-        let exact: Vec<ScalarFallback> = touching.iter().map(|lane| self.advance_scalar(lane, from_s, dt_s)).collect();
+        let exact: Vec<ScalarFallback> = touching
+            .iter()
+            .map(|lane| self.advance_scalar(lane, from_s, dt_s))
+            .collect();
         self.update_min_gap_and_ttc();
         for (lane, rear, gap_m) in closest {
             let least_m = &mut self.columns[rear].min_gap_m[lane];
@@ -138,7 +180,9 @@ impl<'a> LockstepBlock<'a> {
         for ScalarFallback { lane, platoon, .. } in &exact {
             self.scatter(*lane, platoon);
         }
-        self.columns.iter_mut().for_each(VehicleColumn::swap_buffers);
+        self.columns
+            .iter_mut()
+            .for_each(VehicleColumn::swap_buffers);
         for ScalarFallback { lane, ended_s, .. } in exact.into_iter().rev() {
             if let Some(ended_s) = ended_s {
                 self.record_sample(lane, ended_s);
@@ -154,13 +198,22 @@ impl<'a> LockstepBlock<'a> {
         let all = RunSet::first(self.lanes.len());
         for (rear, pair) in (1..).zip(self.columns.windows(2)) {
             let [front, behind] = pair else { continue };
-            for lane in behind.screen(self.arch, front, dt_s).intersection(all).difference(touching).iter() {
+            for lane in behind
+                .screen(self.arch, front, dt_s)
+                .intersection(all)
+                .difference(touching)
+                .iter()
+            {
                 let (front_motion, rear_motion) = (front.motion(lane), behind.motion(lane));
                 let length_m = front.length_m[lane];
                 if first_contact(front_motion, rear_motion, length_m, dt_s).is_some() {
                     touching.insert(lane);
                 } else {
-                    closest.push((lane, rear, closest_gap_m(front_motion, rear_motion, length_m, dt_s)));
+                    closest.push((
+                        lane,
+                        rear,
+                        closest_gap_m(front_motion, rear_motion, length_m, dt_s),
+                    ));
                 }
             }
         }
@@ -181,7 +234,11 @@ impl<'a> LockstepBlock<'a> {
             column.next_position_m[lane] = motion.position_m;
             column.next_speed_mps[lane] = motion.speed_mps;
         }
-        ScalarFallback { lane, platoon, ended_s: ends.then_some(from_s + done_s) }
+        ScalarFallback {
+            lane,
+            platoon,
+            ended_s: ends.then_some(from_s + done_s),
+        }
     }
 
     fn init_min_gap_and_ttc(&mut self) {
@@ -214,13 +271,28 @@ impl<'a> LockstepBlock<'a> {
         done: &mut dyn FnMut(usize, SimulationResult),
     ) {
         self.collided.swap_remove(lane, self.lanes.len() - 1);
-        let RunLane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
+        let RunLane {
+            index,
+            run,
+            impacts,
+            trace,
+            ..
+        } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;
         let columns = self.columns.iter().enumerate();
-        let interventions = columns.flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s)).collect();
-        let vehicles = self.columns.iter_mut().map(|column| column.remove_run(lane)).collect();
+        let interventions = columns
+            .flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s))
+            .collect();
+        let vehicles = self
+            .columns
+            .iter_mut()
+            .map(|column| column.remove_run(lane))
+            .collect();
         self.find_next_end();
-        done(index, assemble_result(impacts, vehicles, interventions, trace, failed));
+        done(
+            index,
+            assemble_result(impacts, vehicles, interventions, trace, failed),
+        );
     }
 
     fn find_next_end(&mut self) {
@@ -231,11 +303,31 @@ impl<'a> LockstepBlock<'a> {
     fn gather(&self, lane: usize) -> PlatoonState {
         PlatoonState {
             lane: crate::sim::lane::LaneState::with_all(self.columns.len()),
-            motion: self.columns.iter().map(|column| column.motion(lane)).collect(),
-            length_m: self.columns.iter().map(|column| column.length_m[lane]).collect(),
-            mass_kg: self.columns.iter().map(|column| column.mass_kg[lane]).collect(),
-            locked_to_front: self.columns.iter().map(|column| column.locked_to_front.contains(lane)).collect(),
-            min_gap_m: self.columns.iter().map(|column| column.min_gap_m[lane]).collect(),
+            motion: self
+                .columns
+                .iter()
+                .map(|column| column.motion(lane))
+                .collect(),
+            length_m: self
+                .columns
+                .iter()
+                .map(|column| column.length_m[lane])
+                .collect(),
+            mass_kg: self
+                .columns
+                .iter()
+                .map(|column| column.mass_kg[lane])
+                .collect(),
+            locked_to_front: self
+                .columns
+                .iter()
+                .map(|column| column.locked_to_front.contains(lane))
+                .collect(),
+            min_gap_m: self
+                .columns
+                .iter()
+                .map(|column| column.min_gap_m[lane])
+                .collect(),
         }
     }
 

@@ -44,18 +44,43 @@ pub(super) struct VehicleColumn<'a> {
 
 impl<'a> VehicleColumn<'a> {
     pub(super) fn new(lanes: &[RunLane<'a>], platoons: &[PlatoonState], vehicle: usize) -> Self {
-        let of = |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
-        let actuators: Vec<_> = lanes.iter().map(|lane| Actuator::new(lane.run.scenario(), vehicle)).collect();
-        let estimator: Vec<_> =
-            lanes.iter().zip(platoons).filter_map(|(lane, platoon)| lane.run.estimator(vehicle, platoon)).collect();
+        let of =
+            |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
+        let actuators: Vec<_> = lanes
+            .iter()
+            .map(|lane| Actuator::new(lane.run.scenario(), vehicle))
+            .collect();
+        let estimator: Vec<_> = lanes
+            .iter()
+            .zip(platoons)
+            .filter_map(|(lane, platoon)| lane.run.estimator(vehicle, platoon))
+            .collect();
         let nothing = PerRun::constant(0.0, lanes.len());
         Self {
-            drivers: Drivers::new(lanes.iter().map(|lane| lane.run.start_driver(vehicle)).collect()),
+            drivers: Drivers::new(
+                lanes
+                    .iter()
+                    .map(|lane| lane.run.start_driver(vehicle))
+                    .collect(),
+            ),
             estimators: estimator,
-            max_brake_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_brake_mps2)),
-            max_accel_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_accel_mps2)),
-            actuators: if actuators.iter().all(Actuator::is_immediate) { Vec::new() } else { actuators },
-            noise: Noise::new(lanes.iter().map(|lane| Disturbance::new(lane.run.scenario(), vehicle)).collect()),
+            max_brake_mps2: PerRun::from_values(
+                actuators.iter().map(|actuator| actuator.max_brake_mps2),
+            ),
+            max_accel_mps2: PerRun::from_values(
+                actuators.iter().map(|actuator| actuator.max_accel_mps2),
+            ),
+            actuators: if actuators.iter().all(Actuator::is_immediate) {
+                Vec::new()
+            } else {
+                actuators
+            },
+            noise: Noise::new(
+                lanes
+                    .iter()
+                    .map(|lane| Disturbance::new(lane.run.scenario(), vehicle))
+                    .collect(),
+            ),
             length_m: of(&|platoon| platoon.length_m[vehicle]),
             mass_kg: of(&|platoon| platoon.mass_kg[vehicle]),
             position_m: of(&|platoon| platoon.motion[vehicle].position_m),
@@ -67,7 +92,10 @@ impl<'a> VehicleColumn<'a> {
             next_speed_mps: nothing,
             locked_to_front: RunSet::default(),
             min_ttc_s: PerRun::constant(VehicleExtremes::INITIAL.min_ttc_s, lanes.len()),
-            max_brake_so_far_mps2: PerRun::constant(VehicleExtremes::INITIAL.max_brake_mps2, lanes.len()),
+            max_brake_so_far_mps2: PerRun::constant(
+                VehicleExtremes::INITIAL.max_brake_mps2,
+                lanes.len(),
+            ),
         }
     }
 
@@ -90,7 +118,10 @@ impl<'a> VehicleColumn<'a> {
     ) -> Vec<(usize, ControllerFailure)> {
         let failed = self.command(arch, lanes, [front, behind], span_s);
         if self.actuators.is_empty() {
-            let (decided, limits) = (&mut self.next_acceleration_mps2, [&self.max_brake_mps2, &self.max_accel_mps2]);
+            let (decided, limits) = (
+                &mut self.next_acceleration_mps2,
+                [&self.max_brake_mps2, &self.max_accel_mps2],
+            );
             arch.dispatch(SimdClosure(
                 #[inline(always)]
                 || loops::limit(decided.padded_mut(), limits[0].padded(), limits[1].padded()),
@@ -101,14 +132,20 @@ impl<'a> VehicleColumn<'a> {
                 *decided = actuator.respond(*decided, self.speed_mps[run]);
             }
         }
-        let (decided, noise_mps2, speed) = (&mut self.next_acceleration_mps2, self.noise.next_mps2(), &self.speed_mps);
+        let (decided, noise_mps2, speed) = (
+            &mut self.next_acceleration_mps2,
+            self.noise.next_mps2(),
+            &self.speed_mps,
+        );
         if collided.is_empty() {
             arch.dispatch(SimdClosure(
                 #[inline(always)]
                 || loops::disturb(decided.padded_mut(), noise_mps2, speed.padded()),
             ));
         } else {
-            let stuck = RunSet(self.locked_to_front.0 | behind.map_or(0, |behind| behind.locked_to_front.0));
+            let stuck = RunSet(
+                self.locked_to_front.0 | behind.map_or(0, |behind| behind.locked_to_front.0),
+            );
             for (run, decided) in decided.as_mut_slice().iter_mut().enumerate() {
                 *decided = if stuck.contains(run) {
                     *decided + noise_mps2[run]
@@ -122,7 +159,15 @@ impl<'a> VehicleColumn<'a> {
 
     #[inline(always)]
     fn state_slices(&self, runs: usize) -> StateSlices<'_> {
-        StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
+        StateSlices::first(
+            runs,
+            [
+                &self.position_m,
+                &self.length_m,
+                &self.speed_mps,
+                &self.acceleration_mps2,
+            ],
+        )
     }
 
     /// Computes the commands of the drivers. Returns the runs in which a driver failed, with the failure.
@@ -136,34 +181,54 @@ impl<'a> VehicleColumn<'a> {
         // The compiler knows that all slices have this length, so that no index needs a bounds check.
         let runs = lanes.len();
         // Not `state_slices`, which would borrow the drivers too.
-        let own =
-            StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
-        let (front, behind) =
-            (front.map(|front| front.state_slices(runs)), behind.map(|behind| behind.state_slices(runs)));
+        let own = StateSlices::first(
+            runs,
+            [
+                &self.position_m,
+                &self.length_m,
+                &self.speed_mps,
+                &self.acceleration_mps2,
+            ],
+        );
+        let (front, behind) = (
+            front.map(|front| front.state_slices(runs)),
+            behind.map(|behind| behind.state_slices(runs)),
+        );
         let view = NeighbourhoodView { own, front, behind };
         let mut failed = Vec::new();
         let commands_mps2 = &mut self.next_acceleration_mps2.padded_mut()[..runs];
         if self.estimators.is_empty() {
-            self.drivers.command_from_true_state(arch, span_s, &view, commands_mps2, &mut failed);
+            self.drivers
+                .command_from_true_state(arch, span_s, &view, commands_mps2, &mut failed);
         } else {
             let estimator = &mut self.estimators;
             let see = |run: usize| {
-                let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
+                let truth = TrueState {
+                    position_m: own.position_m[run],
+                    observation: view.observation(run),
+                };
                 estimator[run].observe(&truth)
             };
-            self.drivers.command(arch, span_s, own.speed_mps, see, commands_mps2, &mut failed);
+            self.drivers
+                .command(arch, span_s, own.speed_mps, see, commands_mps2, &mut failed);
         }
         failed
     }
 
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::padded);
-        let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
+        let (next_position_m, next_speed_mps) =
+            (&mut self.next_position_m, &mut self.next_speed_mps);
         let max_brake_so_far_mps2 = &mut self.max_brake_so_far_mps2;
         arch.dispatch(SimdClosure(
             #[inline(always)]
             || {
-                loops::advance(dt_s, now, next_position_m.padded_mut(), next_speed_mps.padded_mut());
+                loops::advance(
+                    dt_s,
+                    now,
+                    next_position_m.padded_mut(),
+                    next_speed_mps.padded_mut(),
+                );
                 loops::update_max_brake(max_brake_so_far_mps2.padded_mut(), now[2]);
             },
         ));
@@ -171,9 +236,14 @@ impl<'a> VehicleColumn<'a> {
 
     /// Finds the runs in which this vehicle and its leader may collide, or are closest, inside the step.
     pub(super) fn screen(&self, arch: Arch, front: &Self, dt_s: f64) -> RunSet {
-        let now: PairSlices<'_> =
-            [&front.position_m, &front.length_m, &self.position_m, &front.speed_mps, &self.speed_mps]
-                .map(PerRun::padded);
+        let now: PairSlices<'_> = [
+            &front.position_m,
+            &front.length_m,
+            &self.position_m,
+            &front.speed_mps,
+            &self.speed_mps,
+        ]
+        .map(PerRun::padded);
         let next_mps = [front.next_speed_mps.padded(), self.next_speed_mps.padded()];
         arch.dispatch(SimdClosure(
             #[inline(always)]
@@ -183,8 +253,14 @@ impl<'a> VehicleColumn<'a> {
 
     pub(super) fn update_min_gap_and_ttc(&mut self, arch: Arch, front: &Self) {
         let (front_mps, rear_mps) = (&front.next_speed_mps, &self.next_speed_mps);
-        let next: PairSlices<'_> =
-            [&front.next_position_m, &front.length_m, &self.next_position_m, front_mps, rear_mps].map(PerRun::padded);
+        let next: PairSlices<'_> = [
+            &front.next_position_m,
+            &front.length_m,
+            &self.next_position_m,
+            front_mps,
+            rear_mps,
+        ]
+        .map(PerRun::padded);
         let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
         arch.dispatch(SimdClosure(
             #[inline(always)]
@@ -198,10 +274,17 @@ impl<'a> VehicleColumn<'a> {
     }
 
     /// Returns the interventions of the shield of this vehicle, number `vehicle` of the lane, in a run.
-    pub(super) fn interventions(&self, run: usize, vehicle: usize, step_s: f64) -> Vec<Intervention> {
+    pub(super) fn interventions(
+        &self,
+        run: usize,
+        vehicle: usize,
+        step_s: f64,
+    ) -> Vec<Intervention> {
         self.drivers
             .shielded_controller(run)
-            .map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
+            .map_or_else(Vec::new, |controller| {
+                interventions(controller, vehicle, step_s)
+            })
     }
 
     pub(super) fn remove_run(&mut self, run: usize) -> VehicleSummary {
@@ -232,6 +315,10 @@ impl<'a> VehicleColumn<'a> {
             min_ttc_s: self.min_ttc_s.swap_remove(run),
             max_brake_mps2: self.max_brake_so_far_mps2.swap_remove(run),
         };
-        summarize_vehicle(self.min_gap_m.swap_remove(run), tally, self.speed_mps.swap_remove(run))
+        summarize_vehicle(
+            self.min_gap_m.swap_remove(run),
+            tally,
+            self.speed_mps.swap_remove(run),
+        )
     }
 }

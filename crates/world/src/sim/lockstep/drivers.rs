@@ -6,8 +6,8 @@ use super::followers::Followers;
 use super::leaders::ScriptedLeaders;
 use super::view::NeighbourhoodView;
 use crate::control::{
-    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver, ZeroOrderHold,
-    with_controllers,
+    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver,
+    ZeroOrderHold, with_controllers,
 };
 use crate::observation::Observation;
 use crate::scenario::LeadProfile;
@@ -122,7 +122,11 @@ fn all_of_kind<'s, T>(
     is: impl Fn(&VehicleController<&'s LeadProfile>) -> bool,
     take: impl Fn(VehicleController<&'s LeadProfile>) -> Option<T>,
 ) -> Result<Vec<T>, Vec<VehicleController<&'s LeadProfile>>> {
-    if drivers.iter().all(is) { Ok(drivers.into_iter().filter_map(take).collect()) } else { Err(drivers) }
+    if drivers.iter().all(is) {
+        Ok(drivers.into_iter().filter_map(take).collect())
+    } else {
+        Err(drivers)
+    }
 }
 
 impl Drivers<'_> {
@@ -136,7 +140,9 @@ impl Drivers<'_> {
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
         match (&*self, &view.front) {
-            (Self::Followers(followers), Some(front)) => followers.command(arch, &view.own, front, commands),
+            (Self::Followers(followers), Some(front)) => {
+                followers.command(arch, &view.own, front, commands)
+            }
             _ => self.command(
                 arch,
                 span_s,
@@ -150,8 +156,12 @@ impl Drivers<'_> {
     }
 
     pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
-        let Self::Mixed(drivers) = self else { return None };
-        let VehicleController::Controller(controller) = drivers.get(run)? else { return None };
+        let Self::Mixed(drivers) = self else {
+            return None;
+        };
+        let VehicleController::Controller(controller) = drivers.get(run)? else {
+            return None;
+        };
         Some(controller)
     }
 }

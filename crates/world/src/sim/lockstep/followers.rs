@@ -13,7 +13,9 @@ pub(super) struct Followers([PerRun; 5]);
 
 impl From<Vec<Idm>> for Followers {
     fn from(models: Vec<Idm>) -> Self {
-        Self(std::array::from_fn(|number| PerRun::from_values(models.iter().map(|model| model.to_array()[number]))))
+        Self(std::array::from_fn(|number| {
+            PerRun::from_values(models.iter().map(|model| model.to_array()[number]))
+        }))
     }
 }
 
@@ -23,7 +25,13 @@ impl Followers {
     }
 
     /// Computes the commands behind vehicles `front`.
-    pub(super) fn command(&self, arch: Arch, own: &StateSlices<'_>, front: &StateSlices<'_>, decided_mps2: &mut [f64]) {
+    pub(super) fn command(
+        &self,
+        arch: Arch,
+        own: &StateSlices<'_>,
+        front: &StateSlices<'_>,
+        decided_mps2: &mut [f64],
+    ) {
         let own = [own.position_m, own.speed_mps];
         let models = self.0.each_ref().map(PerRun::padded);
         let ahead = [front.position_m, front.length_m, front.speed_mps];

@@ -23,12 +23,20 @@ pub(super) struct Script<'s> {
 
 impl<'s> Script<'s> {
     fn new(profile: &'s LeadProfile) -> Self {
-        Self { profile, cached_mps2: 0.0, valid_until_s: f64::NEG_INFINITY }
+        Self {
+            profile,
+            cached_mps2: 0.0,
+            valid_until_s: f64::NEG_INFINITY,
+        }
     }
 
     #[inline(always)]
     fn acceleration_mps2(&mut self, span_s: [f64; 2], speed_mps: f64) -> f64 {
-        if span_s[1] <= self.valid_until_s { self.cached_mps2 } else { self.look_up_mps2(span_s, speed_mps) }
+        if span_s[1] <= self.valid_until_s {
+            self.cached_mps2
+        } else {
+            self.look_up_mps2(span_s, speed_mps)
+        }
     }
 
     #[inline(never)]
@@ -54,9 +62,9 @@ impl<'s> ScriptedLeaders<'s> {
             })
             .collect();
         match brakes {
-            Some(brakes) => {
-                Self::Brake([0, 1].map(|which| PerRun::from_values(brakes.iter().map(|brake| brake[which]))))
-            }
+            Some(brakes) => Self::Brake(
+                [0, 1].map(|which| PerRun::from_values(brakes.iter().map(|brake| brake[which]))),
+            ),
             None => Self::Any(profiles.into_iter().map(Script::new).collect()),
         }
     }
@@ -77,7 +85,9 @@ impl<'s> ScriptedLeaders<'s> {
                 ));
             }
             Self::Any(scripts) => {
-                for ((decided_mps2, script), &speed_mps) in decided_mps2.iter_mut().zip(scripts).zip(speeds_mps) {
+                for ((decided_mps2, script), &speed_mps) in
+                    decided_mps2.iter_mut().zip(scripts).zip(speeds_mps)
+                {
                     *decided_mps2 = script.acceleration_mps2([from_s, to_s], speed_mps);
                 }
             }

@@ -64,7 +64,11 @@ pub fn simulate_batch<R: Send>(
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
         .flat_map(|group| {
-            let most = if group.iter().all(|&run| runs[run].supports_lockstep()) { most } else { 1 };
+            let most = if group.iter().all(|&run| runs[run].supports_lockstep()) {
+                most
+            } else {
+                1
+            };
             group.chunks(group.len().div_ceil(rayon::current_num_threads()).min(most))
         })
         .collect();
@@ -73,11 +77,16 @@ pub fn simulate_batch<R: Send>(
         .flat_map_iter(|members| {
             let mut done = Vec::with_capacity(members.len());
             let mut keep_result = |index, simulated| done.push((index, reduce(index, simulated)));
-            if members.iter().all(|&run| runs[run].scenario().keeps_lanes()) {
+            if members
+                .iter()
+                .all(|&run| runs[run].scenario().keeps_lanes())
+            {
                 LockstepBlock::new(Arch::new(), runs, members, keep).run(&mut keep_result);
             } else {
                 // Columns have fixed leaders, so that runs with lane changes are simulated one by one.
-                members.iter().for_each(|&index| keep_result(index, simulate(&runs[index], keep)));
+                members
+                    .iter()
+                    .for_each(|&index| keep_result(index, simulate(&runs[index], keep)));
             }
             done
         })
@@ -90,7 +99,9 @@ pub fn simulate_batch<R: Send>(
 fn compare_shapes(a: &Run, b: &Run) -> Ordering {
     block_shape(a).cmp(&block_shape(b)).then_with(|| {
         let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
-        a.iter().map(|v| v.driver.name()).cmp(b.iter().map(|v| v.driver.name()))
+        a.iter()
+            .map(|v| v.driver.name())
+            .cmp(b.iter().map(|v| v.driver.name()))
     })
 }
 
@@ -106,7 +117,14 @@ fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str)
     };
     let spec = run.scenario().spec();
     let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
-    (spec.vehicles.len(), run.scenario().keeps_lanes(), steps.0, steps.1, under_test, run.options().estimator.name())
+    (
+        spec.vehicles.len(),
+        run.scenario().keeps_lanes(),
+        steps.0,
+        steps.1,
+        under_test,
+        run.options().estimator.name(),
+    )
 }
 
 #[cfg(test)]
@@ -121,11 +139,16 @@ mod tests {
     #[test]
     fn every_path_gives_the_same_results() {
         let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());
-        let lines = draws.map(|draw| draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).unwrap());
+        let lines = draws.map(|draw| {
+            draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest)
+                .unwrap()
+        });
         let lines: Vec<_> = lines.collect();
         for spec in ControllerSpec::all() {
-            let runs: Vec<_> =
-                lines.iter().map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap()).collect();
+            let runs: Vec<_> = lines
+                .iter()
+                .map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap())
+                .collect();
             let members: Vec<usize> = (0..runs.len()).collect();
             let results = available_archs().into_iter().map(|path| {
                 let mut results = Vec::new();
@@ -134,7 +157,11 @@ mod tests {
                 results
             });
             let results: Vec<_> = results.collect();
-            assert!(results.windows(2).all(|pair| pair[0] == pair[1]), "{}", spec.name());
+            assert!(
+                results.windows(2).all(|pair| pair[0] == pair[1]),
+                "{}",
+                spec.name()
+            );
         }
     }
 }

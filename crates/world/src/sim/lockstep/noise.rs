@@ -18,9 +18,19 @@ impl Noise {
     pub(super) fn new(sources: Vec<Option<Disturbance>>) -> Self {
         let row = PerRun::constant(0.0, sources.len()).padded().len();
         if sources.iter().any(Option::is_some) {
-            Self { sources, buffer_mps2: vec![0.0; PREFETCHED_STEPS * row], row_len: row, used_rows: PREFETCHED_STEPS }
+            Self {
+                sources,
+                buffer_mps2: vec![0.0; PREFETCHED_STEPS * row],
+                row_len: row,
+                used_rows: PREFETCHED_STEPS,
+            }
         } else {
-            Self { sources: Vec::new(), buffer_mps2: vec![0.0; row], row_len: row, used_rows: 0 }
+            Self {
+                sources: Vec::new(),
+                buffer_mps2: vec![0.0; row],
+                row_len: row,
+                used_rows: 0,
+            }
         }
     }
 
@@ -41,7 +51,11 @@ impl Noise {
         for (run, source) in self.sources.iter_mut().enumerate() {
             if let Some(source) = source {
                 let drawn_mps2: [f64; PREFETCHED_STEPS] = source.next_n_mps2();
-                for (row, noise_mps2) in self.buffer_mps2.chunks_exact_mut(self.row_len).zip(drawn_mps2) {
+                for (row, noise_mps2) in self
+                    .buffer_mps2
+                    .chunks_exact_mut(self.row_len)
+                    .zip(drawn_mps2)
+                {
                     row[run] = noise_mps2;
                 }
             }

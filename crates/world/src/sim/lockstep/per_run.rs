@@ -21,7 +21,10 @@ impl PerRun {
     }
 
     pub(super) fn constant(value: f64, runs: usize) -> Self {
-        Self { values: vec![value; runs.next_multiple_of(MAX_F64_LANES)], runs }
+        Self {
+            values: vec![value; runs.next_multiple_of(MAX_F64_LANES)],
+            runs,
+        }
     }
 
     pub(super) fn as_slice(&self) -> &[f64] {
@@ -44,7 +47,8 @@ impl PerRun {
         let removed = self.values[run];
         self.runs -= 1;
         self.values[run] = self.values[self.runs];
-        self.values.truncate(self.runs.next_multiple_of(MAX_F64_LANES));
+        self.values
+            .truncate(self.runs.next_multiple_of(MAX_F64_LANES));
         removed
     }
 }

@@ -24,7 +24,11 @@ impl<'a> StateSlices<'a> {
 
     #[inline(always)]
     fn neighbour(&self, run: usize, gap_m: f64) -> Neighbour {
-        Neighbour { gap_m, speed_mps: self.speed_mps[run], acceleration_mps2: self.acceleration_mps2[run] }
+        Neighbour {
+            gap_m,
+            speed_mps: self.speed_mps[run],
+            acceleration_mps2: self.acceleration_mps2[run],
+        }
     }
 }
 
@@ -44,11 +48,21 @@ impl NeighbourhoodView<'_> {
             acceleration_mps2: own.acceleration_mps2[run],
             ahead: self.front.as_ref().map(
                 #[inline(always)]
-                |front| front.neighbour(run, front.position_m[run] - front.length_m[run] - own.position_m[run]),
+                |front| {
+                    front.neighbour(
+                        run,
+                        front.position_m[run] - front.length_m[run] - own.position_m[run],
+                    )
+                },
             ),
             behind: self.behind.as_ref().map(
                 #[inline(always)]
-                |behind| behind.neighbour(run, own.position_m[run] - own.length_m[run] - behind.position_m[run]),
+                |behind| {
+                    behind.neighbour(
+                        run,
+                        own.position_m[run] - own.length_m[run] - behind.position_m[run],
+                    )
+                },
             ),
         }
     }

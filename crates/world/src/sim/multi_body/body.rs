@@ -48,18 +48,36 @@ pub(super) struct BrakeParams {
     pub(super) lag_s: f64,
 }
 
-const CAR_TYRE: TyreParams =
-    TyreParams { p_cx1: 1.6411, p_dx1: 1.1739, p_ex1: 0.46403, p_kx1: 22.303, p_hx1: 0.001_229_7, p_vx1: -8.8098e-6 };
+const CAR_TYRE: TyreParams = TyreParams {
+    p_cx1: 1.6411,
+    p_dx1: 1.1739,
+    p_ex1: 0.46403,
+    p_kx1: 22.303,
+    p_hx1: 0.001_229_7,
+    p_vx1: -8.8098e-6,
+};
 
 /// Hydraulic brake with a booster or a pump: 90 % of the pressure after 0.28 s.
-const HYDRAULIC_BRAKE: BrakeParams = BrakeParams { delay_s: 0.05, lag_s: 0.1 };
+const HYDRAULIC_BRAKE: BrakeParams = BrakeParams {
+    delay_s: 0.05,
+    lag_s: 0.1,
+};
 
 /// Tyre of a lorry; the shape is that of the car's.
-const LORRY_TYRE: TyreParams =
-    TyreParams { p_cx1: 1.6411, p_dx1: 0.8, p_ex1: 0.46403, p_kx1: 15.0, p_hx1: 0.0, p_vx1: 0.0 };
+const LORRY_TYRE: TyreParams = TyreParams {
+    p_cx1: 1.6411,
+    p_dx1: 0.8,
+    p_ex1: 0.46403,
+    p_kx1: 15.0,
+    p_hx1: 0.0,
+    p_vx1: 0.0,
+};
 
 /// Air brake: 75 % of the pressure after 0.59 s, just within the limit of UN Regulation 13.
-const AIR_BRAKE: BrakeParams = BrakeParams { delay_s: 0.2, lag_s: 0.28 };
+const AIR_BRAKE: BrakeParams = BrakeParams {
+    delay_s: 0.2,
+    lag_s: 0.28,
+};
 
 static FORD_ESCORT: BodyParams = BodyParams {
     mass_kg: 1_225.887_846_725_334_4,

@@ -50,7 +50,8 @@ impl MultiBody {
         let body = body_params(kind);
         let [a_m, b_m] = body.axle_m;
         let axle_z = |axle: usize, lever_m: f64| {
-            let load_n = body.sprung_kg * GRAVITY_MPS2 * lever_m / (a_m + b_m) + body.unsprung_kg[axle] * GRAVITY_MPS2;
+            let load_n = body.sprung_kg * GRAVITY_MPS2 * lever_m / (a_m + b_m)
+                + body.unsprung_kg[axle] * GRAVITY_MPS2;
             load_n / (2.0 * body.tyre_spring_npm[axle])
         };
         let mut state = [0.0; 12];
@@ -60,8 +61,15 @@ impl MultiBody {
         // In the model, the suspension carries its static load at zero compression, so the body follows the axles.
         state[PITCH] = (rear_m - front_m) / (a_m + b_m);
         state[BODY_Z] = front_m + a_m * state[PITCH];
-        WHEEL.iter().for_each(|&wheel| state[wheel] = speed_mps / body.wheel_radius_m);
-        Self { body, friction, state, brake: BrakePressure::new(body.brake.lag_s, true) }
+        WHEEL
+            .iter()
+            .for_each(|&wheel| state[wheel] = speed_mps / body.wheel_radius_m);
+        Self {
+            body,
+            friction,
+            state,
+            brake: BrakePressure::new(body.brake.lag_s, true),
+        }
     }
 
     /// Moves the vehicle by `dt_s` under a demand, from a speed that a collision or noise may have changed. Returns the
@@ -70,7 +78,8 @@ impl MultiBody {
         let change_mps = speed_mps - self.state[SPEED];
         if change_mps != 0.0 {
             for wheel in WHEEL {
-                self.state[wheel] = (self.state[wheel] + change_mps / self.body.wheel_radius_m).max(0.0);
+                self.state[wheel] =
+                    (self.state[wheel] + change_mps / self.body.wheel_radius_m).max(0.0);
             }
         }
         (self.state[SPEED], self.state[POSITION]) = (speed_mps, 0.0);
@@ -100,19 +109,32 @@ impl MultiBody {
     fn change_pressure(&mut self, demand_mps2: f64, step_s: f64) {
         let speed_mps = self.state[SPEED];
         let is_rolling = speed_mps < ROLLING_SPEED_MPS;
-        let slip = WHEEL.map(|wheel| if is_rolling { 0.0 } else { self.slip(speed_mps, self.state[wheel]) });
-        self.brake.advance((-demand_mps2).max(0.0), slip, speed_mps, step_s);
+        let slip = WHEEL.map(|wheel| {
+            if is_rolling {
+                0.0
+            } else {
+                self.slip(speed_mps, self.state[wheel])
+            }
+        });
+        self.brake
+            .advance((-demand_mps2).max(0.0), slip, speed_mps, step_s);
     }
 
     /// Stops a vehicle whose speed became negative, and lets its wheels roll.
     fn roll_or_stop(&mut self, before: BodyState, step_s: f64) {
         let (from_mps, to_mps) = (before[SPEED], self.state[SPEED]);
         if to_mps < 0.0 {
-            let share = if from_mps > 0.0 { from_mps / (from_mps - to_mps) } else { 0.0 };
+            let share = if from_mps > 0.0 {
+                from_mps / (from_mps - to_mps)
+            } else {
+                0.0
+            };
             self.state[POSITION] = before[POSITION] + 0.5 * from_mps * share * step_s;
             self.state[SPEED] = 0.0;
         }
-        WHEEL.iter().for_each(|&wheel| self.state[wheel] = self.state[SPEED] / self.body.wheel_radius_m);
+        WHEEL
+            .iter()
+            .for_each(|&wheel| self.state[wheel] = self.state[SPEED] / self.body.wheel_radius_m);
     }
 
     /// Returns an integration step at which the wheels are stable. Their rate rises as the vehicle slows down.
@@ -144,7 +166,8 @@ impl MultiBody {
         let second = rates(&mut weigh(&start, 0.5 * step_s, &first));
         let third = rates(&mut weigh(&start, 0.5 * step_s, &second));
         let fourth = rates(&mut weigh(&start, step_s, &third));
-        let sum: BodyState = std::array::from_fn(|i| first[i] + 2.0 * second[i] + 2.0 * third[i] + fourth[i]);
+        let sum: BodyState =
+            std::array::from_fn(|i| first[i] + 2.0 * second[i] + 2.0 * third[i] + fourth[i]);
         self.state = weigh(&start, step_s / 6.0, &sum);
     }
 
@@ -156,38 +179,72 @@ impl MultiBody {
     /// rest in the state.
     fn rates(&self, state: &mut BodyState, demand_mps2: f64, is_rolling: bool) -> BodyState {
         let body = self.body;
-        let [_, speed, pitch, pitch_rate, z, z_rate, front_z, front_rate, rear_z, rear_rate, front_wheel, rear_wheel] =
-            *state;
+        let [
+            _,
+            speed,
+            pitch,
+            pitch_rate,
+            z,
+            z_rate,
+            front_z,
+            front_rate,
+            rear_z,
+            rear_rate,
+            front_wheel,
+            rear_wheel,
+        ] = *state;
         let [a_m, b_m] = body.axle_m;
-        let load_n = [front_z * body.tyre_spring_npm[0], rear_z * body.tyre_spring_npm[1]];
-        let slips = [front_wheel, rear_wheel].map(|wheel| if is_rolling { 0.0 } else { self.slip(speed, wheel) });
-        let force_n = [0, 1].map(|axle| body.tyre.force_n(slips[axle], load_n[axle], self.friction));
+        let load_n = [
+            front_z * body.tyre_spring_npm[0],
+            rear_z * body.tyre_spring_npm[1],
+        ];
+        let slips = [front_wheel, rear_wheel].map(|wheel| {
+            if is_rolling {
+                0.0
+            } else {
+                self.slip(speed, wheel)
+            }
+        });
+        let force_n =
+            [0, 1].map(|axle| body.tyre.force_n(slips[axle], load_n[axle], self.friction));
         let pressure = self.brake.pressure_mps2;
         let shares = |front: f64| [front, 1.0 - front];
-        let (brake_shares, engine_shares) = (shares(body.brake_front_share), shares(body.engine_front_share));
+        let (brake_shares, engine_shares) = (
+            shares(body.brake_front_share),
+            shares(body.engine_front_share),
+        );
         let engine_mps2 = demand_mps2.max(0.0);
         let acceleration_mps2 = if is_rolling {
-            let demand_mps2 = engine_mps2 - brake_shares[0] * pressure[0] - brake_shares[1] * pressure[1];
+            let demand_mps2 =
+                engine_mps2 - brake_shares[0] * pressure[0] - brake_shares[1] * pressure[1];
             let peak_mps2 = body.tyre.p_dx1 * self.friction * GRAVITY_MPS2;
             let demand_mps2 = demand_mps2.clamp(-peak_mps2, peak_mps2);
             // The brake holds a vehicle at rest.
-            if speed > 0.0 { demand_mps2 } else { demand_mps2.max(0.0) }
+            if speed > 0.0 {
+                demand_mps2
+            } else {
+                demand_mps2.max(0.0)
+            }
         } else {
             (2.0 * force_n[1] + 2.0 * force_n[0]) / body.mass_kg
         };
         let drag_n = body.mass_kg * acceleration_mps2;
 
         let static_n = body.sprung_kg * GRAVITY_MPS2 / (2.0 * (a_m + b_m));
-        let suspension_n = |axle: usize, lever_m: f64, arm_m: f64, [axle_z, axle_rate]: [f64; 2]| {
-            let compression_m = axle_z - z + arm_m * pitch;
-            let compression_rate_mps = axle_rate - z_rate + arm_m * pitch_rate;
-            static_n * lever_m - compression_m * body.spring_npm[axle] - compression_rate_mps * body.damper_nspm[axle]
-        };
+        let suspension_n =
+            |axle: usize, lever_m: f64, arm_m: f64, [axle_z, axle_rate]: [f64; 2]| {
+                let compression_m = axle_z - z + arm_m * pitch;
+                let compression_rate_mps = axle_rate - z_rate + arm_m * pitch_rate;
+                static_n * lever_m
+                    - compression_m * body.spring_npm[axle]
+                    - compression_rate_mps * body.damper_nspm[axle]
+            };
         let front_n = suspension_n(0, b_m, a_m, [front_z, front_rate]);
         let rear_n = suspension_n(1, a_m, -b_m, [rear_z, rear_rate]);
         let moment_nm = 2.0 * a_m * front_n - 2.0 * b_m * rear_n + drag_n * (body.cg_height_m - z);
         let mut wheel_rate = [0, 1].map(|axle| {
-            let share_mps2 = engine_shares[axle] * engine_mps2 - brake_shares[axle] * pressure[axle];
+            let share_mps2 =
+                engine_shares[axle] * engine_mps2 - brake_shares[axle] * pressure[axle];
             let torque_nm = 0.5 * body.mass_kg * body.wheel_radius_m * share_mps2;
             (torque_nm - body.wheel_radius_m * force_n[axle]) / body.wheel_inertia_kgm2[axle]
         });

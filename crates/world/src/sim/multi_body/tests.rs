@@ -16,21 +16,34 @@ fn ideal_brake(mut vehicle: MultiBody) -> MultiBody {
 #[test]
 fn trajectories_equal_those_of_the_commonroad_package() {
     let mut largest_error = 0.0_f64;
-    let text = std::env::var("MULTI_BODY_REFERENCE").map(|path| std::fs::read_to_string(path).unwrap());
+    let text =
+        std::env::var("MULTI_BODY_REFERENCE").map(|path| std::fs::read_to_string(path).unwrap());
     let text = text.unwrap_or_else(|_| include_str!("reference.csv").to_owned());
     let lines = text.lines();
     assert_eq!(lines.clone().count(), 100);
     for line in lines {
-        let values: Vec<f64> = line.split(',').map(|value| value.parse().unwrap()).collect();
-        let mut vehicle = ideal_brake(MultiBody::new(BodyKind::ALL[values[0] as usize - 1], 1.0, values[1]));
+        let values: Vec<f64> = line
+            .split(',')
+            .map(|value| value.parse().unwrap())
+            .collect();
+        let mut vehicle = ideal_brake(MultiBody::new(
+            BodyKind::ALL[values[0] as usize - 1],
+            1.0,
+            values[1],
+        ));
         // The package starts without pitch, and not in equilibrium.
         (vehicle.state[PITCH], vehicle.state[BODY_Z]) = (0.0, 0.0);
         for (demand_mps2, expected) in values[2..7].iter().zip(values[7..].chunks(5)) {
             for _ in 0..400 {
-                vehicle.brake.advance((-demand_mps2).max(0.0), [0.0; 2], 10.0, 1e-3);
+                vehicle
+                    .brake
+                    .advance((-demand_mps2).max(0.0), [0.0; 2], 10.0, 1e-3);
                 vehicle.integrate(*demand_mps2, 1e-3);
             }
-            for (index, expected) in [POSITION, SPEED, PITCH, WHEEL[0], WHEEL[1]].into_iter().zip(expected) {
+            for (index, expected) in [POSITION, SPEED, PITCH, WHEEL[0], WHEEL[1]]
+                .into_iter()
+                .zip(expected)
+            {
                 let error = (vehicle.state[index] - expected).abs() / expected.abs().max(1e-3);
                 largest_error = largest_error.max(error);
             }
@@ -41,12 +54,23 @@ fn trajectories_equal_those_of_the_commonroad_package() {
 }
 
 /// Returns the distance until a vehicle stops, or until the time is over, in metres.
-fn braking_distance_m(mut vehicle: MultiBody, demand_mps2: f64, speed_mps: f64, steps: usize, dt_s: f64) -> f64 {
+fn braking_distance_m(
+    mut vehicle: MultiBody,
+    demand_mps2: f64,
+    speed_mps: f64,
+    steps: usize,
+    dt_s: f64,
+) -> f64 {
     let (mut position_m, mut speed_mps) = (0.0, speed_mps);
     for _ in 0..steps {
         let acceleration_mps2 = vehicle.respond(demand_mps2, speed_mps, dt_s);
-        (position_m, speed_mps) = crate::sim::motion::advance(position_m, speed_mps, acceleration_mps2, dt_s);
-        assert!((speed_mps - vehicle.state[SPEED]).abs() < 1e-9, "{speed_mps} {}", vehicle.state[SPEED]);
+        (position_m, speed_mps) =
+            crate::sim::motion::advance(position_m, speed_mps, acceleration_mps2, dt_s);
+        assert!(
+            (speed_mps - vehicle.state[SPEED]).abs() < 1e-9,
+            "{speed_mps} {}",
+            vehicle.state[SPEED]
+        );
     }
     position_m
 }
@@ -61,8 +85,15 @@ fn a_vehicle_in_equilibrium_keeps_its_speed_and_height() {
                 let now_mps = vehicle.state[SPEED];
                 vehicle.respond(0.0, now_mps, 0.01);
             }
-            assert!((vehicle.state[SPEED] - speed_mps).abs() < 1e-3, "{kind:?} {:?}", vehicle.state);
-            assert!((vehicle.state[PITCH] - pitch).abs() < 1e-4 && (vehicle.state[BODY_Z] - height_m).abs() < 1e-4);
+            assert!(
+                (vehicle.state[SPEED] - speed_mps).abs() < 1e-3,
+                "{kind:?} {:?}",
+                vehicle.state
+            );
+            assert!(
+                (vehicle.state[PITCH] - pitch).abs() < 1e-4
+                    && (vehicle.state[BODY_Z] - height_m).abs() < 1e-4
+            );
         }
     }
 }
@@ -74,9 +105,14 @@ fn the_braking_distance_is_that_of_the_package_at_any_step() {
     // The package by the method of Runge and Kutta with 1 ms, without lateral forces: 43.0252 m.
     assert!((distance_m - 43.0252).abs() < 0.005, "{distance_m}");
     for kind in BodyKind::ALL {
-        let stop_m = |steps, dt_s| braking_distance_m(MultiBody::new(kind, 1.0, 25.0), -6.0, 25.0, steps, dt_s);
+        let stop_m = |steps, dt_s| {
+            braking_distance_m(MultiBody::new(kind, 1.0, 25.0), -6.0, 25.0, steps, dt_s)
+        };
         let (coarse_m, fine_m) = (stop_m(800, 0.01), stop_m(8000, 0.001));
-        assert!((coarse_m - fine_m).abs() < 0.002, "{kind:?} {coarse_m} {fine_m}");
+        assert!(
+            (coarse_m - fine_m).abs() < 0.002,
+            "{kind:?} {coarse_m} {fine_m}"
+        );
         // 52.1 m at once, and the distance covered while the pressure rises.
         assert!((52.0..70.0).contains(&coarse_m), "{kind:?} {coarse_m}");
     }
@@ -84,15 +120,23 @@ fn the_braking_distance_is_that_of_the_package_at_any_step() {
 
 #[test]
 fn the_anti_lock_system_keeps_the_wheels_turning() {
-    for (kind, friction) in BodyKind::ALL.into_iter().flat_map(|kind| [0.3, 0.6, 1.0].map(|friction| (kind, friction)))
+    for (kind, friction) in BodyKind::ALL
+        .into_iter()
+        .flat_map(|kind| [0.3, 0.6, 1.0].map(|friction| (kind, friction)))
     {
         let mut locked = MultiBody::new(kind, friction, 25.0);
         locked.brake = BrakePressure::new(locked.body.brake.lag_s, false);
         let controlled = MultiBody::new(kind, friction, 25.0);
-        let [locked_m, controlled_m] = [locked, controlled].map(|v| braking_distance_m(v, -12.0, 25.0, 3000, 0.01));
+        let [locked_m, controlled_m] =
+            [locked, controlled].map(|v| braking_distance_m(v, -12.0, 25.0, 3000, 0.01));
         let ideal_m = 25.0 * 25.0 / (2.0 * friction * body_params(kind).tyre.p_dx1 * GRAVITY_MPS2);
-        println!("{kind:?} {friction}: locked {locked_m:.1} m, ABS {controlled_m:.1} m, ideal {ideal_m:.1} m");
-        assert!(controlled_m < locked_m && controlled_m > ideal_m, "{kind:?} {friction}");
+        println!(
+            "{kind:?} {friction}: locked {locked_m:.1} m, ABS {controlled_m:.1} m, ideal {ideal_m:.1} m"
+        );
+        assert!(
+            controlled_m < locked_m && controlled_m > ideal_m,
+            "{kind:?} {friction}"
+        );
     }
 }
 
@@ -100,9 +144,14 @@ fn the_anti_lock_system_keeps_the_wheels_turning() {
 #[test]
 fn friction_limits_the_braking_of_a_rolling_vehicle() {
     for kind in BodyKind::ALL {
-        let stop_m = |friction| braking_distance_m(MultiBody::new(kind, friction, 0.09), -7.5, 0.09, 300, 0.01);
+        let stop_m = |friction| {
+            braking_distance_m(MultiBody::new(kind, friction, 0.09), -7.5, 0.09, 300, 0.01)
+        };
         let peak_mps2 = body_params(kind).tyre.p_dx1 * 0.1 * GRAVITY_MPS2;
-        assert!(stop_m(0.1) >= 0.09 * 0.09 / (2.0 * peak_mps2) && stop_m(0.1) > stop_m(1.0), "{kind:?}");
+        assert!(
+            stop_m(0.1) >= 0.09 * 0.09 / (2.0 * peak_mps2) && stop_m(0.1) > stop_m(1.0),
+            "{kind:?}"
+        );
     }
 }
 
@@ -144,23 +193,39 @@ fn idm_drives_off_as_a_point_mass_does() {
     let mut spec = paper_scenario(0).spec().clone();
     (spec.duration_s, spec.seed) = (20.0, 0);
     spec.vehicles.truncate(2);
-    let [leader, ego] = spec.vehicles.as_mut_slice() else { panic!("two vehicles") };
-    (leader.position_m, leader.speed_mps, leader.driver) = (500.0, 20.0, Driver::Profile(LeadProfile::ConstantSpeed));
+    let [leader, ego] = spec.vehicles.as_mut_slice() else {
+        panic!("two vehicles")
+    };
+    (leader.position_m, leader.speed_mps, leader.driver) =
+        (500.0, 20.0, Driver::Profile(LeadProfile::ConstantSpeed));
     (ego.position_m, ego.speed_mps) = (0.0, 0.0);
     let final_mps = |body: Option<BodyKind>| {
         let mut spec = spec.clone();
         let ego = &mut spec.vehicles[1];
-        (ego.plant, ego.body) = (body.map_or(PlantKind::PointMass, |_| PlantKind::MultiBody), body);
-        let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap()).with_estimator(EstimatorKind::Truth);
+        (ego.plant, ego.body) = (
+            body.map_or(PlantKind::PointMass, |_| PlantKind::MultiBody),
+            body,
+        );
+        let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap())
+            .with_estimator(EstimatorKind::Truth);
         let run = Run::new(&Scenario::new(spec).unwrap(), options).unwrap();
-        *simulate(&run, RecordingLevel::Trace).trace.unwrap().vehicles[1].speed_mps.last().unwrap()
+        *simulate(&run, RecordingLevel::Trace)
+            .trace
+            .unwrap()
+            .vehicles[1]
+            .speed_mps
+            .last()
+            .unwrap()
     };
     let point_mass_mps = final_mps(None);
     assert!((point_mass_mps - 14.5).abs() < 0.05, "{point_mass_mps}");
     for kind in BodyKind::ALL {
         let speed_mps = final_mps(Some(kind));
         // The engine also turns the wheels: up to 5 % of the mass.
-        assert!((0.94..=1.0).contains(&(speed_mps / point_mass_mps)), "{kind:?} {speed_mps}");
+        assert!(
+            (0.94..=1.0).contains(&(speed_mps / point_mass_mps)),
+            "{kind:?} {speed_mps}"
+        );
     }
 }
 
@@ -171,7 +236,10 @@ fn paper_scenario(index: usize) -> Scenario {
         }
         spec.vehicles[1].acceleration_noise_mps2 = if index == 2 { 0.3 } else { 0.0 };
     };
-    built_in_scenario(&format!("paper-{}", index + 1)).unwrap().edited(multi_body).unwrap()
+    built_in_scenario(&format!("paper-{}", index + 1))
+        .unwrap()
+        .edited(multi_body)
+        .unwrap()
 }
 
 #[test]
@@ -196,8 +264,18 @@ fn both_engines_agree_through_collisions() {
 #[test]
 fn plants_of_scripted_vehicles_and_bodies_of_point_masses_are_refused() {
     let paper = built_in_scenario("paper-1").unwrap();
-    let scripted = paper.edited(|spec| spec.vehicles[0].plant = PlantKind::MultiBody).unwrap_err();
-    assert!(scripted.to_string().contains("vehicles[0].plant"), "{scripted}");
-    let point_mass = paper.edited(|spec| spec.vehicles[1].body = Some(BodyKind::Bmw320i)).unwrap_err();
-    assert!(point_mass.to_string().contains("vehicles[1].body"), "{point_mass}");
+    let scripted = paper
+        .edited(|spec| spec.vehicles[0].plant = PlantKind::MultiBody)
+        .unwrap_err();
+    assert!(
+        scripted.to_string().contains("vehicles[0].plant"),
+        "{scripted}"
+    );
+    let point_mass = paper
+        .edited(|spec| spec.vehicles[1].body = Some(BodyKind::Bmw320i))
+        .unwrap_err();
+    assert!(
+        point_mass.to_string().contains("vehicles[1].body"),
+        "{point_mass}"
+    );
 }

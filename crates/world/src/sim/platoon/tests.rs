@@ -6,7 +6,11 @@ fn platoon(vehicles: &[(f64, f64, f64, f64)]) -> PlatoonState {
     PlatoonState {
         motion: vehicles
             .iter()
-            .map(|&(position_m, speed_mps, acceleration_mps2, _)| Motion { position_m, speed_mps, acceleration_mps2 })
+            .map(|&(position_m, speed_mps, acceleration_mps2, _)| Motion {
+                position_m,
+                speed_mps,
+                acceleration_mps2,
+            })
             .collect(),
         length_m: vec![2.0; vehicles.len()],
         mass_kg: vehicles.iter().map(|v| v.3).collect(),
@@ -19,7 +23,11 @@ fn platoon(vehicles: &[(f64, f64, f64, f64)]) -> PlatoonState {
 #[test]
 fn a_chain_of_impacts_in_one_step_keeps_momentum_and_order() {
     // The rear vehicle hits the middle one (gap 1 m at 10 m/s), and both then hit the front one (gap 0.5 m).
-    let mut platoon = platoon(&[(10.0, 0.0, 0.0, 1000.0), (7.5, 0.0, 0.0, 1000.0), (4.5, 10.0, 0.0, 2000.0)]);
+    let mut platoon = platoon(&[
+        (10.0, 0.0, 0.0, 1000.0),
+        (7.5, 0.0, 0.0, 1000.0),
+        (4.5, 10.0, 0.0, 2000.0),
+    ]);
     let mut impacts = Vec::new();
     let done_s = platoon.advance(0.0, 0.5, AfterContact::Continue, &mut impacts);
     assert_eq!(done_s, 0.5);
@@ -27,9 +35,15 @@ fn a_chain_of_impacts_in_one_step_keeps_momentum_and_order() {
     assert!((impacts[0].contact.time_s - 0.1).abs() < 1e-12);
     assert!((impacts[0].common_speed_mps - 20.0 / 3.0).abs() < 1e-12);
     assert!((impacts[1].contact.time_s - (0.1 + 0.5 / (20.0 / 3.0))).abs() < 1e-12);
-    assert_eq!((impacts[1].first_involved, impacts[1].last_involved), (0, 2));
+    assert_eq!(
+        (impacts[1].first_involved, impacts[1].last_involved),
+        (0, 2)
+    );
     for motion in &platoon.motion {
-        assert!((motion.speed_mps - 5.0).abs() < 1e-12, "20 000 kg m/s over 4000 kg");
+        assert!(
+            (motion.speed_mps - 5.0).abs() < 1e-12,
+            "20 000 kg m/s over 4000 kg"
+        );
     }
     assert!((impacts[1].delta_v_mps(0) - 5.0).abs() < 1e-12);
     assert!((impacts[1].delta_v_mps(2) - (20.0 / 3.0 - 5.0)).abs() < 1e-12);

@@ -33,15 +33,27 @@ impl<const N: usize> ShortLine<N> {
     #[inline]
     fn gap_m(&self, rear: usize) -> Option<f64> {
         let front = rear.checked_sub(1)?;
-        Some(self.motion.get(front)?.position_m - self.length_m.get(front)? - self.motion.get(rear)?.position_m)
+        Some(
+            self.motion.get(front)?.position_m
+                - self.length_m.get(front)?
+                - self.motion.get(rear)?.position_m,
+        )
     }
 
     #[inline]
     fn true_state(&self, index: usize) -> TrueState {
         let own = self.motion[index];
         let neighbour = |other: Option<usize>, gap_m: Option<f64>| {
-            let Motion { speed_mps, acceleration_mps2, .. } = *self.motion.get(other?)?;
-            Some(Neighbour { gap_m: gap_m?, speed_mps, acceleration_mps2 })
+            let Motion {
+                speed_mps,
+                acceleration_mps2,
+                ..
+            } = *self.motion.get(other?)?;
+            Some(Neighbour {
+                gap_m: gap_m?,
+                speed_mps,
+                acceleration_mps2,
+            })
         };
         TrueState {
             position_m: own.position_m,
@@ -87,10 +99,16 @@ impl Stepper {
     ) -> FallbackReason {
         let is_consulted = self.loops.iter().any(|vehicle| vehicle.consulted.is_some());
         let is_watched = self.trace.is_some() || !self.extremes.is_empty() || is_consulted;
-        if is_watched || self.time_grid.substeps != 1 || !self.impacts.is_empty() || !self.platoon.lane.is_constant() {
+        if is_watched
+            || self.time_grid.substeps != 1
+            || !self.impacts.is_empty()
+            || !self.platoon.lane.is_constant()
+        {
             return FallbackReason::CommandsPending;
         }
-        let Some(mut line) = self.short_line::<N>() else { return FallbackReason::CommandsPending };
+        let Some(mut line) = self.short_line::<N>() else {
+            return FallbackReason::CommandsPending;
+        };
         let pace = self.time_grid;
         let pause = loop {
             let span_s = self.span_s();
@@ -98,8 +116,16 @@ impl Stepper {
                 break FallbackReason::CommandsPending;
             };
             let mut decided_mps2 = [0.0; N];
-            for (vehicle, (one, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate() {
-                let VehicleLoop { driver, estimator, observation: seen, command_mps2, .. } = one;
+            for (vehicle, (one, decided_mps2)) in
+                loops.iter_mut().zip(&mut decided_mps2).enumerate()
+            {
+                let VehicleLoop {
+                    driver,
+                    estimator,
+                    observation: seen,
+                    command_mps2,
+                    ..
+                } = one;
                 // An estimator must be fed at every step; a profile needs no observation.
                 if let (None, Some(estimator)) = (&seen, estimator) {
                     *seen = Some(estimator.observe(&line.true_state(vehicle)));
@@ -125,7 +151,11 @@ impl Stepper {
                 match decided {
                     Ok(command_mps2) => *decided_mps2 = one.actuate(command_mps2, speed_mps, false),
                     Err(failure) => {
-                        let failed = FailedController { time_s: span_s[0], vehicle, failure };
+                        let failed = FailedController {
+                            time_s: span_s[0],
+                            vehicle,
+                            failure,
+                        };
                         self.failed.get_or_insert(failed);
                     }
                 }
@@ -137,7 +167,12 @@ impl Stepper {
             self.step += 1;
             self.ended = self.step == pace.steps;
             let gap_m = line.gap_m(index);
-            let moment = StepView { motion: &line.motion, gap_m, has_collided: false, has_ended: self.ended };
+            let moment = StepView {
+                motion: &line.motion,
+                gap_m,
+                has_collided: false,
+                has_ended: self.ended,
+            };
             if after(&moment).is_break() || self.step == last || self.ended {
                 break FallbackReason::Finished;
             }
@@ -165,8 +200,13 @@ mod tests {
 
     /// Command of an external driver: depends on most of the observation and causes some collisions.
     fn test_command_mps2(seen: &Observation) -> f64 {
-        let ahead = seen.ahead.map_or(0.0, |ahead| 0.4 * (ahead.speed_mps - seen.speed_mps) + 0.02 * ahead.gap_m);
-        ahead - 0.3 + seen.behind.map_or(0.0, |behind| 0.1 * behind.acceleration_mps2)
+        let ahead = seen.ahead.map_or(0.0, |ahead| {
+            0.4 * (ahead.speed_mps - seen.speed_mps) + 0.02 * ahead.gap_m
+        });
+        ahead - 0.3
+            + seen
+                .behind
+                .map_or(0.0, |behind| 0.1 * behind.acceleration_mps2)
     }
 
     /// Returns every step and the result, driven `together` steps at a time, or by single calls of `step`.
@@ -176,13 +216,25 @@ mod tests {
         keep: Option<RecordingLevel>,
     ) -> (Vec<(Vec<Motion>, String)>, String) {
         let index = 1.min(run.scenario().vehicles().len() - 1);
-        let mut stepper = keep.map_or_else(|| Stepper::without_summaries(run), |keep| Stepper::new(run, keep));
+        let mut stepper = keep.map_or_else(
+            || Stepper::without_summaries(run),
+            |keep| Stepper::new(run, keep),
+        );
         let mut moments = Vec::new();
         let mut note = |now: &StepView<'_>| {
-            let StepView { motion, gap_m, has_collided: has_touched, has_ended } = *now;
+            let StepView {
+                motion,
+                gap_m,
+                has_collided: has_touched,
+                has_ended,
+            } = *now;
             let collided = if has_touched { "touched" } else { "apart" };
             moments.push((motion.to_vec(), format!("{gap_m:?} {collided} {has_ended}")));
-            if moments.len() % 37 == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if moments.len() % 37 == 0 {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
         };
         while !stepper.has_ended() {
             if together > 0 {
@@ -215,21 +267,39 @@ mod tests {
         });
         let others = built_in_scenario_names().into_iter().flat_map(|(name, _)| {
             let paper = built_in_scenario(name).unwrap();
-            let leaves = paper.edited(|spec| spec.vehicles[0].leaves = Some(LaneChange::At(2.0))).unwrap();
+            let leaves = paper
+                .edited(|spec| spec.vehicles[0].leaves = Some(LaneChange::At(2.0)))
+                .unwrap();
             [paper, leaves]
         });
         let mut collided = 0;
         for (number, scenario) in draws.chain(others).enumerate() {
             for estimator in EstimatorKind::ALL {
-                let after = if number % 2 == 0 { AfterContact::Continue } else { AfterContact::Stop };
+                let after = if number % 2 == 0 {
+                    AfterContact::Continue
+                } else {
+                    AfterContact::Stop
+                };
                 let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
-                let run = Run::new(&scenario, options.with_estimator(estimator).with_after_contact(after)).unwrap();
+                let run = Run::new(
+                    &scenario,
+                    options.with_estimator(estimator).with_after_contact(after),
+                )
+                .unwrap();
                 let name = &scenario.spec().name;
                 let alone = drive_and_record(&run, 0, None);
                 for together in [1, 10, 1000] {
-                    assert_eq!(drive_and_record(&run, together, None), alone, "{name} {together}");
+                    assert_eq!(
+                        drive_and_record(&run, together, None),
+                        alone,
+                        "{name} {together}"
+                    );
                 }
-                assert_eq!(drive_and_record(&run, 10, Some(RecordingLevel::Trace)).0, alone.0, "{name}");
+                assert_eq!(
+                    drive_and_record(&run, 10, Some(RecordingLevel::Trace)).0,
+                    alone.0,
+                    "{name}"
+                );
                 collided += usize::from(alone.0.iter().any(|(_, of)| of.contains("touched")));
             }
         }

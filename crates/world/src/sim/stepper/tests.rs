@@ -23,7 +23,11 @@ fn commands_from_outside_equal_the_same_controller_inside() {
         let mut stepper = Stepper::new(&run, RecordingLevel::Trace);
         while !stepper.has_ended() {
             let seen = stepper.observe(1).unwrap();
-            assert_eq!(stepper.observe(1), Some(seen), "looking twice sees the same");
+            assert_eq!(
+                stepper.observe(1),
+                Some(seen),
+                "looking twice sees the same"
+            );
             stepper.command(1, controller.decide(&seen).unwrap());
             stepper.step();
         }
@@ -42,6 +46,12 @@ fn summaries_change_nothing_else() {
             stepper.step();
         }
         let with = simulate(&run, RecordingLevel::Summary);
-        assert_eq!(stepper.finish(), SimulationResult { vehicles: Vec::new(), ..with });
+        assert_eq!(
+            stepper.finish(),
+            SimulationResult {
+                vehicles: Vec::new(),
+                ..with
+            }
+        );
     }
 }

@@ -23,9 +23,13 @@ pub(super) fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
     let mut stream = Stream::seed_from_u64(seed);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let mut numbers = |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
-        let (state, next_state, privileged) =
-            (numbers(OBSERVATION_SIZE), numbers(OBSERVATION_SIZE), numbers(2 * privileged));
+        let mut numbers =
+            |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
+        let (state, next_state, privileged) = (
+            numbers(OBSERVATION_SIZE),
+            numbers(OBSERVATION_SIZE),
+            numbers(2 * privileged),
+        );
         batch.push(&Transition {
             state: &state,
             next_state: &next_state,

@@ -75,8 +75,20 @@ pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
         let measure = Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. }));
         let text = |field: &str| read::<String>(&proof, field);
         // A changed certificate of the same name is another result.
-        let what = format!("certificate {}: {}, {}", text("name")?, text("statement")?, text("about")?);
-        facts.insert((what, String::new()), Fact { measure, description: status.describe(), is_failure: false });
+        let what = format!(
+            "certificate {}: {}, {}",
+            text("name")?,
+            text("statement")?,
+            text("about")?
+        );
+        facts.insert(
+            (what, String::new()),
+            Fact {
+                measure,
+                description: status.describe(),
+                is_failure: false,
+            },
+        );
     }
     Ok(facts)
 }
@@ -95,15 +107,28 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
         let statuses: Vec<Value> = read(&row, "standings")?;
         let strengths: Vec<Strength> = read(&row, "standings")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
-            return Err(format!("summary/claims: `{words}` needs one entry per controller"));
+            return Err(format!(
+                "summary/claims: `{words}` needs one entry per controller"
+            ));
         }
-        for (((controller, claim), strength), status) in controllers.iter().zip(claims).zip(strengths).zip(&statuses) {
+        for (((controller, claim), strength), status) in
+            controllers.iter().zip(claims).zip(strengths).zip(&statuses)
+        {
             // An untried claim is absent: neither better nor worse.
             if strength != Strength::Untried {
-                let domain = claim.as_ref().map_or_else(String::new, |claim| hash(&claim.domain));
+                let domain = claim
+                    .as_ref()
+                    .map_or_else(String::new, |claim| hash(&claim.domain));
                 let (description, is_failure) = (strength.describe(), strength.is_refutation());
                 let measure = Measure::Claim(strength, deciding_domain(evidence, status));
-                facts.insert((format!("{controller}: {words}"), domain), Fact { measure, description, is_failure });
+                facts.insert(
+                    (format!("{controller}: {words}"), domain),
+                    Fact {
+                        measure,
+                        description,
+                        is_failure,
+                    },
+                );
             }
             domains.extend(claim.map(|claim| claim.domain));
         }
@@ -138,10 +163,22 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
             let content = known.get(name.as_str()).copied().unwrap_or_default();
             for case in read::<Vec<Value>>(&scenario, "cases")? {
                 let controller: String = read(&case, "controller")?;
-                let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else { continue };
-                let what = (format!("{controller}: smallest gap in {name}"), content.to_owned());
+                let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else {
+                    continue;
+                };
+                let what = (
+                    format!("{controller}: smallest gap in {name}"),
+                    content.to_owned(),
+                );
                 let description = format!("{gap_m:.2} m");
-                facts.insert(what, Fact { measure: Measure::GapM(gap_m), description, is_failure: false });
+                facts.insert(
+                    what,
+                    Fact {
+                        measure: Measure::GapM(gap_m),
+                        description,
+                        is_failure: false,
+                    },
+                );
             }
         }
     }
@@ -155,20 +192,34 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
         let content: String = read(&space, "known/sha256")?;
         // A search with another budget or seed is another result.
         let is_of = |domain: &&Domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content);
-        let domain = domains.iter().find(is_of).map_or_else(|| content.clone(), hash);
+        let domain = domains
+            .iter()
+            .find(is_of)
+            .map_or_else(|| content.clone(), hash);
         for search in read::<Vec<Value>>(&space, "controllers")? {
             let controller: String = read(&search, "controller")?;
             let mut kinds: BTreeMap<String, [usize; 2]> = BTreeMap::new();
             for failure in read::<Vec<Value>>(&search, "failures")? {
-                let is_avoidable = read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
+                let is_avoidable =
+                    read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
                 let [found, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
                 *found += 1;
                 *avoidable += usize::from(is_avoidable);
             }
             for (kind, [found, avoidable]) in kinds {
-                let what = (format!("{controller}: failure in `{name}`: {kind}"), domain.clone());
+                let what = (
+                    format!("{controller}: failure in `{name}`: {kind}"),
+                    domain.clone(),
+                );
                 let description = format!("{found} found, {avoidable} avoidable");
-                facts.insert(what, Fact { measure: Measure::Found, description, is_failure: true });
+                facts.insert(
+                    what,
+                    Fact {
+                        measure: Measure::Found,
+                        description,
+                        is_failure: true,
+                    },
+                );
             }
         }
     }

@@ -9,7 +9,11 @@ use crate::assessment::claims::Strength;
 /// A claim that is no longer refuted, or is shown, is better, whatever its evidence. Numbers are compared only if they
 /// count the same: more failures are worse, and a failure that became unavoidable is not better. `has_other_domain`
 /// states that the evidence is about other runs, such as a search in place of random scenarios.
-pub(super) fn compare_strengths(before: &Strength, now: &Strength, has_other_domain: bool) -> Option<Ordering> {
+pub(super) fn compare_strengths(
+    before: &Strength,
+    now: &Strength,
+    has_other_domain: bool,
+) -> Option<Ordering> {
     match now.rank().cmp(&before.rank()) {
         Ordering::Equal if before == now => Some(Ordering::Equal),
         Ordering::Equal if has_other_domain => None,
@@ -25,8 +29,16 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
     }
     match (before, now) {
         (
-            Strength::Falsified { failures: before, avoidable: before_avoidable, .. },
-            Strength::Falsified { failures, avoidable, .. },
+            Strength::Falsified {
+                failures: before,
+                avoidable: before_avoidable,
+                ..
+            },
+            Strength::Falsified {
+                failures,
+                avoidable,
+                ..
+            },
         ) => match (failures.cmp(before), avoidable.cmp(before_avoidable)) {
             (Ordering::Greater, _) | (Ordering::Equal, Ordering::Greater) => Some(Ordering::Less),
             (Ordering::Equal, Ordering::Equal) => Some(Ordering::Equal),
@@ -35,20 +47,39 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
         },
         (Strength::Tested { runs: before }, Strength::Tested { runs }) => Some(runs.cmp(before)),
         (Strength::Proved { .. }, Strength::Proved { .. }) => Some(Ordering::Equal),
-        (Strength::PartlyProved { share_percent: before }, Strength::PartlyProved { share_percent }) => {
-            Some(share_percent.value().total_cmp(&before.value()))
-        }
-        (Strength::Counted { confidence_percent: before, .. }, Strength::Counted { confidence_percent, .. }) => {
-            Some(confidence_percent.value().total_cmp(&before.value()))
-        }
-        (Strength::Compared { own: before, runs: before_runs, .. }, Strength::Compared { own, runs, .. }) => {
+        (
+            Strength::PartlyProved {
+                share_percent: before,
+            },
+            Strength::PartlyProved { share_percent },
+        ) => Some(share_percent.value().total_cmp(&before.value())),
+        (
+            Strength::Counted {
+                confidence_percent: before,
+                ..
+            },
+            Strength::Counted {
+                confidence_percent, ..
+            },
+        ) => Some(confidence_percent.value().total_cmp(&before.value())),
+        (
+            Strength::Compared {
+                own: before,
+                runs: before_runs,
+                ..
+            },
+            Strength::Compared { own, runs, .. },
+        ) => {
             // More failures of the other controller are no improvement of the subject.
             let is_changed = own != before && runs == before_runs;
             is_changed.then(|| before.cmp(own))
         }
-        (Strength::Gain { largest: before, .. }, Strength::Gain { largest, .. }) => {
-            Some(before.value().total_cmp(&largest.value()))
-        }
+        (
+            Strength::Gain {
+                largest: before, ..
+            },
+            Strength::Gain { largest, .. },
+        ) => Some(before.value().total_cmp(&largest.value())),
         _ => compare_bounds(rate_bounds(before)?, rate_bounds(now)?),
     }
 }
@@ -57,13 +88,21 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
 fn failing_runs(strength: &Strength) -> Option<[u64; 2]> {
     match *strength {
         Strength::Refuted { failures, runs } => Some([failures, runs]),
-        Strength::Unanswered { unanswered, failures, runs, .. } => Some([unanswered.saturating_add(failures), runs]),
+        Strength::Unanswered {
+            unanswered,
+            failures,
+            runs,
+            ..
+        } => Some([unanswered.saturating_add(failures), runs]),
         _ => None,
     }
 }
 
 /// Compares failing and all runs. Fewer failures are better only if their share is not larger.
-fn compare_failures([before, before_runs]: [u64; 2], [failures, runs]: [u64; 2]) -> Option<Ordering> {
+fn compare_failures(
+    [before, before_runs]: [u64; 2],
+    [failures, runs]: [u64; 2],
+) -> Option<Ordering> {
     let share = |failures: u64, runs: u64| failures as f64 / runs.max(1) as f64;
     match failures.cmp(&before) {
         Ordering::Less if share(failures, runs) > share(before, before_runs) => None,
@@ -74,16 +113,29 @@ fn compare_failures([before, before_runs]: [u64; 2], [failures, runs]: [u64; 2])
 /// Returns the lower and the upper bound of a rate in percent, and their confidence level.
 fn rate_bounds(strength: &Strength) -> Option<[f64; 3]> {
     match strength {
-        Strength::Bounded { upper_percent, confidence_percent } => {
-            Some([0.0, upper_percent.value(), confidence_percent.value()])
+        Strength::Bounded {
+            upper_percent,
+            confidence_percent,
+        } => Some([0.0, upper_percent.value(), confidence_percent.value()]),
+        Strength::Exceeded {
+            lower_percent,
+            confidence_percent,
+        } => Some([lower_percent.value(), 100.0, confidence_percent.value()]),
+        Strength::Undecided {
+            lower_percent,
+            upper_percent,
+            confidence_percent,
         }
-        Strength::Exceeded { lower_percent, confidence_percent } => {
-            Some([lower_percent.value(), 100.0, confidence_percent.value()])
-        }
-        Strength::Undecided { lower_percent, upper_percent, confidence_percent }
-        | Strength::Between { lower_percent, upper_percent, confidence_percent, .. } => {
-            Some([lower_percent.value(), upper_percent.value(), confidence_percent.value()])
-        }
+        | Strength::Between {
+            lower_percent,
+            upper_percent,
+            confidence_percent,
+            ..
+        } => Some([
+            lower_percent.value(),
+            upper_percent.value(),
+            confidence_percent.value(),
+        ]),
         _ => None,
     }
 }

@@ -7,7 +7,11 @@ use crate::assessment::Rounded;
 use crate::assessment::claims::Strength;
 
 fn earlier(facts: &[(&str, Strength)]) -> EarlierAssessment {
-    EarlierAssessment { sha256: String::new(), config_sha256: String::new(), facts: facts_of(facts) }
+    EarlierAssessment {
+        sha256: String::new(),
+        config_sha256: String::new(),
+        facts: facts_of(facts),
+    }
 }
 
 fn facts_of(facts: &[(&str, Strength)]) -> Facts {
@@ -16,7 +20,10 @@ fn facts_of(facts: &[(&str, Strength)]) -> Facts {
         is_failure: strength.is_refutation(),
         measure: Measure::Claim(strength.clone(), None),
     };
-    facts.iter().map(|(what, strength)| (((*what).to_owned(), String::new()), fact(strength))).collect()
+    facts
+        .iter()
+        .map(|(what, strength)| (((*what).to_owned(), String::new()), fact(strength)))
+        .collect()
 }
 
 fn tested(runs: u64) -> Strength {
@@ -24,7 +31,11 @@ fn tested(runs: u64) -> Strength {
 }
 
 fn found(failures: usize, avoidable: usize) -> Strength {
-    Strength::Falsified { failures, avoidable, reason: None }
+    Strength::Falsified {
+        failures,
+        avoidable,
+        reason: None,
+    }
 }
 
 fn refuted(failures: u64, runs: u64) -> Strength {
@@ -50,22 +61,41 @@ fn everything_falls_into_one_place() {
         ("g", found(10, 9)),
     ]);
     let found = AssessmentComparison::from_facts(&before, &now);
-    let names =
-        |changes: &[AssessmentChange]| changes.iter().map(|change| change.description.clone()).collect::<String>();
-    let all = [&found.better, &found.worse, &found.changed, &found.new, &found.gone].map(|changes| names(changes));
-    assert_eq!((all, found.unchanged), (["a", "bf", "g", "e", "d"].map(str::to_owned), 1));
-    assert!(
-        found
-            .describe()
-            .ends_with("1 better, 2 worse, 1 new, 1 gone, 1 changed without being better or worse, 1 unchanged.")
+    let names = |changes: &[AssessmentChange]| {
+        changes
+            .iter()
+            .map(|change| change.description.clone())
+            .collect::<String>()
+    };
+    let all = [
+        &found.better,
+        &found.worse,
+        &found.changed,
+        &found.new,
+        &found.gone,
+    ]
+    .map(|changes| names(changes));
+    assert_eq!(
+        (all, found.unchanged),
+        (["a", "bf", "g", "e", "d"].map(str::to_owned), 1)
     );
-    assert_eq!(found.describe_changed(), "; 1 changed, and neither result is better");
+    assert!(found.describe().ends_with(
+        "1 better, 2 worse, 1 new, 1 gone, 1 changed without being better or worse, 1 unchanged."
+    ));
+    assert_eq!(
+        found.describe_changed(),
+        "; 1 changed, and neither result is better"
+    );
 }
 
 /// Greater is better. Each pair is compared in both directions.
 #[test]
 fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
-    let compared = |own, other| Strength::Compared { own, other, runs: 100 };
+    let compared = |own, other| Strength::Compared {
+        own,
+        other,
+        runs: 100,
+    };
     let unanswered = |unanswered, failures| Strength::Unanswered {
         unanswered,
         failures,
@@ -100,27 +130,64 @@ fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
         (tested(3), tested(30), Some(Greater), Some(Less)),
         (tested(30), proved, Some(Greater), Some(Less)),
         (tested(30), bounded(0.2, 99.9), None, None),
-        (bounded(0.2, 99.9), bounded(0.1, 99.9), Some(Greater), Some(Less)),
+        (
+            bounded(0.2, 99.9),
+            bounded(0.1, 99.9),
+            Some(Greater),
+            Some(Less),
+        ),
         (bounded(0.2, 99.9), bounded(0.1, 95.0), None, None),
         (undecided(0.5, 2.0), undecided(0.6, 1.8), None, None),
-        (undecided(0.5, 2.0), undecided(0.4, 1.8), Some(Greater), Some(Less)),
-        (undecided(0.5, 2.0), bounded(0.9, 99.9), Some(Greater), Some(Less)),
+        (
+            undecided(0.5, 2.0),
+            undecided(0.4, 1.8),
+            Some(Greater),
+            Some(Less),
+        ),
+        (
+            undecided(0.5, 2.0),
+            bounded(0.9, 99.9),
+            Some(Greater),
+            Some(Less),
+        ),
         (compared(1, 20), compared(2, 90), Some(Less), Some(Greater)),
         (compared(1, 20), compared(1, 90), None, None),
         (compared(5, 20), compared(5, 5), Some(Less), Some(Greater)),
     ];
     for (before, now, order, reverse) in cases {
-        assert_eq!(compare_strengths(&before, &now, false), order, "{before:?} to {now:?}");
-        assert_eq!(compare_strengths(&now, &before, false), reverse, "{now:?} to {before:?}");
+        assert_eq!(
+            compare_strengths(&before, &now, false),
+            order,
+            "{before:?} to {now:?}"
+        );
+        assert_eq!(
+            compare_strengths(&now, &before, false),
+            reverse,
+            "{now:?} to {before:?}"
+        );
     }
     // Counts of other runs, such as those of another space, are unlike; a claim that is refuted is still worse.
-    assert_eq!(compare_strengths(&refuted(9, 200), &refuted(10, 200), true), None);
-    assert_eq!(compare_strengths(&tested(200), &refuted(10, 200), true), Some(Less));
+    assert_eq!(
+        compare_strengths(&refuted(9, 200), &refuted(10, 200), true),
+        None
+    );
+    assert_eq!(
+        compare_strengths(&tested(200), &refuted(10, 200), true),
+        Some(Less)
+    );
 }
 
 #[test]
 fn what_is_no_evidence_is_refused_with_its_line() {
-    let refused = |text: &str| EarlierAssessment::from_json(text, Path::new("old.json")).unwrap_err().to_string();
-    assert!(refused("{}").starts_with("old.json:1: "), "{}", refused("{}"));
+    let refused = |text: &str| {
+        EarlierAssessment::from_json(text, Path::new("old.json"))
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(
+        refused("{}").starts_with("old.json:1: "),
+        "{}",
+        refused("{}")
+    );
     assert!(refused("{\"version\": 0}").contains("version: 0"));
 }

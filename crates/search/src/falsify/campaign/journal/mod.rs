@@ -40,20 +40,28 @@ pub(super) struct Journal {
 
 const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 
-const OTHER_CAMPAIGN_MESSAGE: &str =
-    "belongs to another campaign, so this one cannot be resumed; remove its folder, or use another --out";
+const OTHER_CAMPAIGN_MESSAGE: &str = "belongs to another campaign, so this one cannot be resumed; remove its folder, or use another --out";
 
 impl Journal {
     /// Opens the journal of a run: a new one, or that of an earlier process.
-    pub(super) fn open_in_folder(work: &RunFolder, name: &str, resume: bool) -> Result<Self, RunFolderError> {
+    pub(super) fn open_in_folder(
+        work: &RunFolder,
+        name: &str,
+        resume: bool,
+    ) -> Result<Self, RunFolderError> {
         let (path, identity) = (work.path(name), work.identity());
-        if resume { Self::resume(&path, &identity) } else { Self::create(&path, &identity) }
+        if resume {
+            Self::resume(&path, &identity)
+        } else {
+            Self::create(&path, &identity)
+        }
     }
 
     pub(super) fn create(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
-        file.write_all(header_line(identity).as_bytes()).map_err(unusable)?;
+        file.write_all(header_line(identity).as_bytes())
+            .map_err(unusable)?;
         file.sync_all().map_err(unusable)?;
         disk::sync_parent_folder(path)?;
         Ok(Self::new(file, path, identity, None))
@@ -96,19 +104,25 @@ impl Journal {
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(unusable(error).into()),
         };
-        let Some(beyond) = length.checked_sub(HEADER_BYTES as u64) else { return Self::create(path, identity) };
+        let Some(beyond) = length.checked_sub(HEADER_BYTES as u64) else {
+            return Self::create(path, identity);
+        };
         let mut earlier = BufReader::new(regular_file::open(path).map_err(unusable)?);
         let is_begun = has_header(&mut earlier, identity).map_err(unusable)?;
         if !is_begun.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Self::create(path, identity);
         }
-        let file = regular_file::open_with(path, OpenOptions::new().append(true)).map_err(unusable)?;
-        file.set_len(length - beyond % RECORD_BYTES as u64).map_err(unusable)?;
+        let file =
+            regular_file::open_with(path, OpenOptions::new().append(true)).map_err(unusable)?;
+        file.set_len(length - beyond % RECORD_BYTES as u64)
+            .map_err(unusable)?;
         Ok(Self::new(file, path, identity, Some(earlier)))
     }
 
     pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, RunFolderError> {
-        let Some(earlier) = &mut self.previous_records else { return Ok(None) };
+        let Some(earlier) = &mut self.previous_records else {
+            return Ok(None);
+        };
         let unusable = DiskError::at(&self.path);
         match read_record(earlier, &self.path, &self.identity, self.record_count)? {
             JournalEntry::Record(body, checksum) => {
@@ -141,14 +155,19 @@ impl Journal {
             bytes.extend(record_checksum(&self.identity, index, &body));
         }
         self.record_count += verdicts.len() as u64;
-        self.file.write_all(&bytes).map_err(DiskError::at(&self.path))?;
+        self.file
+            .write_all(&bytes)
+            .map_err(DiskError::at(&self.path))?;
         self.digest.update(&bytes);
         if self.last_sync.elapsed() <= SYNC_INTERVAL {
             return Ok(None);
         }
         self.file.sync_data().map_err(DiskError::at(&self.path))?;
         self.last_sync = Instant::now();
-        Ok(Some(Prefix { bytes: self.length_bytes(), sha256: self.digest.clone().hexadecimal() }))
+        Ok(Some(Prefix {
+            bytes: self.length_bytes(),
+            sha256: self.digest.clone().hexadecimal(),
+        }))
     }
 }
 
@@ -198,16 +217,36 @@ mod tests {
             ego_braking: BrakingLevel::Full,
             rear_class: VehicleClass::Heavy,
         };
-        let failed = RunVerdict { failure: Some((0.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
-        let verdicts = [failed, RunVerdict { contact: Some(struck), ..RunVerdict::new(-7.5) }];
-        Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
-        OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD_BYTES - 1]).unwrap();
+        let failed = RunVerdict {
+            failure: Some((0.5, 1)),
+            ..RunVerdict::new(f64::NEG_INFINITY)
+        };
+        let verdicts = [
+            failed,
+            RunVerdict {
+                contact: Some(struck),
+                ..RunVerdict::new(-7.5)
+            },
+        ];
+        Journal::create(&path, &identity())
+            .unwrap()
+            .append(&verdicts)
+            .unwrap();
+        OpenOptions::new()
+            .append(true)
+            .open(&path)
+            .unwrap()
+            .write_all(&[1; RECORD_BYTES - 1])
+            .unwrap();
         let mut journal = Journal::resume(&path, &identity()).unwrap();
         assert_eq!(journal.next_verdict().unwrap(), Some(verdicts[0]));
         assert_eq!(journal.next_verdict().unwrap(), Some(verdicts[1]));
         assert_eq!(journal.next_verdict().unwrap(), None);
         journal.append(&verdicts[..1]).unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().len(), (HEADER_BYTES + 3 * RECORD_BYTES) as u64);
+        assert_eq!(
+            std::fs::metadata(&path).unwrap().len(),
+            (HEADER_BYTES + 3 * RECORD_BYTES) as u64
+        );
         let mut again = Journal::resume(&path, &identity()).unwrap();
         for expected in [verdicts[0], verdicts[1], verdicts[0]] {
             assert_eq!(again.next_verdict().unwrap(), Some(expected));
@@ -220,7 +259,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         let verdicts = [1.0, 2.0, 3.0].map(RunVerdict::new);
-        Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
+        Journal::create(&path, &identity())
+            .unwrap()
+            .append(&verdicts)
+            .unwrap();
         let whole = std::fs::read(&path).unwrap();
         let going_on = || {
             let mut journal = match Journal::resume(&path, &identity()) {
@@ -238,7 +280,11 @@ mod tests {
         let first_damage = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
             let looked = Journal::verify(&path, &identity()).err().map(problem);
-            assert_eq!(std::fs::read(&path).unwrap(), bytes, "looking changes nothing");
+            assert_eq!(
+                std::fs::read(&path).unwrap(),
+                bytes,
+                "looking changes nothing"
+            );
             let found = going_on();
             assert_eq!(looked, found);
             found
@@ -252,11 +298,21 @@ mod tests {
                 Some(beyond) => format!("record {} is damaged", beyond / RECORD_BYTES + 1),
             };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));
-            assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is cut from what is refused");
+            assert_eq!(
+                std::fs::read(&path).unwrap(),
+                bytes,
+                "nothing is cut from what is refused"
+            );
         }
-        let (header, [one, two]) =
-            (&whole[..HEADER_BYTES], [0, 1].map(|at| &whole[HEADER_BYTES + at * RECORD_BYTES..][..RECORD_BYTES]));
-        assert!(first_damage(&[header, two, one].concat()).unwrap().starts_with("record 1 is damaged"));
+        let (header, [one, two]) = (
+            &whole[..HEADER_BYTES],
+            [0, 1].map(|at| &whole[HEADER_BYTES + at * RECORD_BYTES..][..RECORD_BYTES]),
+        );
+        assert!(
+            first_damage(&[header, two, one].concat())
+                .unwrap()
+                .starts_with("record 1 is damaged")
+        );
         assert_eq!(first_damage(&header[1..]), None, "it begins anew");
         assert_eq!(
             first_damage(&[header, one, &[0; 3 * RECORD_BYTES + 5]].concat()),
@@ -265,7 +321,9 @@ mod tests {
         );
         assert_eq!(std::fs::read(&path).unwrap(), [header, one].concat());
         assert!(
-            first_damage(&[header, one, &[0; RECORD_BYTES], two].concat()).unwrap().starts_with("record 2 is damaged")
+            first_damage(&[header, one, &[0; RECORD_BYTES], two].concat())
+                .unwrap()
+                .starts_with("record 2 is damaged")
         );
     }
 }

@@ -52,7 +52,9 @@ impl FmuProblem {
         let path = path.display();
         match self {
             #[cfg(feature = "process")]
-            Self::Fmu(crumple_fmu::FmuError::Read(source)) if source.kind() == std::io::ErrorKind::NotFound => {
+            Self::Fmu(crumple_fmu::FmuError::Read(source))
+                if source.kind() == std::io::ErrorKind::NotFound =>
+            {
                 format!("there is no file {path}")
             }
             #[cfg(feature = "process")]

@@ -6,7 +6,9 @@ use crumple_fmu::{Causality, Fmu, ModelDescription, Variable, VariableType};
 
 use super::units::{convert_input, convert_output, convert_parameter};
 use super::{FmuConfig, FmuProblem};
-use crate::control::{InputMapping, InvalidMapping, Mapping, ObservedQuantity, OutputMapping, ProcessSetup};
+use crate::control::{
+    InputMapping, InvalidMapping, Mapping, ObservedQuantity, OutputMapping, ProcessSetup,
+};
 
 const HOST_PROGRAM: &str = "crumple-fmu";
 /// Environment variable with another location of the program.
@@ -20,26 +22,40 @@ impl ProcessSetup {
     ///
     /// # Errors
     /// [`FmuProblem`] for an unusable file, for missing variables, and for units that cannot be converted.
-    pub(crate) fn from_fmu(folder: &Path, path: &str, wiring: FmuConfig) -> Result<Self, FmuProblem> {
+    pub(crate) fn from_fmu(
+        folder: &Path,
+        path: &str,
+        wiring: FmuConfig,
+    ) -> Result<Self, FmuProblem> {
         let fmu = Fmu::open(&folder.join(path))?;
         let description = fmu.description();
         let plain = Self::new(Vec::new(), folder);
-        let inputs = wiring.inputs.map_or_else(|| inputs_by_name(description), Ok)?;
+        let inputs = wiring
+            .inputs
+            .map_or_else(|| inputs_by_name(description), Ok)?;
         let (inputs, variables) = connect_inputs(description, inputs)?;
-        let output = wiring.output.unwrap_or_else(|| plain.mapping.output.clone());
+        let output = wiring
+            .output
+            .unwrap_or_else(|| plain.mapping.output.clone());
         let answer = answer_variable(description, &output)?;
-        let output =
-            convert_output(output, answer).map_err(|problem| InvalidMapping::new("output.variable", problem))?;
+        let output = convert_output(output, answer)
+            .map_err(|problem| InvalidMapping::new("output.variable", problem))?;
         let mut command: Vec<String> = vec![HOST_PROGRAM.to_owned(), "drive".to_owned()];
         let mut say = |option: &str, value: String| command.push(format!("--{option}={value}"));
-        variables.into_iter().for_each(|variable| say("input", variable));
+        variables
+            .into_iter()
+            .for_each(|variable| say("input", variable));
         say("output", answer.name.clone());
         for (name, value) in &wiring.parameters {
             let invalid = |problem| InvalidMapping::new(format!("parameters.{name}"), problem);
-            let variable = find_variable(description, Causality::Parameter, name).map_err(invalid)?;
+            let variable =
+                find_variable(description, Causality::Parameter, name).map_err(invalid)?;
             let value = convert_parameter(*value, variable).map_err(invalid)?;
             if !variable.kind.accepts(value) {
-                let problem = format!("{value} is not a value of a parameter that is {}", variable.kind.name());
+                let problem = format!(
+                    "{value} is not a value of a parameter that is {}",
+                    variable.kind.name()
+                );
                 return Err(invalid(problem).into());
             }
             say("parameter", format!("{name}={value}"));
@@ -97,7 +113,11 @@ fn connect_inputs(
         let name = match (&input.variable, input.quantity) {
             (Some(variable), _) => variable,
             (None, Some(quantity)) => quantity.name(),
-            (None, None) => return Err(invalid("a constant needs a `variable` that is set to it".to_owned())),
+            (None, None) => {
+                return Err(invalid(
+                    "a constant needs a `variable` that is set to it".to_owned(),
+                ));
+            }
         };
         let variable = find_variable(description, Causality::Input, name).map_err(invalid)?;
         if names.iter().any(|other| other == name) {
@@ -114,8 +134,10 @@ fn answer_variable<'d>(
     output: &OutputMapping,
 ) -> Result<&'d Variable, InvalidMapping> {
     let invalid = |problem| InvalidMapping::new("output.variable", problem);
-    let outputs: Vec<&Variable> =
-        description.with_causality(Causality::Output).filter(|variable| variable.kind == VariableType::Real).collect();
+    let outputs: Vec<&Variable> = description
+        .with_causality(Causality::Output)
+        .filter(|variable| variable.kind == VariableType::Real)
+        .collect();
     let name = match (&output.variable, outputs.as_slice()) {
         (Some(variable), _) => variable,
         (None, [only]) => &only.name,
@@ -124,7 +146,10 @@ fn answer_variable<'d>(
     let found = find_variable(description, Causality::Output, name).map_err(invalid)?;
     match found.kind {
         VariableType::Real => Ok(found),
-        kind => Err(invalid(format!("`{name}` is {}, and an acceleration is real", kind.name()))),
+        kind => Err(invalid(format!(
+            "`{name}` is {}, and an acceleration is real",
+            kind.name()
+        ))),
     }
 }
 
@@ -134,19 +159,28 @@ fn find_variable<'a>(
     name: &str,
 ) -> Result<&'a Variable, String> {
     let of_kind = || description.with_causality(causality);
-    of_kind().find(|variable| variable.name == name).ok_or_else(|| {
-        let what = match causality {
-            Causality::Input => "inputs",
-            Causality::Output => "outputs",
-            Causality::Parameter => "parameters",
-        };
-        let mut names: Vec<&str> = of_kind().map(|variable| variable.name.as_str()).take(13).collect();
-        if names.len() == 13 {
-            names[12] = "…";
-        }
-        let there = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-        format!("the FMU has no `{name}` among its {what}: {there}")
-    })
+    of_kind()
+        .find(|variable| variable.name == name)
+        .ok_or_else(|| {
+            let what = match causality {
+                Causality::Input => "inputs",
+                Causality::Output => "outputs",
+                Causality::Parameter => "parameters",
+            };
+            let mut names: Vec<&str> = of_kind()
+                .map(|variable| variable.name.as_str())
+                .take(13)
+                .collect();
+            if names.len() == 13 {
+                names[12] = "…";
+            }
+            let there = if names.is_empty() {
+                "none".to_owned()
+            } else {
+                names.join(", ")
+            };
+            format!("the FMU has no `{name}` among its {what}: {there}")
+        })
 }
 
 /// Finds the program that runs FMUs: by the variable `CRUMPLE_FMU`, beside this program, or on the path.
@@ -162,10 +196,14 @@ pub fn find_fmu_host() -> Option<PathBuf> {
     let is_of_cargo = |folder: &Path| folder.ends_with("deps") || folder.ends_with("examples");
     let beside = own.iter().flat_map(|own| {
         let folder = own.parent();
-        let above = folder.filter(|folder| is_of_cargo(folder)).and_then(Path::parent);
+        let above = folder
+            .filter(|folder| is_of_cargo(folder))
+            .and_then(Path::parent);
         folder.into_iter().chain(above)
     });
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders = beside.map(Path::to_owned).chain(std::env::split_paths(&path));
+    let folders = beside
+        .map(Path::to_owned)
+        .chain(std::env::split_paths(&path));
     folders.map(|folder| folder.join(&name)).find_map(absolute)
 }

@@ -10,10 +10,26 @@ use crate::control::{InputMapping, ObservedQuantity, OutputMapping};
 ///
 /// # Errors
 /// The problem, with the unit's name: no definition, another dimension, or a second conversion by `scale`.
-pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<InputMapping, String> {
-    let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(input) };
+pub(super) fn convert_input(
+    input: InputMapping,
+    variable: &Variable,
+) -> Result<InputMapping, String> {
+    let Some(Conversion {
+        dimension,
+        factor,
+        offset,
+    }) = conversion_of(variable)?
+    else {
+        return Ok(input);
+    };
     if let Some(quantity) = input.quantity {
-        check_dimension(variable, dimension, dimension_of(quantity), quantity.name(), ("scale", input.scale))?;
+        check_dimension(
+            variable,
+            dimension,
+            dimension_of(quantity),
+            quantity.name(),
+            ("scale", input.scale),
+        )?;
     }
     if (factor, offset) == (1.0, 0.0) {
         return Ok(input);
@@ -21,20 +37,48 @@ pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<
     check_scale(variable, dimension, ("scale", input.scale))?;
     let [low, high] = [input.low, input.high].map(|limit| (limit - offset) / factor);
     // A negative factor swaps the limits.
-    let (low, high) = if factor < 0.0 { (high, low) } else { (low, high) };
-    let scaled = InputMapping { offset: input.offset + input.scale * offset, scale: input.scale * factor, ..input };
-    Ok(InputMapping { low, high, ..scaled })
+    let (low, high) = if factor < 0.0 {
+        (high, low)
+    } else {
+        (low, high)
+    };
+    let scaled = InputMapping {
+        offset: input.offset + input.scale * offset,
+        scale: input.scale * factor,
+        ..input
+    };
+    Ok(InputMapping {
+        low,
+        high,
+        ..scaled
+    })
 }
 
 /// Returns an output that takes answers in the unit of its variable.
 ///
 /// # Errors
 /// The problem, with the unit's name, as for [`convert_input`].
-pub(super) fn convert_output(output: OutputMapping, variable: &Variable) -> Result<OutputMapping, String> {
-    let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(output) };
+pub(super) fn convert_output(
+    output: OutputMapping,
+    variable: &Variable,
+) -> Result<OutputMapping, String> {
+    let Some(Conversion {
+        dimension,
+        factor,
+        offset,
+    }) = conversion_of(variable)?
+    else {
+        return Ok(output);
+    };
     let scale = ("scale_mps2", output.scale_mps2);
     if output.squash.is_none() {
-        check_dimension(variable, dimension, UnitDimension::metres_seconds(1, -2), "the answer", scale)?;
+        check_dimension(
+            variable,
+            dimension,
+            UnitDimension::metres_seconds(1, -2),
+            "the answer",
+            scale,
+        )?;
     }
     if (factor, offset) == (1.0, 0.0) {
         return Ok(output);
@@ -90,10 +134,17 @@ fn check_dimension(
     } else {
         "choose another variable, or correct its unit in modelDescription.xml".to_owned()
     };
-    Err(format!("{} ({unit} in SI units), and {what} is in {wanted}; {hint}", variable_with_unit(variable)))
+    Err(format!(
+        "{} ({unit} in SI units), and {what} is in {wanted}; {hint}",
+        variable_with_unit(variable)
+    ))
 }
 
-fn check_scale(variable: &Variable, unit: UnitDimension, (field, scale): (&str, f64)) -> Result<(), String> {
+fn check_scale(
+    variable: &Variable,
+    unit: UnitDimension,
+    (field, scale): (&str, f64),
+) -> Result<(), String> {
     if unit == UnitDimension::NONE || scale.abs() == 1.0 {
         return Ok(());
     }

@@ -8,15 +8,21 @@ const STEP_S: f64 = 0.1;
 fn comparison() -> impl Strategy<Value = Formula> {
     let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
     // Small whole numbers often yield margins of exactly zero.
-    any_comparison(weight, prop_oneof![Just("x"), Just("y")], 2, (-2i32..3).prop_map(f64::from))
+    any_comparison(
+        weight,
+        prop_oneof![Just("x"), Just("y")],
+        2,
+        (-2i32..3).prop_map(f64::from),
+    )
 }
 
 fn window() -> impl Strategy<Value = TimeWindow> {
     prop_oneof![
         Just(TimeWindow::ALL),
         // Decimal multiples of the step, which are not multiples in binary.
-        (0u32..12, 0u32..25)
-            .prop_map(|(a, b)| { TimeWindow::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap() }),
+        (0u32..12, 0u32..25).prop_map(|(a, b)| {
+            TimeWindow::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap()
+        }),
     ]
 }
 
@@ -78,7 +84,12 @@ proptest! {
 #[test]
 fn windows_past_the_end_are_clipped_or_empty() {
     let x = [3.0, 2.0, 1.0];
-    let at = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals(&x, &x)).unwrap();
+    let at = |text: &str| {
+        text.parse::<Formula>()
+            .unwrap()
+            .robustness(&signals(&x, &x))
+            .unwrap()
+    };
     assert_eq!(at("always[0.1,9] x > 0"), 1.0);
     assert_eq!(at("eventually[0.2,9] x > 0"), 1.0);
     assert_eq!(at("always[0.3,9] x > 0"), f64::INFINITY);
@@ -90,9 +101,15 @@ fn windows_past_the_end_are_clipped_or_empty() {
 fn the_longest_formula_that_parses_is_evaluated() {
     let x = [1.0; 4];
     for operator in ["and", "or", "implies"] {
-        let formula: Formula = vec!["x > 0"; 990].join(&format!(" {operator} ")).parse().unwrap();
+        let formula: Formula = vec!["x > 0"; 990]
+            .join(&format!(" {operator} "))
+            .parse()
+            .unwrap();
         assert_eq!(formula.robustness(&signals(&x, &x)).unwrap(), 1.0);
-        assert_eq!(naive_robustness(&formula, &signals(&x, &x), 0).unwrap(), 1.0);
+        assert_eq!(
+            naive_robustness(&formula, &signals(&x, &x), 0).unwrap(),
+            1.0
+        );
         assert!(formula.to_string().len() > 990);
     }
 }
@@ -101,8 +118,20 @@ fn the_longest_formula_that_parses_is_evaluated() {
 fn formulas_without_a_value_are_refused() {
     let x = [f64::INFINITY, 1.0];
     let signals = signals(&x, &x);
-    let error = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap_err().to_string();
+    let error = |text: &str| {
+        text.parse::<Formula>()
+            .unwrap()
+            .robustness(&signals)
+            .unwrap_err()
+            .to_string()
+    };
     assert_eq!(error("z > 0"), "there is no signal `z`; there are: x, y");
-    assert_eq!(error("always[0.11,0.19] x > 0"), "the window [0.11,0.19] s holds no sample at a step of 0.1 s");
-    assert_eq!(error("x - y > 0"), "`x - y > 0` is undefined at 0 s: infinity minus infinity");
+    assert_eq!(
+        error("always[0.11,0.19] x > 0"),
+        "the window [0.11,0.19] s holds no sample at a step of 0.1 s"
+    );
+    assert_eq!(
+        error("x - y > 0"),
+        "`x - y > 0` is undefined at 0 s: infinity minus infinity"
+    );
 }

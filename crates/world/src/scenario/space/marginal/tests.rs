@@ -1,74 +1,140 @@
 use super::super::spec::{
-    ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec,
-    ShapeScaleSpec, UniformSpec,
+    ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, ParameterValue,
+    PointMassSpec, ShapeScaleSpec, UniformSpec,
 };
 use super::CoordinateMarginal;
 use proptest::prelude::*;
 
 fn any_marginal() -> impl Strategy<Value = CoordinateMarginal> {
     let range = (-50.0..50.0f64, 0.1..60.0f64);
-    let normal = (range.clone(), -0.3..1.3f64, 0.15..2.0f64).prop_map(|((low, width), at, deviation)| {
-        let (mean, deviation) = (low + at * width, deviation * width);
-        DistributionSpec::Normal(NormalSpec { mean, deviation, low, high: low + width })
-    });
+    let normal =
+        (range.clone(), -0.3..1.3f64, 0.15..2.0f64).prop_map(|((low, width), at, deviation)| {
+            let (mean, deviation) = (low + at * width, deviation * width);
+            DistributionSpec::Normal(NormalSpec {
+                mean,
+                deviation,
+                low,
+                high: low + width,
+            })
+        });
     // Shapes above 1: an unbounded density would need finer cells.
-    let positive = (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
-        let high = low + 4.0 * scale;
-        match law {
-            0 => {
-                DistributionSpec::LogNormal(LogNormalSpec { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high })
+    let positive =
+        (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
+            let high = low + 4.0 * scale;
+            match law {
+                0 => DistributionSpec::LogNormal(LogNormalSpec {
+                    ln_mean: scale.ln(),
+                    ln_deviation: 1.0 / shape,
+                    low,
+                    high,
+                }),
+                1 => DistributionSpec::Gamma(ShapeScaleSpec {
+                    shape,
+                    scale: scale / shape,
+                    low,
+                    high,
+                }),
+                _ => DistributionSpec::Weibull(ShapeScaleSpec {
+                    shape,
+                    scale,
+                    low,
+                    high,
+                }),
             }
-            1 => DistributionSpec::Gamma(ShapeScaleSpec { shape, scale: scale / shape, low, high }),
-            _ => DistributionSpec::Weibull(ShapeScaleSpec { shape, scale, low, high }),
-        }
-    });
+        });
     let weights = prop::collection::vec(0.01..5.0f64, 1..6);
-    let with_point = (range.clone(), 0.02..0.9f64, -5.0..0.0f64, any::<(bool, bool)>());
-    let with_point = with_point.prop_map(|((low, width), probability, apart, (is_first, is_end))| {
-        let (apart, high) = (if is_end { 0.0 } else { apart }, low + width);
-        let others = NormalSpec { mean: low + 0.3 * width, deviation: 0.5 * width, low, high };
-        let at = if is_first { low + apart } else { high - apart };
-        DistributionSpec::PointMass(PointMassSpec {
-            at,
-            probability,
-            others: Box::new(DistributionSpec::Normal(others)),
-        })
-    });
+    let with_point = (
+        range.clone(),
+        0.02..0.9f64,
+        -5.0..0.0f64,
+        any::<(bool, bool)>(),
+    );
+    let with_point =
+        with_point.prop_map(|((low, width), probability, apart, (is_first, is_end))| {
+            let (apart, high) = (if is_end { 0.0 } else { apart }, low + width);
+            let others = NormalSpec {
+                mean: low + 0.3 * width,
+                deviation: 0.5 * width,
+                low,
+                high,
+            };
+            let at = if is_first { low + apart } else { high - apart };
+            DistributionSpec::PointMass(PointMassSpec {
+                at,
+                probability,
+                others: Box::new(DistributionSpec::Normal(others)),
+            })
+        });
     prop_oneof![
         with_point,
-        range.prop_map(|(low, width)| DistributionSpec::Uniform(UniformSpec { low, high: low + width })),
-        (0.01..5.0f64, 1.1..50.0f64)
-            .prop_map(|(low, times)| DistributionSpec::LogUniform(UniformSpec { low, high: low * times })),
+        range.prop_map(|(low, width)| DistributionSpec::Uniform(UniformSpec {
+            low,
+            high: low + width
+        })),
+        (0.01..5.0f64, 1.1..50.0f64).prop_map(|(low, times)| DistributionSpec::LogUniform(
+            UniformSpec {
+                low,
+                high: low * times
+            }
+        )),
         normal,
         positive,
         weights.clone().prop_map(|weights| {
-            let edges = (0..=weights.len()).map(|i| (1.5 * i as f64).powi(2) - 2.0).collect();
+            let edges = (0..=weights.len())
+                .map(|i| (1.5 * i as f64).powi(2) - 2.0)
+                .collect();
             DistributionSpec::Histogram(HistogramSpec { edges, weights })
         }),
         weights.prop_map(|weights| {
-            let values = (0..weights.len()).map(|i| ParameterValue::Number(1.5 * i as f64 - 2.0)).collect();
-            DistributionSpec::Choice(ChoiceSpec { values, weights: Some(weights) })
+            let values = (0..weights.len())
+                .map(|i| ParameterValue::Number(1.5 * i as f64 - 2.0))
+                .collect();
+            DistributionSpec::Choice(ChoiceSpec {
+                values,
+                weights: Some(weights),
+            })
         }),
     ]
-    .prop_filter_map("its range holds next to nothing", |distribution| distribution.marginal().ok())
+    .prop_filter_map("its range holds next to nothing", |distribution| {
+        distribution.marginal().ok()
+    })
 }
 
 /// Extreme distributions of a file: no panic, no hang, no value outside the range.
 #[test]
 fn extreme_distributions_have_values_at_every_share() {
-    let ranges = [[0.0, 1.0], [0.0, 1e300], [1e-320, 1e-300], [0.0, 1e-310], [1e-3, 12.0], [1e200, 1e308]];
+    let ranges = [
+        [0.0, 1.0],
+        [0.0, 1e300],
+        [1e-320, 1e-300],
+        [0.0, 1e-310],
+        [1e-3, 12.0],
+        [1e200, 1e308],
+    ];
     let shares = [0.0, f64::MIN_POSITIVE, 1e-100, 0.5, 1.0 - f64::EPSILON, 1.0];
     for [low, high] in ranges {
         for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
             for scale in [1e-9, 1e-3, 1.0, 1e9] {
-                let of = ShapeScaleSpec { shape, scale, low, high };
-                let lognormal = LogNormalSpec { ln_mean: scale.ln(), ln_deviation: shape, low, high };
+                let of = ShapeScaleSpec {
+                    shape,
+                    scale,
+                    low,
+                    high,
+                };
+                let lognormal = LogNormalSpec {
+                    ln_mean: scale.ln(),
+                    ln_deviation: shape,
+                    low,
+                    high,
+                };
                 for law in [
                     DistributionSpec::Gamma(of.clone()),
                     DistributionSpec::Weibull(of),
                     DistributionSpec::LogNormal(lognormal),
                 ] {
-                    let Ok(marginal) = law.marginal() else { continue };
+                    let Ok(marginal) = law.marginal() else {
+                        continue;
+                    };
                     for u in shares {
                         let at = marginal.quantile(u);
                         assert!((0.0..=1.0).contains(&at), "{law:?} {u}: {at}");
