@@ -59,7 +59,8 @@ pub(super) struct Avoid {
 }
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake";
+const LARGEST_GAP: &str = "the largest smallest gap found on this grid, over all trigger times of \
+    the follower's emergency brake";
 
 #[derive(Serialize)]
 struct AvoidReport<'a> {

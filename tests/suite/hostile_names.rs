@@ -14,9 +14,11 @@ use crate::assessments::{config, run};
 use crate::command_line::{command, exit_code, temp_folder};
 
 /// For fields that exclude control characters.
-const NAME: &str = "a|b <img src=x onerror=alert(1)> `touch PWNED` [x](http://x.y) *z* \u{202e}$(touch PWNED);'\"\\ &amp; \u{2066}";
+const NAME: &str = "a|b <img src=x onerror=alert(1)> `touch PWNED` [x](http://x.y) *z* \
+    \u{202e}$(touch PWNED);'\"\\ &amp; \u{2066}";
 /// For file names.
-const FILE: &str = "x\u{1b}]0;PWNED\u{7}\u{9b}2J\n# no contact\n| a | b |\n\u{202e};touch PWNED;# <script>alert(1)<\\script> `'\"";
+const FILE: &str = "x\u{1b}]0;PWNED\u{7}\u{9b}2J\n# no contact\n| a | b |\n\u{202e};touch PWNED;# \
+    <script>alert(1)<\\script> `'\"";
 
 fn assert_no_hidden_characters(what: &str, text: &str) {
     let hidden = text

@@ -198,7 +198,8 @@ pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> S
         }
     }
     let content = panel.draw(&Svg::id("invariant", "frame"));
-    let description = "From a gap on or above the line of its own speed, the controller never collides with the leader.";
+    let description = "From a gap on or above the line of its own speed, the controller never \
+        collides with the leader.";
     Svg::new("invariant", FIGURE_SIZE, title, description, content)
 }
 

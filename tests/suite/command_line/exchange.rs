@@ -107,7 +107,8 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
         &format!("import soft.csv --map '{map}' --out none"),
     );
     assert_eq!(exit_code(&nothing), 1);
-    let message = "error: no braking episode of at least 1.3 m/s² gives a scenario; soft.csv: the hardest braking is 1.00 m/s";
+    let message = "error: no braking episode of at least 1.3 m/s² gives a scenario; soft.csv: the \
+        hardest braking is 1.00 m/s";
     assert!(stderr(&nothing).starts_with(message), "{nothing:?}");
     assert!(!folder.path().join("none").exists());
 }

@@ -96,7 +96,8 @@ fn other_units_odd_xml() -> String {
         .fold(text, |text, (name, unit)| with(text, name, unit))
 }
 
-const PARAMETERS: &str = "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, set_speed_mps = 26.0 }\n";
+const PARAMETERS: &str = "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, \
+    set_speed_mps = 26.0 }\n";
 
 fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64 {
     let (one, other) = (one.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());

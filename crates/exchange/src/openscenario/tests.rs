@@ -169,7 +169,8 @@ fn speed_actions_of_all_shapes_become_scripts() {
         TIME,
     ))
     .unwrap_err();
-    let expected = ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², outside its limits of -8 and 5";
+    let expected = ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², \
+        outside its limits of -8 and 5";
     assert!(refused.contains(expected), "{refused}");
 }
 

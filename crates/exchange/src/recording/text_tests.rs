@@ -314,7 +314,8 @@ fn doubled_quotation_marks_need_linear_memory_and_time() {
 #[test]
 fn errors_name_the_line_at_which_a_row_begins() {
     for line_end in ["\n", "\r\n", "\r"] {
-        let text = "# comment\n\nZeit,Größe,Abstand,v,v vorn\n# \"comment\n0,\"a\nb\",50,20,20\n\n1,\"a\nb\",fast,20,20\n";
+        let text = "# comment\n\nZeit,Größe,Abstand,v,v vorn\n# \
+            \"comment\n0,\"a\nb\",50,20,20\n\n1,\"a\nb\",fast,20,20\n";
         let text = text.replace('\n', line_end);
         let message = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
             .expect_err("no number")

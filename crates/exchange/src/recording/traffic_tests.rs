@@ -109,7 +109,8 @@ fn impossible_values_are_excluded_and_reported() {
     };
     let doubled =
         "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
-    let overlap = "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle then";
+    let overlap = "times a vehicle overlaps the one ahead of it in its lane, the first time here: \
+        it follows no vehicle then";
     assert_eq!(
         message(TRACKS),
         [doubled.to_owned(), format!("a.csv:4: 2 {overlap}")]

@@ -65,7 +65,8 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         panel.add_line(&line, Stroke::series(index));
         entries.push((Stroke::series(index), name.as_str()));
     }
-    let description = "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
+    let description = "Smallest robustness that each method had found, against its number of \
+        evaluations (logarithmic scale).";
     let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
     let top = panel_frame(narrow).bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {

@@ -222,8 +222,11 @@ mod tests {
         else {
             panic!("accepted")
         };
-        let is_of_high_risk = |reason: &_| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
-        assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
+        let is_of_high_risk = objections.iter().any(|reason| match reason {
+            RejectionReason::MoreCollisions { space, .. } => space == "high-risk",
+            _ => false,
+        });
+        assert!(is_of_high_risk, "{objections:?}");
         let traffic = before
             .regression
             .iter()

@@ -210,7 +210,8 @@ impl ObservationConfig {
     /// Refuses an observation without inputs, and an interval without a history.
     pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
         if self.history_every > 1 && self.history == 1 {
-            let problem = "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
+            let problem = "is the interval between past decisions in the observation: remove it, \
+                or set `history` to 2 or more";
             return Err(TrainingConfigError::field(
                 "environment.observation.history_every",
                 problem,

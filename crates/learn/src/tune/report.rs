@@ -225,11 +225,11 @@ impl TuningReport {
                 },
             )?;
         }
-        type Measure = (
+        type MeasureRow = (
             &'static str,
             fn(&TrafficUsefulness, &TuningReport) -> String,
         );
-        let measures: [Measure; 6] = [
+        let measures: [MeasureRow; 6] = [
             ("collisions in `traffic`", |found, report| {
                 report.format_share(found.contacts)
             }),

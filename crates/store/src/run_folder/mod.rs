@@ -85,7 +85,8 @@ pub fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
 }
 
 /// Message about a file that the manifest does not list.
-const UNLISTED_FILE_MESSAGE: &str = "work.json does not list this file: it belongs to another run or to version 0.1.0, or work.json was lost";
+const UNLISTED_FILE_MESSAGE: &str = "work.json does not list this file: it belongs to another run \
+    or to version 0.1.0, or work.json was lost";
 
 /// An open run folder.
 #[derive(Debug)]

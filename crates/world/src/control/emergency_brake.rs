@@ -23,7 +23,8 @@ pub struct EmergencyBrake {
 
 impl BuiltIn for EmergencyBrake {
     const NAME: &'static str = "emergency-brake";
-    const SUMMARY: &'static str = "hold speed; brake at 7.5 m/s² from TTC < 1.4 s until no longer closing in (both numbers are settings)";
+    const SUMMARY: &'static str = "hold speed; brake at 7.5 m/s² from TTC < 1.4 s until no longer \
+        closing in (both numbers are settings)";
     type Settings = EmergencyBrakeSettings;
     type Driver = Self;
 

@@ -127,7 +127,8 @@ pub struct FuzzySafety {
 
 impl BuiltIn for FuzzySafety {
     const NAME: &'static str = "fuzzy-safety";
-    const SUMMARY: &'static str = "reference driver of UN R157: the fuzzy safety model, which brakes early and in proportion to the danger";
+    const SUMMARY: &'static str = "reference driver of UN R157: the fuzzy safety model, which \
+        brakes early and in proportion to the danger";
     const ROLE: Role = Role::Reference;
     type Settings = FuzzySafetySettings;
     type Driver = Self;

@@ -47,7 +47,8 @@ pub struct Rss {
 
 impl BuiltIn for Rss {
     const NAME: &'static str = "rss";
-    const SUMMARY: &'static str = "Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017): brakes while nearer than the safe distance";
+    const SUMMARY: &'static str = "Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017): \
+        brakes while nearer than the safe distance";
     const ROLE: Role = Role::Reference;
     type Settings = RssSettings;
     type Driver = Self;

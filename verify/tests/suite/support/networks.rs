@@ -191,7 +191,11 @@ fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
             low,
             high,
         };
-        let described = |key: &str, value: Value| json!({ (key): value, "offset": 0.5, "scale": 2.0, "low": low, "high": high });
+        let described = |key: &str, value: Value| {
+            json!({
+                (key): value, "offset": 0.5, "scale": 2.0, "low": low, "high": high
+            })
+        };
         return match place - QUANTITIES.len() {
             0 => (plain(1.4, None), described("constant", json!(1.4))),
             1 => (plain(1.0, None), described("quantity", json!("is_ahead"))),

@@ -224,7 +224,8 @@ fn vehicles_that_stand_have_the_direction_of_their_lane() {
             panic!("{:?}", lines(&recording))
         };
         assert_eq!((line.len(), line[1].0, line[2]), (3, 2, (3, 5.5)), "{sign}");
-        let blip = "vehicle 9 has another lane for less than 0.5 s here; 1 such blips, in which vehicles keep their lane\n";
+        let blip = "vehicle 9 has another lane for less than 0.5 s here; 1 such blips, in which \
+            vehicles keep their lane\n";
         assert!(
             messages(&recording).ends_with(blip) && recording.dropped.len() == 1,
             "{}",

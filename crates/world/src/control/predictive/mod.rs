@@ -106,7 +106,8 @@ struct State {
 
 impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
-    const SUMMARY: &'static str = "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
+    const SUMMARY: &'static str = "follows by idm, wakes an inattentive follower early, and stops \
+        between leader and follower";
     const OBSERVES_FOLLOWER: bool = true;
     type Settings = PredictiveSettings;
     type Driver = Self;

@@ -40,7 +40,8 @@ pub(super) struct Journal {
 
 const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 
-const OTHER_CAMPAIGN_MESSAGE: &str = "belongs to another campaign, so this one cannot be resumed; remove its folder, or use another --out";
+const OTHER_CAMPAIGN_MESSAGE: &str = "belongs to another campaign, so this one cannot be resumed; \
+    remove its folder, or use another --out";
 
 impl Journal {
     /// Opens the journal of a run: a new one, or that of an earlier process.
