@@ -68,7 +68,7 @@ fn decisions(bencher: Bencher<'_, '_>, (command, runs): (&str, usize)) {
         return;
     };
     let scenario = long_scenario();
-    let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Truth);
+    let options = RunOptions::new(controller.source).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = iter::repeat_with(|| Run::new(&scenario, options.clone()).expect("it fits"))
         .take(runs)
         .collect();

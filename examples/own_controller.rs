@@ -65,7 +65,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     for name in ["paper-1", "paper-2", "paper-3"] {
         let scenario = built_in_scenario(name).ok_or("not built in")?;
-        let run = Run::new(&scenario, RunOptions::new(own.kind.clone()))?;
+        let run = Run::new(&scenario, RunOptions::new(own.source.clone()))?;
         println!(
             "{name}: {:?}",
             simulate(&run, RecordingLevel::Summary).outcome

@@ -1,12 +1,11 @@
 //! Rollouts for benches: random scenarios of the paper's distribution with its noise; every vehicle but the leader is
 //! under test.
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
-use crumple_world::sim::{
-    ControllerKind, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
-};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use std::sync::Arc;
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {
     let draw = |index| {
@@ -18,15 +17,15 @@ pub fn scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(draw).collect()
 }
 
-pub fn built_in(controller: &str) -> ControllerKind {
+pub fn built_in(controller: &str) -> Arc<dyn ControllerSource> {
     ControllerSpec::from_name(controller)
         .expect("built in")
-        .into()
+        .into_source()
 }
 
 pub fn runs(
     scenarios: &[Scenario],
-    controller: impl Into<ControllerKind>,
+    controller: impl IntoSource,
     estimator: EstimatorKind,
 ) -> Vec<Run> {
     let options = RunOptions::new(controller).with_estimator(estimator);

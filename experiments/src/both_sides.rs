@@ -240,7 +240,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     println!("\n| controller | gain of a line of five |\n|---|---|");
     let line = speed_dip(5, TIME_GAP_S)?;
     for controller in &controllers {
-        let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+        let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
         let run = simulate(&Run::new(&line, options)?, RecordingLevel::Trace);
         let found = run.trace.as_ref().filter(|_| run.outcome.is_safe());
         let found =
@@ -334,7 +334,7 @@ fn simulate_draws(
     (estimator, follower): (EstimatorKind, FollowerChange),
 ) -> Result<SpaceTotals, ExperimentError> {
     let space = built_in_space(space).ok_or("no such space")?;
-    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+    let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
     let mut sums = SpaceTotals::default();
     for from in (0..draws).step_by(BLOCK as usize) {
         let scenarios = (from..draws.min(from + BLOCK))

@@ -170,7 +170,10 @@ fn count_collisions(
         let prepare = |index| -> Result<Run, ExperimentError> {
             let scenario = space.draw(SEED, index)?.with_plant(*plant)?;
             let faulty = scenario.edited(|spec| spec.sensors.faults = faults.clone())?;
-            Ok(Run::new(&faulty, RunOptions::new(controller.kind.clone()))?)
+            Ok(Run::new(
+                &faulty,
+                RunOptions::new(controller.source.clone()),
+            )?)
         };
         let block = (from..runs.min(from + BLOCK))
             .map(prepare)
@@ -188,7 +191,7 @@ fn describe_impacts(
     controller: &NamedController,
 ) -> Result<String, ExperimentError> {
     let options =
-        RunOptions::new(controller.kind.clone()).with_after_contact(AfterContact::Continue);
+        RunOptions::new(controller.source.clone()).with_after_contact(AfterContact::Continue);
     let simulated = simulate(&Run::new(scenario, options)?, RecordingLevel::Summary);
     let impacts = simulated.impacts.iter().map(|impact| {
         let contact = &impact.contact;

@@ -268,7 +268,7 @@ pub(crate) fn simulate(
         ("stop", AfterContact::Stop),
         ("continue", AfterContact::Continue),
     ];
-    let mut options = RunOptions::new(controller.kind.clone())
+    let mut options = RunOptions::new(controller.source.clone())
         .with_estimator(parse_choice("estimator", estimator, &ESTIMATORS)?)
         .with_after_contact(parse_choice("after_contact", after_contact, &known)?);
     options.dt_s = dt_s;

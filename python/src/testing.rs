@@ -98,7 +98,7 @@ impl PyProperty {
             .getattr("as_controller")?;
         let reference =
             controller::resolve_controller(&conversion.call1((reference,))?, &StopFlag::default())?;
-        Ok(Self(Property::not_worse_than(reference.kind)))
+        Ok(Self(Property::not_worse_than(reference.source)))
     }
 
     #[staticmethod]
@@ -142,9 +142,9 @@ impl PyProperty {
         estimator: &str,
     ) -> PyResult<(&'static str, String, String)> {
         let stop = StopFlag::default();
-        let kind = controller::resolve_controller(controller, &stop)?.kind;
+        let source = controller::resolve_controller(controller, &stop)?.source;
         let tested = ControllerUnderTest {
-            kind,
+            source,
             estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         };
         let scenario = scenario.0.clone();

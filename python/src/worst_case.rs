@@ -49,7 +49,7 @@ pub(crate) fn worst_case<'py>(
         max_brake_mps2: max_brake_mps2.unwrap_or(typical.max_brake_mps2),
         jerk_mps3: jerk_mps3.unwrap_or(typical.jerk_mps3),
     };
-    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+    let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
     let result = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let observer = |simulations: &RunProgress| say((simulations.done, u64::from(budget), 0));
         attack(

@@ -12,7 +12,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 
 /// Returns a built-in scenario, or loads one from a file.
@@ -40,7 +40,7 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
         {
             let named = NamedController {
                 name: driver.path().to_owned(),
-                kind: controller.clone(),
+                source: controller.clone(),
             };
             let message = |error| {
                 CliError::Input(format!(
@@ -160,11 +160,7 @@ pub(super) fn release_controllers() {
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentError> {
     let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";
     match parse_controller(name) {
-        Ok(found)
-            if found.policy().is_some() && !matches!(found.kind, ControllerKind::Shielded(_)) =>
-        {
-            Ok(found)
-        }
+        Ok(found) if found.policy().is_some() && found.source.as_shield().is_none() => Ok(found),
         Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}").into()),
         Err(_) if !Path::new(name).exists() => {
             Err(format!("there is no policy `{name}`: {usable}").into())
@@ -180,7 +176,7 @@ static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<Item = String> {
     let name = controller.name.clone();
     controller
-        .kind
+        .source
         .warnings()
         .into_iter()
         .map(move |doubt| format!("note: {name}: {doubt}"))

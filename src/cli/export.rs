@@ -11,7 +11,7 @@ use super::{CliError, args, output, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{
@@ -238,9 +238,9 @@ impl Export {
             return openscenario::export_actions(scenario, road).map_err(|error| failed(&error));
         }
         let (kind, estimator) = match driven {
-            Some(driven) => (driven.controller.kind.clone(), driven.estimator),
+            Some(driven) => (driven.controller.source.clone(), driven.estimator),
             None => (
-                ControllerSpec::Baseline(Default::default()).into(),
+                ControllerSpec::Baseline(Default::default()).into_source(),
                 EstimatorKind::default(),
             ),
         };

@@ -205,7 +205,7 @@ impl Falsify {
             );
         }
         let kept = format!("the evaluations so far are in {}", self.out.display());
-        let resume_note = match campaign.controller.kind.identity() {
+        let resume_note = match campaign.controller.source.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
             None => {
                 format!("{kept}; the controller states no identity, so the campaign cannot resume")

@@ -150,7 +150,7 @@ impl InvariantCommand {
         let scenario = args::load_scenario(&self.scenario)?;
         let failed = |error: InvalidBox| self.describe_refusal(error);
         let plan = InvariantPlan::new(
-            self.controller.kind.clone(),
+            self.controller.source.clone(),
             &scenario,
             self.spec(&scenario),
         )

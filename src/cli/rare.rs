@@ -63,7 +63,7 @@ fn run_estimate(
 }
 
 fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
-    match plan.controller.kind.identity() {
+    match plan.controller.source.identity() {
         Some(_) => format!("the results so far are in {}: the same command with --resume continues", folder.display()),
         None => "the controller states no identity, so the work cannot resume: start again with a new --out".to_owned(),
     }

@@ -99,7 +99,7 @@ impl ReachCommand {
             other => CliError::Input(format!("{place}: {other}")),
         };
         let plan = ReachPlan::new(
-            self.controller.kind.clone(),
+            self.controller.source.clone(),
             &BoxSpec::from_toml(&text, &self.starts)?,
         )
         .map_err(failed)?;

@@ -126,7 +126,7 @@ impl LogReplay {
         let map = self.map.as_deref().map(load_map).transpose()?;
         let min_brake = parse_min_brake(self.min_brake)?.mps2();
         let options =
-            RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
+            RunOptions::new(self.controller.source.clone()).with_estimator(EstimatorKind::Truth);
         ensure_distinct(&self.recordings)?;
         let (mut drives, mut brakings, mut empty) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.recordings {

@@ -373,7 +373,7 @@ impl Simulate {
     }
 
     fn run_options(&self) -> RunOptions {
-        let options = RunOptions::new(self.controller.kind.clone())
+        let options = RunOptions::new(self.controller.source.clone())
             .with_estimator(self.estimator)
             .with_after_contact(self.after_collision);
         match self.dt {
@@ -399,7 +399,7 @@ impl Simulate {
             dt_s: run.dt_s(),
             seed: spec.seed,
             plant: self.plant.map(PlantKind::name),
-            nondeterministic: !self.controller.kind.is_deterministic(),
+            nondeterministic: !self.controller.source.is_deterministic(),
             outcome: result.outcome.clone(),
             vehicles: &result.vehicles,
             impacts: &result.impacts,

@@ -122,7 +122,8 @@ impl WorstCase {
                 self.scenario
             )));
         }
-        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
+        let options =
+            RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
         let bar = progress::run_bar("searching", max_sensor_simulations(), quiet);
         let result = progress::show(&bar, |observer| {
             attack_sensors(&scenario, &options, observer)
@@ -183,7 +184,8 @@ impl WorstCase {
                 .unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
             jerk_mps3,
         };
-        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
+        let options =
+            RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
         let result = attack(&scenario, &options, aim, envelope, budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {

@@ -9,15 +9,16 @@ use crumple_report::assessment::{
 };
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::{
-    Controller, ControllerFailure, ControllerSource, Ego, RequiredNeighbours, ShieldSettings,
+    Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
+    ShieldSettings,
 };
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{
-    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError,
-    RunOptions, ShieldedSource, simulate, simulate_batch,
+    FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions,
+    ShieldedSource, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 
@@ -44,8 +45,8 @@ impl FailingController {
         }
     }
 
-    fn into_kind(self) -> ControllerKind {
-        Arc::new(self).into()
+    fn into_kind(self) -> Arc<dyn ControllerSource> {
+        Arc::new(self).into_source()
     }
 
     fn into_named(self) -> NamedController {
@@ -110,7 +111,7 @@ proptest! {
         let kind = |&fails_at: &usize| {
             let controller = FailingController::new(fails_at, answer.clone()).into_kind();
             let settings = ShieldSettings::default();
-            if shielded { ShieldedSource { controller, settings }.into() } else { controller }
+            if shielded { ShieldedSource { controller, settings }.into_source() } else { controller }
         };
         let runs: Vec<_> = fails_at
             .iter()

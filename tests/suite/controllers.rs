@@ -1,7 +1,8 @@
 //! Properties of every built-in controller for any observation.
 
-use crumple_world::control::AebSettings;
-use crumple_world::control::{Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
+use crumple_world::control::{
+    AebSettings, Baseline, BuiltIn, Controller, ControllerSource, ControllerSpec, Ego, Role,
+};
 use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
@@ -46,7 +47,7 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..20),
     ) {
-        let mut controller = spec.start(&ego, 0);
+        let mut controller = spec.start(&ego, 0).unwrap();
         for seen in &seen {
             let command = controller.decide(seen).unwrap();
             prop_assert!(command.is_finite(), "{} commands {command} for {seen:?}", spec.name());
@@ -77,7 +78,7 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {
-        let [mut looking, mut blind] = [0; 2].map(|_| spec.start(&ego, 0));
+        let [mut looking, mut blind] = [0; 2].map(|_| spec.start(&ego, 0).unwrap());
         for seen in seen {
             prop_assert_eq!(looking.decide(&seen), blind.decide(&Observation { behind: None, ..seen }));
         }

@@ -10,19 +10,19 @@ use crumple_evidence::{
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::networks::controller_kind;
+use crate::networks::find_source;
 use changes::{ForgedCertificate, GenuineCertificate, forge};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -241,7 +241,7 @@ fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genui
     }
 }
 
-fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> GenuineCertificate {
+fn reach_certificate(controller: impl IntoSource, of_leader: &str) -> GenuineCertificate {
     let text = format!(
         "version = 1\nscenario = \"paper-2\"\n{of_leader}[ranges]\ngap_ahead_m = {{ low = 15.9, high = 16.1 }}"
     );
@@ -281,7 +281,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
         reach_certificate(Policy::reference(), ""),
         reach_certificate(Policy::retrained(), ""),
     ]);
-    all.push(reach_certificate(controller_kind("leaky-40-clip.onnx"), ""));
+    all.push(reach_certificate(find_source("leaky-40-clip.onnx"), ""));
     // One is verified, and one is falsified by a leader within the limit.
     all.extend([0.02, 7.5].map(|limit| {
         reach_certificate(

@@ -1,6 +1,7 @@
 //! Invariant sets: attacks from certified states, forged certificates, and networks in the relative model.
 
 use std::fs;
+use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
@@ -9,10 +10,10 @@ use crumple_evidence::{
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::HeightTable;
 use crumple_verify::{Certificate, InvariantClaim, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{ControllerSpec, Ego};
+use crumple_world::control::{ControllerSource, ControllerSpec, Ego, IntoSource};
 use crumple_world::observation::{Neighbour, Observation};
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -42,7 +43,7 @@ fn spec(motion: MotionModel, own: [f64; 2], leader: [f64; 2]) -> InvariantSpec {
     }
 }
 
-fn plan(controller: impl Into<ControllerKind>, spec: InvariantSpec) -> InvariantPlan {
+fn plan(controller: impl IntoSource, spec: InvariantSpec) -> InvariantPlan {
     InvariantPlan::new(controller, &built_in_scenario("paper-1").unwrap(), spec).unwrap()
 }
 
@@ -93,7 +94,10 @@ fn attack(
         length_m: 5.0,
         step_s: STEP_S,
     };
-    let mut controller = ControllerSpec::from_name("idm").unwrap().start(&ego, 0);
+    let mut controller = ControllerSpec::from_name("idm")
+        .unwrap()
+        .start(&ego, 0)
+        .unwrap();
     // Accelerate for a random time, then brake, with a random part of random pieces.
     let (brakes_at, is_random) = (random.random_range(0..300_u32), random.random_bool(0.3));
     let mut smallest = gap;
@@ -253,7 +257,11 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
 }
 
 /// Returns a network with the gap and another quantity as inputs.
-fn network_controller(network: &[u8], second_input: &str, high_mps2: f64) -> ControllerKind {
+fn network_controller(
+    network: &[u8],
+    second_input: &str,
+    high_mps2: f64,
+) -> Arc<dyn ControllerSource> {
     let folder = temp_folder();
     fs::write(folder.path().join("two.onnx"), network).unwrap();
     let mapping = format!(
@@ -265,7 +273,7 @@ fn network_controller(network: &[u8], second_input: &str, high_mps2: f64) -> Con
     fs::write(folder.path().join("two.toml"), mapping).unwrap();
     NamedController::find("two.toml", folder.path())
         .unwrap_or_else(|error| panic!("{error}"))
-        .kind
+        .source
 }
 
 /// A network of the shape that the N3V benchmark uses: gap and relative speed, two layers of 64 ReLUs. It brakes fully

@@ -209,7 +209,7 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
             .iter()
             .any(|vehicle| vehicle.driver == Driver::UnderTest);
         // The decision instants of a policy need not be those of this scenario.
-        let Err(error) = Run::new(&scenario, RunOptions::new(shield.kind.clone())) else {
+        let Err(error) = Run::new(&scenario, RunOptions::new(shield.source.clone())) else {
             assert!(!is_tested, "behind a shield");
             continue;
         };

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::slice;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crumple_world::control::{ControllerSource, IntoSource, NetworkController};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::scenario::controller_file::controller_file_schema;
 use crumple_world::scenario::{PaperDistribution, Scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
-    simulate_batch,
+    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -123,10 +124,10 @@ fn networks_agree_with_their_makers() {
     }
 }
 
-pub(crate) fn controller_kind(name: &str) -> ControllerKind {
+pub(crate) fn find_source(name: &str) -> Arc<dyn ControllerSource> {
     NamedController::find(name, &controller_corpus())
         .unwrap_or_else(|error| panic!("{error}"))
-        .kind
+        .source
 }
 
 fn draw_scenarios(count: u64) -> Vec<Scenario> {
@@ -135,7 +136,10 @@ fn draw_scenarios(count: u64) -> Vec<Scenario> {
         .collect()
 }
 
-fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<SimulationResult> {
+fn simulate_together(
+    scenarios: &[Scenario],
+    kinds: &[Arc<dyn ControllerSource>],
+) -> Vec<SimulationResult> {
     let run = |(index, scenario): (usize, _)| {
         Run::new(
             scenario,
@@ -150,8 +154,8 @@ fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Si
 #[test]
 fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
     let (own, outside) = (
-        ControllerKind::from(Policy::reference()),
-        controller_kind("reference.onnx"),
+        Policy::reference().into_source(),
+        find_source("reference.onnx"),
     );
     let scenarios = draw_scenarios(300);
     assert_eq!(
@@ -159,7 +163,7 @@ fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
         simulate_together(&scenarios, slice::from_ref(&outside))
     );
     for scenario in &scenarios[..20] {
-        let alone = |kind: &ControllerKind| {
+        let alone = |kind: &Arc<dyn ControllerSource>| {
             simulate(
                 &Run::new(scenario, RunOptions::new(kind.clone())).unwrap(),
                 RecordingLevel::Trace,
@@ -180,7 +184,7 @@ fn outside_networks_in_lockstep_drive_as_alone() {
         "sac-gsde.zip",
         "leaky-40-clip.onnx",
     ]
-    .map(controller_kind);
+    .map(find_source);
     let scenarios = draw_scenarios(100);
     for (index, simulated) in simulate_together(&scenarios, &kinds)
         .into_iter()
@@ -226,7 +230,7 @@ fn scenario_files_take_drivers_from_files() {
     fs::write(&path, &text).unwrap();
     let scenario = file::load(&path).unwrap_or_else(|error| panic!("{error}"));
     let under_test = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
-    let truth = |controller: ControllerKind| {
+    let truth = |controller: Arc<dyn ControllerSource>| {
         RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
     };
     let run = |scenario, controller| {
@@ -235,9 +239,9 @@ fn scenario_files_take_drivers_from_files() {
             RecordingLevel::Trace,
         )
     };
-    let driven = run(&scenario, controller_kind("reference.onnx"));
-    assert_eq!(driven, run(&under_test, controller_kind("acc.toml")));
-    let batch = [Run::new(&scenario, truth(controller_kind("ppo.zip"))).unwrap()];
+    let driven = run(&scenario, find_source("reference.onnx"));
+    assert_eq!(driven, run(&under_test, find_source("acc.toml")));
+    let batch = [Run::new(&scenario, truth(find_source("ppo.zip"))).unwrap()];
     assert_eq!(
         simulate_batch(&batch, RecordingLevel::Trace, |_, simulated| simulated),
         [driven]
@@ -298,7 +302,7 @@ fn the_identity_of_a_network_covers_everything_that_affects_driving() {
             .expect("not said by its name")
     };
     let own = identity(&text);
-    assert_eq!(Some(&own), controller_kind("acc.toml").identity().as_ref());
+    assert_eq!(Some(&own), find_source("acc.toml").identity().as_ref());
     assert_eq!(own, identity(&format!("# a comment\n{text}")));
     for (was, is) in [
         ("1.4 #", "1.5 #"),
@@ -423,7 +427,7 @@ fn networks_that_need_a_controller_file_say_so() {
         ("normalised-64-64-64.onnx", ""),
     ] {
         if message.is_empty() {
-            controller_kind(name);
+            find_source(name);
         } else {
             let error = refused(name);
             assert!(
@@ -538,9 +542,8 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
     }
     let text = fs::read_to_string(normalised_path("answers.json")).unwrap();
     let Answers { seen, answers } = serde_json::from_str(&text).unwrap();
-    let ControllerKind::Network(controller) = controller_kind("normalised/ppo.toml") else {
-        panic!("a network")
-    };
+    let source = find_source("normalised/ppo.toml");
+    let controller = source.downcast_ref::<NetworkController>().unwrap();
     let mapped = |row: Vec<f64>| -> Vec<f32> {
         let inputs = &controller.mapping().inputs;
         let one = |(value, input): (f64, &crumple_world::control::InputMapping)| {
@@ -568,10 +571,10 @@ fn mismatches_with_a_model_are_reported() {
     };
     let fitting = fs::read_to_string(controller_corpus().join("a2c.toml")).unwrap();
     assert_eq!(
-        find(&fitting).unwrap().kind.warnings(),
+        find(&fitting).unwrap().source.warnings(),
         Vec::<String>::new()
     );
-    let undecided = |text: &str| find(text).unwrap().kind.warnings().join("\n");
+    let undecided = |text: &str| find(text).unwrap().source.warnings().join("\n");
     let unscaled = fitting.replacen(
         "offset = 16.0\nscale = 16.0\nlow = -4.0\nhigh = 4.0\n",
         "",
@@ -646,7 +649,7 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
     }
     for name in ["ppo_0.5", "plain"] {
         let found = NamedController::find(name, folder.path()).unwrap();
-        assert_eq!(found.kind.identity(), controller_kind("ppo.zip").identity());
+        assert_eq!(found.source.identity(), find_source("ppo.zip").identity());
     }
     let message = NamedController::find("m", folder.path())
         .expect_err("no ending")
@@ -683,12 +686,11 @@ fn described_networks_drive() {
             "{name}"
         );
         if name == "normalised/ppo.zip" {
-            let ControllerKind::Network(controller) = found.kind else {
+            let Some(controller) = found.source.downcast_ref::<NetworkController>() else {
                 panic!("a network")
             };
-            let ControllerKind::Network(written) = controller_kind("normalised/ppo.toml") else {
-                panic!("a network")
-            };
+            let written = find_source("normalised/ppo.toml");
+            let written = written.downcast_ref::<NetworkController>().unwrap();
             assert_eq!(controller.mapping().inputs, written.mapping().inputs);
             assert!(text.contains("VecNormalize: used in training"), "{text}");
         }
@@ -705,7 +707,7 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
-        let ControllerKind::Network(controller) = found.kind else {
+        let Some(controller) = found.source.downcast_ref::<NetworkController>() else {
             panic!("a network")
         };
         let output = controller.mapping().output.clone();
@@ -808,7 +810,7 @@ fn the_examples_make_controllers() {
         let controller =
             NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
         simulate(
-            &Run::new(&scenario, RunOptions::new(controller.kind)).unwrap(),
+            &Run::new(&scenario, RunOptions::new(controller.source)).unwrap(),
             RecordingLevel::Summary,
         )
         .outcome
@@ -853,12 +855,12 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
     assert_eq!(exit_code(&assessed), 0, "{}", stderr(&assessed));
     let report = folder.path().join("report");
     let there = |name: &str| {
-        let identity = controller_kind(name).identity().unwrap();
+        let identity = find_source(name).identity().unwrap();
         let path = format!("controllers/{}.toml", &identity[..16]);
         assert_eq!(
             NamedController::find(&path, &report)
                 .unwrap()
-                .kind
+                .source
                 .identity(),
             Some(identity)
         );

@@ -49,7 +49,7 @@ fn proofs_about_point_masses_are_about_no_other_plant() {
         panic!("the programs model no other plant")
     };
     assert!(reason.to_string().contains("`multi-body`"), "{reason}");
-    let options = RunOptions::new(find("shield:idm").kind).with_estimator(EstimatorKind::Truth);
+    let options = RunOptions::new(find("shield:idm").source).with_estimator(EstimatorKind::Truth);
     assert!(Run::new(&point_mass, options.clone()).is_ok());
     let refused = Run::new(&multi_body, options).err().unwrap();
     assert!(refused.to_string().contains("`multi-body`"), "{refused}");
@@ -96,7 +96,7 @@ fn the_demands_of_an_escape_go_through_the_actuator() {
 #[test]
 fn the_mildest_sensor_fault_fails_and_less_of_it_passes() {
     let scenario = towards_standing_vehicle(60.0);
-    let options = RunOptions::new(find("acc-aeb").kind);
+    let options = RunOptions::new(find("acc-aeb").source);
     let found = attack_sensors(&scenario, &options, &Quiet).unwrap();
     assert!(!found.collides_without_fault);
     let mildest = found
@@ -144,7 +144,7 @@ fn collides_with(scenario: &Scenario, options: &RunOptions, faults: &SensorFault
 #[test]
 fn the_effect_of_a_sensor_fault_is_searched_where_it_is_not_monotone() {
     let scenario = built_in_scenario("paper-1").unwrap();
-    let options = RunOptions::new(find("idm").kind);
+    let options = RunOptions::new(find("idm").source);
     let found = attack_sensors(&scenario, &options, &Quiet).unwrap();
     let kind = |name: &str| {
         found

@@ -10,22 +10,20 @@ use crumple_verify::reach::{
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::{
-    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, ObservedQuantity,
-    OutputMapping, Squash,
+    ControllerSource, ControllerSpec, HistoryPadding, InputMapping, IntoSource, Mapping,
+    NetworkController, ObservedQuantity, OutputMapping, Squash,
 };
 use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate,
-};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::command_line::{assert_prints, assert_refused, exit_code, run_crumple, stderr, stdout};
-use crate::networks::{controller_corpus, controller_kind, folder_with};
+use crate::networks::{controller_corpus, find_source, folder_with};
 
 fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
     let text = format!("version = 1\nscenario = \"{scenario}\"\n[ranges]\n{ranges}");
@@ -289,7 +287,7 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
 /// Compares the proofs about random controllers with their runs.
 fn compare_controllers(
     seeds: u64,
-    make: impl Fn(u64, &mut Xoshiro256PlusPlus) -> (ControllerKind, BoxSpec),
+    make: impl Fn(u64, &mut Xoshiro256PlusPlus) -> (Arc<dyn ControllerSource>, BoxSpec),
 ) -> ReachComparison {
     let mut compared = ReachComparison::default();
     for seed in 0..seeds {
@@ -312,7 +310,7 @@ fn compare_controllers(
 fn runs_of_external_networks_stay_within_proved_bounds() {
     let compared = compare_controllers(60, |seed, random| {
         let network = Arc::new(any_network(random));
-        (network.into(), any_box(seed, random))
+        (network.into_source(), any_box(seed, random))
     });
     assert!(compared.falsified > 10, "{compared:?}");
 }
@@ -325,8 +323,8 @@ fn a_policy_exported_to_onnx_has_the_same_proof() {
         "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }",
     );
     let claims = [
-        ControllerKind::from(Policy::reference()),
-        controller_kind("reference.onnx"),
+        Policy::reference().into_source(),
+        find_source("reference.onnx"),
     ]
     .map(|kind| {
         let plan = ReachPlan::new(kind, &spec).unwrap();

@@ -331,7 +331,7 @@ fn every_counterexample_of_the_report_collides() {
     {
         let controller = NamedController::find(&search.controller, Path::new(""))
             .expect("known")
-            .kind;
+            .source;
         for failure in &search.failures {
             let (_, text) = files
                 .iter()

@@ -6,13 +6,12 @@ use std::sync::Arc;
 
 use crumple_core::digest::{Sha256, sha256};
 use crumple_learn::retrain::{Cases, RetrainingReport, TestSetResults, training_preset};
+use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, simulate_batch,
-};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn corpora_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")
@@ -28,7 +27,7 @@ fn space() -> ScenarioSpace {
 }
 
 fn count_contacts(
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
     scenarios: &[Scenario],
     estimator: EstimatorKind,
 ) -> usize {
@@ -95,7 +94,7 @@ fn the_cases_match_the_stated_hash() {
 
 #[test]
 fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
-    let retrained = ControllerKind::Policy(Policy::retrained());
+    let retrained = Policy::retrained().into_source();
     let paper: Vec<Scenario> = ["paper-1", "paper-2", "paper-3"]
         .map(|name| built_in_scenario(name).unwrap())
         .into();
@@ -119,8 +118,8 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
         .map(|&index| space.draw(evaluated.corpus.seed, index).unwrap())
         .collect();
     let policies = [
-        ControllerKind::Policy(Policy::reference()),
-        ControllerKind::Policy(Arc::clone(&Policy::retrained())),
+        Policy::reference().into_source(),
+        Arc::clone(&Policy::retrained()).into_source(),
     ];
     for (policy, tally) in policies.iter().zip(&evaluated.tallies) {
         let rate = tally.contacts as f64 / evaluated.corpus.avoidable as f64;

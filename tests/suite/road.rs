@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use crumple_learn::rl::TrainingConfig;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 #[test]
 fn the_preset_is_that_of_the_policy() {
@@ -100,7 +100,7 @@ struct Driven {
 
 fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> Driven {
     let spec = ControllerSpec::from_name(controller).unwrap();
-    let options = RunOptions::new(ControllerKind::from(spec)).with_estimator(estimator);
+    let options = RunOptions::new(spec.into_source()).with_estimator(estimator);
     let runs: Vec<_> = scenarios
         .iter()
         .map(|scenario| Run::new(scenario, options.clone()).unwrap())

@@ -70,7 +70,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
 }
 
 fn options(campaign: &Campaign) -> RunOptions {
-    RunOptions::new(campaign.controller.kind.clone()).with_estimator(campaign.estimator)
+    RunOptions::new(campaign.controller.source.clone()).with_estimator(campaign.estimator)
 }
 
 fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
@@ -139,7 +139,7 @@ proptest! {
             let scenario = file::load(&folder.path().join(&found.file)).unwrap();
             let evaluated = |options| campaign.specification.evaluate_scenario(&scenario, options).unwrap();
             let own = evaluated(options(&campaign));
-            let beside = evaluated(RunOptions::new(other.kind.clone()).with_estimator(campaign.estimator));
+            let beside = evaluated(RunOptions::new(other.source.clone()).with_estimator(campaign.estimator));
             prop_assert!(own.is_violation() && beside.robustness > 0.0, "{:?} {:?}", own, beside);
             prop_assert!((found.robustness - own.robustness.max(-beside.robustness)).abs() < 1e-6);
         }

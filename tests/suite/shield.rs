@@ -1,18 +1,20 @@
 //! A shielded controller never hits the vehicle ahead, whatever that vehicle does within its brake limit.
 
-use crumple_world::control::ControllerSpec;
-use crumple_world::control::{ErrorBounds, ShieldSettings, ViabilityKernel};
+use crumple_world::control::{
+    ControllerSource, ControllerSpec, ErrorBounds, IntoSource, ShieldSettings, ViabilityKernel,
+};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal,
-    ShieldedSource, SimulationResult, simulate, simulate_batch,
+    Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource,
+    SimulationResult, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
+use std::sync::Arc;
 
 use crate::generate::{scenario_spec, with_cases};
 
@@ -111,31 +113,37 @@ impl Chase {
     }
 }
 
-fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
+fn with_shield(
+    controller: Arc<dyn ControllerSource>,
+    settings: ShieldSettings,
+) -> Arc<dyn ControllerSource> {
     ShieldedSource {
         controller,
         settings,
     }
-    .into()
+    .into_source()
 }
 
-fn full_throttle() -> ControllerKind {
-    ControllerSpec::FullThrottle(Default::default()).into()
+fn full_throttle() -> Arc<dyn ControllerSource> {
+    ControllerSpec::FullThrottle(Default::default()).into_source()
 }
 
-fn shielded_full_throttle() -> ControllerKind {
+fn shielded_full_throttle() -> Arc<dyn ControllerSource> {
     with_shield(full_throttle(), ShieldSettings::default())
 }
 
-fn drivers() -> [ControllerKind; 3] {
+fn drivers() -> [Arc<dyn ControllerSource>; 3] {
     [
         full_throttle(),
-        ControllerSpec::RandomActions(Default::default()).into(),
-        ControllerSpec::Policy(Default::default()).into(),
+        ControllerSpec::RandomActions(Default::default()).into_source(),
+        ControllerSpec::Policy(Default::default()).into_source(),
     ]
 }
 
-fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> SimulationResult {
+fn simulate_with_truth(
+    scenario: &Scenario,
+    controller: Arc<dyn ControllerSource>,
+) -> SimulationResult {
     let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
     simulate(
         &Run::new(scenario, options).unwrap(),

@@ -833,7 +833,8 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
             );
         }
         if let Some(failed) = &within.failed_point {
-            let options = RunOptions::new(driver.kind.clone()).with_estimator(EstimatorKind::Truth);
+            let options =
+                RunOptions::new(driver.source.clone()).with_estimator(EstimatorKind::Truth);
             let again = simulate(
                 &Run::new(&failed.scenario, options).unwrap(),
                 RecordingLevel::Summary,

@@ -204,7 +204,7 @@ impl RatePlan {
             .collect();
         if let Some(unknown) = controllers
             .iter()
-            .find(|driver| driver.kind.identity().is_none())
+            .find(|driver| driver.source.identity().is_none())
         {
             return Err(InvalidRate::NoIdentity {
                 controller: unknown.name.clone(),
@@ -228,7 +228,7 @@ impl RatePlan {
         ]);
         for (role, driver) in ["controller", "against"].into_iter().zip(&controllers) {
             configuration.insert(role.to_owned(), driver.name.clone());
-            if let Some(identity) = driver.kind.identity() {
+            if let Some(identity) = driver.source.identity() {
                 configuration.insert(format!("{role}_sha256"), identity);
             }
             if let Some(policy) = driver.policy() {
@@ -475,7 +475,7 @@ impl RatePlan {
             .map(draw)
             .collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {
-            let options = RunOptions::new(driver.kind.clone()).with_estimator(self.estimator);
+            let options = RunOptions::new(driver.source.clone()).with_estimator(self.estimator);
             let runs = scenarios.iter().zip(indices).map(|(scenario, &index)| {
                 Run::new(scenario, options.clone())
                     .map_err(|source| RateError::Run { index, source })

@@ -4,6 +4,7 @@
 //! threads.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use crumple_verify::reach::{
@@ -19,7 +20,7 @@ use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, Stopped};
 use crumple_search::worst_case::build_certificate;
-use crumple_world::control::InvalidMapping;
+use crumple_world::control::{ControllerSource, IntoSource, InvalidMapping, NetworkController};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
@@ -27,9 +28,7 @@ use crumple_world::scenario::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
     built_in_scenario_names,
 };
-use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate,
-};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Allowance for rounding of the simulator in double precision, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
@@ -124,7 +123,7 @@ pub struct ReachPlan {
     follower_drives: Option<Driver>,
     /// The scenario and the box as files.
     texts: [String; 2],
-    controller: ControllerKind,
+    controller: Arc<dyn ControllerSource>,
     bytes: Vec<u8>,
     actor: NeuralController,
     claim: ReachClaim,
@@ -217,8 +216,8 @@ impl ReachPlan {
     /// # Errors
     /// [`InvalidBox`] if the checker does not support the scenario or the controller, or if a command exceeds the
     /// limits of the vehicle.
-    pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
-        let controller = controller.into();
+    pub fn new(controller: impl IntoSource, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        let controller = controller.into_source();
         let scenario = built_in_scenario(&spec.scenario).ok_or_else(|| {
             let known: Vec<_> = built_in_scenario_names()
                 .iter()
@@ -567,7 +566,7 @@ fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
 fn excessive_command_error(
     asked_mps2: [f64; 2],
     able_mps2: [f64; 2],
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
 ) -> InvalidBox {
     let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
         true => ("output.low_mps2", asked_mps2[0]),
@@ -577,14 +576,11 @@ fn excessive_command_error(
     let problem = format!(
         "commands up to {bound_mps2} m/s², and the limits of the vehicle are {least_mps2} to {most_mps2} m/s²"
     );
-    match controller {
-        ControllerKind::Network(_) => InvalidMapping {
-            field: field.to_owned(),
-            problem,
-        }
-        .into(),
-        _ => InvalidBox::Controller(problem),
+    if controller.downcast_ref::<NetworkController>().is_none() {
+        return InvalidBox::Controller(problem);
     }
+    let field = field.to_owned();
+    InvalidMapping { field, problem }.into()
 }
 
 /// Returns the file by which the checker identifies a controller: a policy or a network; `None` for others and for
@@ -592,16 +588,17 @@ fn excessive_command_error(
 ///
 /// # Errors
 /// [`InvalidMapping`] if an input of the network is not an affine function of the observation.
-pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, InvalidMapping> {
-    match controller {
-        ControllerKind::Network(network) => network.checker_file().map(Some),
-        ControllerKind::BuiltIn(_) | ControllerKind::Policy(_) => {
-            let Some(policy) = controller.policy() else {
-                return Ok(None);
-            };
-            Ok(policy.to_bytes().ok())
-        }
-        _ => Ok(None),
+pub fn checker_file(
+    controller: &Arc<dyn ControllerSource>,
+) -> Result<Option<Vec<u8>>, InvalidMapping> {
+    if controller.as_shield().is_some() {
+        return Ok(None);
+    }
+    match controller.downcast_ref::<NetworkController>() {
+        Some(network) => network.checker_file().map(Some),
+        None => Ok(controller
+            .policy()
+            .and_then(|policy| policy.to_bytes().ok())),
     }
 }
 

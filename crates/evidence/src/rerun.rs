@@ -169,11 +169,11 @@ impl Rerun {
                 "controller" => "controller_sha256",
                 _ => "against_sha256",
             });
-            let is_it = |one: &&NamedController| one.kind.identity().as_deref() == Some(identity);
+            let is_it = |one: &&NamedController| one.source.identity().as_deref() == Some(identity);
             // Keep the name under which the controller was counted.
             given.iter().find(is_it).map(|one| NamedController {
                 name: of(place).to_owned(),
-                kind: one.kind.clone(),
+                source: one.source.clone(),
             })
         };
         let controllers = match binding::built_in_controllers(registration) {

@@ -73,7 +73,7 @@ pub(crate) fn run_and_render(
     let controllers = offer.find_controllers(&request.controllers)?;
     let mut runs = Vec::new();
     for controller in &controllers {
-        let options = RunOptions::new(controller.kind.clone()).with_estimator(request.estimator);
+        let options = RunOptions::new(controller.source.clone()).with_estimator(request.estimator);
         let run = Run::new(&scenario, options)
             .map_err(|error| RequestError::invalid("controllers", error))?;
         runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
@@ -126,7 +126,7 @@ fn render_panel(
     if !scenario.has_vehicle_under_test() {
         notes.push("no vehicle is under test: the drivers of the scenario drive".to_owned());
     }
-    if !controller.kind.is_deterministic() {
+    if !controller.source.is_deterministic() {
         notes.push(
             "the controller declares that it is not deterministic: another run may end differently"
                 .to_owned(),

@@ -9,11 +9,11 @@ use arbitrary::Unstructured;
 use crumple_core::digest::sha256;
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 use crumple_world::control::{
-    AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+    AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IntoSource,
 };
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{
-    AfterContact, ControllerKind, NamedController, RefusedController, RunOptions, UnknownController,
+    AfterContact, NamedController, RefusedController, RunOptions, UnknownController,
 };
 
 /// Bytes of a setup.
@@ -109,7 +109,7 @@ impl RunSetup {
     pub fn is_learned(&self) -> bool {
         match &self.controller {
             TestedController::BuiltIn(spec) => spec.policy().is_some(),
-            TestedController::Named(ControllerByName(found)) => found.kind.is_learned(),
+            TestedController::Named(ControllerByName(found)) => found.source.is_learned(),
             TestedController::FullObservation(_) => false,
         }
     }
@@ -124,15 +124,14 @@ impl RunSetup {
     #[must_use]
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
-            TestedController::BuiltIn(spec) => ControllerKind::from(spec.clone()),
-            TestedController::Named(ControllerByName(found)) => found.kind.clone(),
+            TestedController::BuiltIn(spec) => spec.clone().into_source(),
+            TestedController::Named(ControllerByName(found)) => found.source.clone(),
             TestedController::FullObservation(steps) => {
                 let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
                 Arc::new(FullObservationController {
                     interval_s,
                     last_mps2: 0.0,
                 })
-                .into()
             }
         };
         let options = RunOptions::new(controller)
@@ -153,9 +152,10 @@ impl TestedController {
     /// [`UnknownController`] if there is none, or it does not start.
     pub fn from_name(name: &str) -> Result<Self, UnknownController> {
         let found = NamedController::find_and_try(name, Path::new(""))?;
-        Ok(match found.kind {
-            ControllerKind::BuiltIn(spec) => Self::BuiltIn(spec),
-            _ => Self::Named(ControllerByName(found)),
+        let built_in = found.source.downcast_ref::<ControllerSpec>().cloned();
+        Ok(match built_in {
+            Some(spec) => Self::BuiltIn(spec),
+            None => Self::Named(ControllerByName(found)),
         })
     }
 
@@ -163,8 +163,8 @@ impl TestedController {
     #[must_use]
     pub fn interval_s(&self) -> Option<f64> {
         match self {
-            Self::BuiltIn(spec) => ControllerKind::from(spec.clone()).interval_s(),
-            Self::Named(ControllerByName(found)) => found.kind.interval_s(),
+            Self::BuiltIn(spec) => spec.interval_s(),
+            Self::Named(ControllerByName(found)) => found.source.interval_s(),
             Self::FullObservation(_) => None,
         }
     }
@@ -184,7 +184,7 @@ impl TestedController {
         let Self::Named(ControllerByName(found)) = self else {
             return false;
         };
-        matches!(found.kind.unshielded(), ControllerKind::Process(_))
+        found.source.program_field().is_some()
     }
 
     /// Returns the name on the command line; for the external controller only a label.

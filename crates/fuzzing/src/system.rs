@@ -1,17 +1,17 @@
 //! Interface between the oracles and the program.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
-use crumple_world::control::{ControllerSpec, ShieldSettings};
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource, ShieldSettings};
 use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult,
-    Stepper,
+    self, Contact, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
 };
 
 /// The parts of the program that oracles check. Every method defaults to crumple's implementation. A test of an oracle
@@ -54,12 +54,12 @@ pub trait System {
     }
 
     /// Returns full throttle behind a shield.
-    fn shielded_full_throttle(&self) -> ControllerKind {
+    fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         ShieldedSource {
-            controller: ControllerSpec::FullThrottle(Default::default()).into(),
+            controller: ControllerSpec::FullThrottle(Default::default()).into_source(),
             settings: ShieldSettings::default(),
         }
-        .into()
+        .into_source()
     }
 
     /// Computes the best avoidance in a scenario; `None` if the scenario is not supported.

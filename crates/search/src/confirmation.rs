@@ -9,9 +9,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crumple_core::interval::RateInterval;
-use crumple_world::control::{
-    Controller, ControllerFailure, ControllerKind, ControllerSource, Ego,
-};
+use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::{PlantKind, Scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -88,8 +86,7 @@ pub fn escape_survives(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> O
         first,
         demand_mps2: acceleration_mps2.to_vec(),
     };
-    let options = RunOptions::new(ControllerKind::Custom(Arc::new(playback)))
-        .with_estimator(EstimatorKind::Truth);
+    let options = RunOptions::new(Arc::new(playback)).with_estimator(EstimatorKind::Truth);
     let run = Run::new(&immediate.ok()?, options).ok()?;
     Some(simulate(&run, RecordingLevel::Summary).outcome == Outcome::NoCollision)
 }

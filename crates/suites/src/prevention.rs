@@ -1,10 +1,9 @@
 //! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether a driver that
 //! knows the future could.
 
-use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::control::{ControllerSpec, IntoSource, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::ControllerKind;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -113,7 +112,7 @@ fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<Refer
         .filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {
         let driver = spec.name();
-        let controller = ControllerKind::from(spec);
+        let controller = spec.into_source();
         let seen = ControllerSetup {
             controller: &controller,
             estimator: EstimatorKind::Truth,

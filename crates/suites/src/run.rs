@@ -1,13 +1,14 @@
 //! Simulation of every point of every grid of a suite with every controller.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use crumple_world::control::STANDARD_GRAVITY_MPS2;
+use crumple_world::control::{ControllerSource, STANDARD_GRAVITY_MPS2};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions,
-    SimulationResult, Trace, simulate_batch,
+    NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult,
+    Trace, simulate_batch,
 };
 
 use super::TestSuite;
@@ -51,7 +52,7 @@ impl Criterion {
 }
 
 pub(super) struct ControllerSetup<'c> {
-    pub(super) controller: &'c ControllerKind,
+    pub(super) controller: &'c Arc<dyn ControllerSource>,
     pub(super) estimator: EstimatorKind,
 }
 
@@ -174,7 +175,7 @@ impl<'t> TestGrid<'t> {
         known: &mut PreventabilityCache,
     ) -> ControllerResult {
         let driven = ControllerSetup {
-            controller: &controller.kind,
+            controller: &controller.source,
             estimator,
         };
         let seen = match (self.criterion, &self.test.refusal_reason) {

@@ -5,7 +5,7 @@ use std::{env, fs, panic, thread};
 
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::ControllerKind;
+use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::Scenario;
@@ -51,13 +51,13 @@ pub struct ControllerCheck {
 /// # let brake = brake.corpus(std::env::temp_dir().join("crumple-testing-doctest"));
 /// assert!(brake.run().unwrap_err().to_string().contains("no unnecessary braking"));
 /// ```
-pub fn check(controller: impl Into<ControllerKind>) -> ControllerCheck {
+pub fn check(controller: impl IntoSource) -> ControllerCheck {
     let folder = env::var_os("CARGO_MANIFEST_DIR")
         .map(PathBuf::from)
         .unwrap_or_default();
     ControllerCheck {
         controller: ControllerUnderTest {
-            kind: controller.into(),
+            source: controller.into_source(),
             estimator: EstimatorKind::default(),
         },
         scenarios: Ok(Scenarios::any()),
@@ -374,9 +374,12 @@ impl ControllerCheck {
             ShellWord(&file),
             test_name()
         );
-        let name = match &self.controller.kind {
-            ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
-            other => other.file().map(|path| path.to_string_lossy().into_owned()),
+        let source = &self.controller.source;
+        let name = match source.downcast_ref::<ControllerSpec>() {
+            Some(spec) => Some(spec.to_arg()),
+            None => source
+                .file()
+                .map(|file| file.path().to_string_lossy().into_owned()),
         };
         let simulate = |name: String| {
             let estimator = self.controller.estimator.name();

@@ -1,8 +1,9 @@
 //! The controller under test and its runs.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 
-use crumple_world::control::ControllerKind;
+use crumple_world::control::ControllerSource;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
@@ -17,7 +18,7 @@ use super::generator::with_compatible_step;
 #[derive(Debug, Clone)]
 pub struct ControllerUnderTest {
     /// The controller.
-    pub kind: ControllerKind,
+    pub source: Arc<dyn ControllerSource>,
     /// Estimator of its observations.
     pub estimator: EstimatorKind,
 }
@@ -66,13 +67,13 @@ impl ControllerUnderTest {
     #[must_use]
     pub fn adapt(&self, scenario: &Scenario) -> Scenario {
         let adapted = self
-            .kind
+            .source
             .interval_s()
             .and_then(|at_s| with_compatible_step(scenario, at_s).ok());
         adapted.unwrap_or_else(|| scenario.clone())
     }
 
     fn options(&self) -> RunOptions {
-        RunOptions::new(self.kind.clone()).with_estimator(self.estimator)
+        RunOptions::new(self.source.clone()).with_estimator(self.estimator)
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crumple_core::digits::format_rounded;
 use crumple_search::falsify::counterexample::Avoidability;
-use crumple_world::control::ControllerKind;
+use crumple_world::control::IntoSource;
 use crumple_world::measure::{
     DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification,
     peak_jerk_mps3,
@@ -230,13 +230,13 @@ impl Property {
 
     /// No collision in a scenario that this reference passes.
     #[must_use]
-    pub fn not_worse_than(reference: impl Into<ControllerKind>) -> Self {
-        let kind = reference.into();
+    pub fn not_worse_than(reference: impl IntoSource) -> Self {
+        let source = reference.into_source();
         Self::with_preconditions(
             "no collision that the reference avoids",
             move |controller, scenario| {
                 let reference = ControllerUnderTest {
-                    kind: kind.clone(),
+                    source: Arc::clone(&source),
                     ..controller.clone()
                 };
                 differs(controller, scenario, "the reference avoids it", || {

@@ -28,7 +28,7 @@ fn check_constant(folder: &Path, acceleration_mps2: &str) -> ControllerCheck {
         NamedController::find_and_try(&format!("exec:sh constant.sh {acceleration_mps2}"), folder)
             .unwrap();
     let brakes = Property::specification("always v1.accel_mps2 <= 0.001").unwrap();
-    check(process.kind)
+    check(process.source)
         .on(Scenarios::files(folder).unwrap())
         .property(brakes)
         .cases(2)
@@ -58,7 +58,7 @@ fn a_process_is_a_controller_under_test() {
     );
     let missing = NamedController::find_for_user("exec:no-such-program", folder.path())
         .unwrap()
-        .kind;
+        .source;
     let missing = check(missing)
         .on("high-risk")
         .cases(1)

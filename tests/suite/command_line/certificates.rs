@@ -75,7 +75,7 @@ fn forge_rate(folder: &Path, change: impl FnOnce(&mut RateClaim)) -> Certificate
     let Statement::Rate(rate) = &mut forged.statement else {
         panic!("a rate")
     };
-    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
+    let identity = ControllerSpec::from_name("baseline").unwrap().sha256();
     rate.registration
         .configuration
         .insert("controller".to_owned(), "baseline".to_owned());

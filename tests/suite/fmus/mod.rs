@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::{ControllerKind, NamedController, SimulationResult};
+use crumple_world::sim::{NamedController, SimulationResult};
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
@@ -151,16 +151,16 @@ fn one_controller_drives_the_same_as_fmi_2_fmi_3_and_built_in() {
     );
     let scenarios = draw_scenarios(5, 25);
     let expected = simulate_in_lockstep(
-        &find_controller("exec:./process", example.path()).kind,
+        &find_controller("exec:./process", example.path()).source,
         &scenarios,
     );
-    let by_fmi_2 = find_controller("follower.fmu", example.path()).kind;
+    let by_fmi_2 = find_controller("follower.fmu", example.path()).source;
     assert_eq!(simulate_in_lockstep(&by_fmi_2, &scenarios), expected);
     assert_eq!(simulate_with_truth(&by_fmi_2, &scenarios[7]), expected[7]);
     for what in ["NOTHING", "ONCE", "PRINT", "WARN"] {
         let odd = odd_fmu_folder(what).unwrap();
         assert_eq!(
-            simulate_in_lockstep(&find_controller("odd.toml", odd.path()).kind, &scenarios),
+            simulate_in_lockstep(&find_controller("odd.toml", odd.path()).source, &scenarios),
             expected,
             "{what}"
         );
@@ -180,7 +180,7 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
         .unwrap()
         .edited(|spec| spec.duration_s = 2.0)
         .unwrap();
-    let controller = find_controller("odd.toml", odd.path()).kind;
+    let controller = find_controller("odd.toml", odd.path()).source;
     let simulated = simulate_with_truth(&controller, &scenario);
     let trace = simulated.trace.as_ref().unwrap();
     let (gaps_m, [ahead, own]) = (trace.gaps_m(1), [&trace.vehicles[0], &trace.vehicles[1]]);
@@ -245,7 +245,7 @@ fn any_fmu_error_ends_the_run() {
             return;
         };
         let failed = simulate_with_truth(
-            &find_controller("odd.toml", odd.path()).kind,
+            &find_controller("odd.toml", odd.path()).source,
             &built_in_scenario("paper-1").unwrap(),
         )
         .outcome;
@@ -272,7 +272,7 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     };
     let identity = |folder: &Path| {
         find_controller("odd.toml", folder)
-            .kind
+            .source
             .identity()
             .expect("has one")
     };

@@ -1,6 +1,7 @@
 //! Units that FMUs declare: values are converted, or the controller is refused with the unit's name.
 
 use super::*;
+use crumple_world::control::ProcessController;
 
 /// Another unit for each unit of the example, with its definition. The time gap's has an offset.
 const OTHER_UNITS: &str = r#"<UnitDefinitions>
@@ -116,7 +117,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     };
     fs::write(plain.path().join("f.toml"), PARAMETERS).unwrap();
     let scenario = built_in_scenario("paper-1").unwrap();
-    let expected = simulate_with_truth(&find_controller("f.toml", plain.path()).kind, &scenario);
+    let expected = simulate_with_truth(&find_controller("f.toml", plain.path()).source, &scenario);
 
     let two = temp_folder();
     let library = compile_library(
@@ -131,7 +132,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
         &[(&library_member(2, "follower"), &library)],
     );
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
-    let found = simulate_with_truth(&find_controller("f.toml", two.path()).kind, &scenario);
+    let found = simulate_with_truth(&find_controller("f.toml", two.path()).source, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
     assert!(
         expected.outcome.failed_controller().is_none() && apart_m < 1e-9,
@@ -139,7 +140,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     );
     // Without a controller file the variables are named like quantities, and are converted too.
     let by_names = |folder: &Path| {
-        simulate_with_truth(&find_controller("follower.fmu", folder).kind, &scenario)
+        simulate_with_truth(&find_controller("follower.fmu", folder).source, &scenario)
     };
     let apart_m = largest_difference_m(&by_names(plain.path()), &by_names(two.path()));
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
@@ -161,7 +162,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
         "\"gap.time\" = 1.0, \"set speed\" = 26.0",
     );
     fs::write(three.path().join("odd.toml"), text).unwrap();
-    let found = simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario);
+    let found = simulate_with_truth(&find_controller("odd.toml", three.path()).source, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
@@ -292,7 +293,8 @@ fn numbers_of_a_controller_file_are_in_si_units() {
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = \
         0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();
-    let ControllerKind::Process(process) = find_controller("f.toml", place.path()).kind else {
+    let source = find_controller("f.toml", place.path()).source;
+    let Some(process) = source.downcast_ref::<ProcessController>() else {
         panic!("a process")
     };
     let input = &process.setup().mapping.inputs[0];

@@ -5,17 +5,18 @@ mod unanswered;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use crumple_report::assessment::AssessmentPlan;
-use crumple_world::control::allow_external;
+use crumple_world::control::{ControllerSource, IntoSource, allow_external};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult,
-    simulate, simulate_batch,
+    NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    simulate_batch,
 };
 
 use crate::command_line::{
@@ -44,7 +45,7 @@ pub(crate) fn find_controller(name: &str, folder: &Path) -> NamedController {
 }
 
 pub(crate) fn simulate_with_truth(
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
     scenario: &Scenario,
 ) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
@@ -81,7 +82,7 @@ fn a_process_learns_of_the_commands_that_its_shield_replaces() {
         .edited(|spec| spec.vehicles.truncate(2))
         .unwrap();
     let result = simulate_with_truth(
-        &find_controller("shield:throttle.toml", folder.path()).kind,
+        &find_controller("shield:throttle.toml", folder.path()).source,
         &scenario,
     );
     let questions = fs::read_to_string(folder.path().join("questions")).unwrap();
@@ -249,7 +250,7 @@ fn any_process_error_ends_the_run() {
     let scenario = short_scenario();
     for (what, time_s, who, why) in cases {
         let folder = bad_process_folder(what, LISTED_FILES);
-        let controller = find_controller("bad.toml", folder.path()).kind;
+        let controller = find_controller("bad.toml", folder.path()).source;
         match simulate_with_truth(&controller, &scenario).outcome {
             Outcome::ControllerFailed(failed) => {
                 let message = failed.to_string();
@@ -275,7 +276,7 @@ fn any_process_error_ends_the_run() {
         assert_no_process_remains(&folder.path().display().to_string());
     }
     let failed = simulate_with_truth(
-        &find_controller("exec:no-such-command-anywhere", Path::new("")).kind,
+        &find_controller("exec:no-such-command-anywhere", Path::new("")).source,
         &scenario,
     )
     .outcome;
@@ -302,7 +303,7 @@ pub(crate) fn draw_scenarios(seed: u64, count: u64) -> Vec<Scenario> {
 }
 
 pub(crate) fn simulate_in_lockstep(
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
     scenarios: &[Scenario],
 ) -> Vec<SimulationResult> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
@@ -349,11 +350,11 @@ fn the_examples_drive_alike() {
     }
     let scenarios = draw_scenarios(3, 30);
     let first = simulate_in_lockstep(
-        &find_controller(commands[0], folder.path()).kind,
+        &find_controller(commands[0], folder.path()).source,
         &scenarios,
     );
     for command in commands {
-        let controller = find_controller(command, folder.path()).kind;
+        let controller = find_controller(command, folder.path()).source;
         assert_eq!(
             simulate_in_lockstep(&controller, &scenarios),
             first,
@@ -365,7 +366,7 @@ fn the_examples_drive_alike() {
             "{command}"
         );
     }
-    let controller = find_controller("follower.toml", folder.path()).kind;
+    let controller = find_controller("follower.toml", folder.path()).source;
     assert!(
         simulate_with_truth(&controller, &built_in_scenario("paper-1").unwrap())
             .outcome
@@ -378,7 +379,7 @@ fn the_examples_drive_alike() {
 fn false_claims_of_determinism_are_caught_within_two_runs() {
     for (what, caught_in_run) in [("differ", 0), ("remember", 1)] {
         let folder = bad_process_folder(what, LISTED_FILES);
-        let controller = find_controller("bad.toml", folder.path()).kind;
+        let controller = find_controller("bad.toml", folder.path()).source;
         for run in 0..4 {
             let outcome = simulate_with_truth(&controller, &short_scenario()).outcome;
             let message = outcome
@@ -396,7 +397,7 @@ fn false_claims_of_determinism_are_caught_within_two_runs() {
 fn declared_nondeterminism_is_marked() {
     let own = bad_process_folder("admit", LISTED_FILES);
     let failed = simulate_with_truth(
-        &find_controller("bad.toml", own.path()).kind,
+        &find_controller("bad.toml", own.path()).source,
         &short_scenario(),
     )
     .outcome;
@@ -468,11 +469,11 @@ fn a_scenario_may_have_a_process_as_a_driver() {
         .unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
     let under_test = simulate_with_truth(
-        &find_controller("bad.toml", folder.path()).kind,
+        &find_controller("bad.toml", folder.path()).source,
         &short_scenario(),
     );
     let idm = crumple_world::control::ControllerSpec::from_name("idm").unwrap();
-    assert_eq!(simulate_with_truth(&idm.into(), &driven), under_test);
+    assert_eq!(simulate_with_truth(&idm.into_source(), &driven), under_test);
 }
 
 #[test]
@@ -537,15 +538,15 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
 fn the_identity_of_a_process_is_that_of_its_files() {
     let folder = bad_process_folder("be good", LISTED_FILES);
     let path = folder.path().join("bad.sh");
-    let controller = find_controller("bad.toml", folder.path()).kind;
+    let controller = find_controller("bad.toml", folder.path()).source;
     assert_eq!(
         controller.identity(),
-        find_controller("bad.toml", folder.path()).kind.identity()
+        find_controller("bad.toml", folder.path()).source.identity()
     );
     fs::write(&path, format!("{BAD_SCRIPT}\n# changed\n")).unwrap();
     assert_ne!(
         controller.identity(),
-        find_controller("bad.toml", folder.path()).kind.identity()
+        find_controller("bad.toml", folder.path()).source.identity()
     );
     let message = simulate_with_truth(&controller, &short_scenario())
         .outcome

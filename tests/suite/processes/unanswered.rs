@@ -347,7 +347,7 @@ fn state_that_appears_late_is_caught() {
     let controller = find_controller("bad.toml", folder.path());
     let scenario = short_scenario();
     let failed = (0..64).find(|_| {
-        simulate_with_truth(&controller.kind, &scenario)
+        simulate_with_truth(&controller.source, &scenario)
             .outcome
             .failed_controller()
             .is_some()

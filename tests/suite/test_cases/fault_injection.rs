@@ -1,6 +1,7 @@
 //! Every oracle detects the fault that it is meant to detect, in programs with one fault each.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::sync::LazyLock;
 
 use crumple_fuzzing::oracle::{
@@ -14,15 +15,14 @@ use crumple_fuzzing::{
 };
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, SimulationResult,
-    simulate,
+    self, Contact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use proptest::prelude::*;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
@@ -174,9 +174,9 @@ impl System for FaultySystem {
         });
     }
 
-    fn shielded_full_throttle(&self) -> ControllerKind {
+    fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         if self.0 == Fault::NoShield {
-            ControllerSpec::FullThrottle(Default::default()).into()
+            ControllerSpec::FullThrottle(Default::default()).into_source()
         } else {
             Crumple.shielded_full_throttle()
         }

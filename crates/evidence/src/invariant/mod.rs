@@ -15,10 +15,9 @@ use crumple_verify::{Certificate, InvariantClaim, Rejection, Statement};
 use super::reach::{InvalidBox, checker_file};
 use crumple_core::observer::Observer;
 use crumple_search::worst_case::build_certificate;
-use crumple_world::control::{Controller, Ego, PolicyDriver};
+use crumple_world::control::{Controller, ControllerSource, ControllerSpec, Ego, IntoSource};
 use crumple_world::scenario::file;
 use crumple_world::scenario::{Driver, Scenario};
-use crumple_world::sim::ControllerKind;
 pub use refute::Defeat;
 use search::BoundarySearch;
 pub use spec::InvariantSpec;
@@ -69,7 +68,7 @@ pub enum InvariantStage {
 /// A controller, its limits and a region.
 pub struct InvariantPlan {
     scenario: Scenario,
-    controller: ControllerKind,
+    controller: Arc<dyn ControllerSource>,
     texts: [String; 2],
     bytes: Option<Vec<u8>>,
     claim: InvariantClaim,
@@ -95,16 +94,14 @@ impl InvariantPlan {
     /// # Errors
     /// [`InvalidBox`] if the checker does not support the controller or the scenario, or a limit is invalid.
     pub fn new(
-        controller: impl Into<ControllerKind>,
+        controller: impl IntoSource,
         scenario: &Scenario,
         mut spec: InvariantSpec,
     ) -> Result<Self, InvalidBox> {
-        let controller = controller.into();
+        let controller = controller.into_source();
         let bytes = checker_file(&controller)?;
-        spec.controller = match &controller {
-            ControllerKind::BuiltIn(law) if bytes.is_none() => {
-                Some(Driver::Controller(law.clone()))
-            }
+        spec.controller = match controller.downcast_ref::<ControllerSpec>() {
+            Some(law) if bytes.is_none() => Some(Driver::Controller(law.clone())),
             _ => None,
         };
         if spec.controller.is_none() && bytes.is_none() {
@@ -265,14 +262,7 @@ impl InvariantPlan {
             length_m: self.scenario.vehicles()[1].length_m(),
             step_s: claim.step_s * f64::from(claim.decision_steps),
         };
-        match &self.controller {
-            ControllerKind::Network(network) => Some(network.start(&ego)),
-            ControllerKind::Policy(policy) => {
-                Some(Box::new(PolicyDriver::new(Arc::clone(policy), &ego)))
-            }
-            ControllerKind::BuiltIn(spec) => Some(spec.start(&ego, 0)),
-            _ => None,
-        }
+        self.controller.start(&ego, 0).ok()
     }
 }
 

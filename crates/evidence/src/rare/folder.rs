@@ -26,7 +26,7 @@ impl RarePlan {
     /// # Errors
     /// [`RareError`] if the folder cannot be used, has other content, or is damaged.
     pub fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
-        if resume && self.controller.kind.identity().is_none() {
+        if resume && self.controller.source.identity().is_none() {
             return Err(RareError::NoIdentity(self.controller.name.clone()));
         }
         self.record()?.open_folder(folder, resume)

@@ -153,7 +153,7 @@ impl LimitState for RarePlan {
             .map(scenario)
             .collect::<Result<Vec<_>, InvalidField>>()?;
         let specification = &self.specification;
-        let options = RunOptions::new(self.controller.kind.clone())
+        let options = RunOptions::new(self.controller.source.clone())
             .with_estimator(self.estimator)
             .with_after_contact(specification.after_contact());
         let runs = scenarios
@@ -215,9 +215,9 @@ impl RarePlan {
         Ok(RareRecord {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             controller: self.controller.name.clone(),
-            controller_sha256: self.controller.kind.identity(),
+            controller_sha256: self.controller.source.identity(),
             policy_sha256: self.controller.policy().map(|policy| policy.digest()),
-            nondeterministic: !self.controller.kind.is_deterministic(),
+            nondeterministic: !self.controller.source.is_deterministic(),
             estimator: self.estimator,
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),

@@ -3,8 +3,7 @@ use std::sync::{Arc, Mutex};
 
 use super::read;
 use super::replay::replay;
-use crumple_world::control::Controller;
-use crumple_world::control::{ControllerFailure, ControllerKind, ControllerSource, Ego};
+use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
 use crumple_world::observation::Observation;
 use crumple_world::sim::RunOptions;
 
@@ -53,9 +52,7 @@ fn brakings_stand_beside_those_of_the_driver() {
     }
     let recording = read(text.as_bytes(), Path::new("a.csv"), None).unwrap();
     for (brake_mps2, unnecessary) in [(3.0, 0), (7.0, 1)] {
-        let options = RunOptions::new(ControllerKind::Custom(Arc::new(BrakesWithLeader(
-            brake_mps2,
-        ))));
+        let options = RunOptions::new(Arc::new(BrakesWithLeader(brake_mps2)));
         let drives = replay(&recording, &options, 1.3, &|_, _| {}).unwrap();
         let [drive] = &drives[..] else {
             panic!("{drives:?}")
@@ -125,7 +122,7 @@ fn the_controller_learns_that_the_recorded_acceleration_was_executed() {
     let log = ExecutedLog::default();
     replay(
         &recording,
-        &RunOptions::new(ControllerKind::Custom(Arc::new(log.clone()))),
+        &RunOptions::new(Arc::new(log.clone())),
         1.3,
         &|_, _| {},
     )

@@ -116,7 +116,7 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
 
 /// True for external controllers; only they can fail.
 fn can_controller_fail(question: &OracleContext<'_>) -> bool {
-    question.run.options().controller.is_external()
+    question.run.options().controller.can_fail()
 }
 
 /// Checks the limits of acceleration for vehicles without noise or impacts that push them.

@@ -12,8 +12,9 @@ use super::test_set::witnesses;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_search::worst_case::{AttackError, AttackObjective, Envelope, attack};
+use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::{ControllerKind, RunOptions};
+use crumple_world::sim::RunOptions;
 
 /// Objectives of the attacks: a collision that is easy to avoid, and one that is not.
 const OBJECTIVES: [AttackObjective; 2] = [AttackObjective::Mildest, AttackObjective::Severest];
@@ -21,7 +22,7 @@ const OBJECTIVES: [AttackObjective; 2] = [AttackObjective::Mildest, AttackObject
 impl RoundContext<'_> {
     /// Adds the avoidable collisions in the plan's scenarios, and writes them beside the folder of the searches.
     pub(super) fn attack_scenarios(&self, found: &mut RoundFindings) -> Result<(), RetrainError> {
-        let controller = ControllerKind::Policy(Arc::clone(&self.policy));
+        let controller = Arc::clone(&self.policy).into_source();
         let attacked = self
             .plan
             .attacked
@@ -57,7 +58,7 @@ impl RoundContext<'_> {
     fn worst_cases(
         &self,
         scenario: &Scenario,
-        controller: &ControllerKind,
+        controller: &Arc<dyn ControllerSource>,
     ) -> Result<Vec<Scenario>, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.plan.estimator());
         let budget = usize::try_from(self.plan.settings.budget).unwrap_or(usize::MAX);

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 use super::RetrainError;
 use super::SearchedSpaces;
@@ -10,11 +11,11 @@ use super::progress::{RetrainingObserver, RetrainingProgress};
 use crate::rl::ScenarioSource;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::run_folder::{RunFolder, RunFolderError};
+use crumple_world::control::ControllerSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions,
-    simulate_batch,
+    Contact, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
 
 /// Version of corpus files.
@@ -175,7 +176,7 @@ pub(super) fn classify_scenarios(
 ) -> Result<Vec<ClassifiedScenario>, RetrainError> {
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
-        let found = first_contacts(scenarios, &witness.kind, estimator)?;
+        let found = first_contacts(scenarios, &witness.source, estimator)?;
         contacts
             .iter_mut()
             .zip(found)
@@ -195,7 +196,7 @@ pub(super) fn classify_scenarios(
 
 pub(super) fn first_contacts(
     scenarios: &[Scenario],
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
     estimator: EstimatorKind,
 ) -> Result<Vec<Option<Contact>>, RunError> {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
@@ -213,7 +214,7 @@ pub(super) fn first_contacts(
 /// Returns the indices of the scenarios that end in a collision.
 pub(super) fn colliding_indices(
     scenarios: &[Scenario],
-    controller: &ControllerKind,
+    controller: &Arc<dyn ControllerSource>,
     estimator: EstimatorKind,
 ) -> Result<Vec<usize>, RunError> {
     let contacts = first_contacts(scenarios, controller, estimator)?;

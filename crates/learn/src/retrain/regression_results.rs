@@ -9,12 +9,12 @@ use super::corpus::{Corpus, colliding_indices};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
 use super::regression_spaces::{RegressionSet, RegressionSpaceResult};
 use crate::rl::TrafficUsefulness;
+use crumple_world::control::IntoSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{
     PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names,
 };
-use crumple_world::sim::ControllerKind;
 
 /// Failures of a policy that decide on acceptance.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ impl RegressionResults {
         kept_aside: &Corpus,
         regression: &RegressionSet,
     ) -> Result<Self, RetrainError> {
-        let controller = ControllerKind::Policy(Arc::clone(policy));
+        let controller = Arc::clone(policy).into_source();
         let collided = |scenarios: &[Scenario], estimator| {
             colliding_indices(scenarios, &controller, estimator)
         };

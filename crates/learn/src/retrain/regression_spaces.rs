@@ -1,16 +1,17 @@
 //! Spaces in which a round must not make a policy worse.
 
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 use super::RetrainError;
 use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
 use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Significance level in a regression space, for collisions and for usefulness each.
 pub const SIGNIFICANCE: f64 = 0.01;
@@ -61,7 +62,7 @@ impl RegressionSet {
 
     pub(super) fn evaluate(
         &self,
-        controller: &ControllerKind,
+        controller: &Arc<dyn ControllerSource>,
     ) -> Result<(Vec<RegressionSpaceResult>, Option<TrafficUsefulness>), RetrainError> {
         let spaces = self
             .spaces
@@ -96,16 +97,17 @@ impl RegressionSpace {
             estimator: plan.estimator(),
             checks_usefulness: true,
         };
-        let found = drawn.evaluate(&ControllerKind::from(ControllerSpec::Idm(
-            Default::default(),
-        )))?;
+        let found = drawn.evaluate(&ControllerSpec::Idm(Default::default()).into_source())?;
         drawn.checks_usefulness = found
             .not_useful
             .is_some_and(|of_no_use| of_no_use.is_empty());
         Ok(drawn)
     }
 
-    fn evaluate(&self, controller: &ControllerKind) -> Result<RegressionSpaceResult, RetrainError> {
+    fn evaluate(
+        &self,
+        controller: &Arc<dyn ControllerSource>,
+    ) -> Result<RegressionSpaceResult, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let level = if self.checks_usefulness {
             RecordingLevel::Trace

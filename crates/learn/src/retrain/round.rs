@@ -16,8 +16,9 @@ use super::test_set::witnesses;
 use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
+use crumple_world::control::IntoSource;
 use crumple_world::policy::Policy;
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 
 /// Record of the training of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -165,7 +166,7 @@ impl RoundContext<'_> {
         let collided = |policy: &Arc<Policy>| {
             colliding_indices(
                 &scenarios,
-                &ControllerKind::Policy(Arc::clone(policy)),
+                &Arc::clone(policy).into_source(),
                 self.plan.estimator(),
             )
         };
@@ -211,7 +212,7 @@ impl RoundContext<'_> {
 pub(super) fn named_policy(name: &str, policy: &Arc<Policy>) -> NamedController {
     NamedController {
         name: name.to_owned(),
-        kind: ControllerKind::Policy(Arc::clone(policy)),
+        source: Arc::clone(policy).into_source(),
     }
 }
 

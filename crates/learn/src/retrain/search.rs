@@ -14,8 +14,8 @@ use super::test_set::witnesses;
 use crate::rl::ScenarioSource;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::control::IntoSource;
 use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::ControllerKind;
 
 const FINDINGS: &str = "found.json";
 const SEARCH: &str = "search";
@@ -158,7 +158,7 @@ impl RoundContext<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let indices = colliding_indices(
             &all,
-            &ControllerKind::Policy(Arc::clone(&self.policy)),
+            &Arc::clone(&self.policy).into_source(),
             plan.estimator(),
         )?;
         let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();

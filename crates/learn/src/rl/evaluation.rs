@@ -7,12 +7,11 @@ use serde::{Deserialize, Serialize};
 use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
 use super::trainer::TrainingError;
 use super::usefulness::{TrafficBenchmark, TrafficUsefulness};
+use crumple_world::control::IntoSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{
-    ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
-};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Seed of the validation scenarios of all trainings. Never a seed of training scenarios.
 const EVALUATION_SEED: u64 = 0x0068_656c_646f_7574;
@@ -175,7 +174,7 @@ impl EvaluationSet {
             evaluation.ranking_contacts = Some(contacts as u64);
             evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
             if let Some(traffic) = &self.traffic {
-                let useful = traffic.evaluate(&ControllerKind::Policy(Arc::clone(policy)))?;
+                let useful = traffic.evaluate(&Arc::clone(policy).into_source())?;
                 evaluation.usefulness = Some(useful);
                 let contact_share = contacts as f64 / ranked.len() as f64;
                 evaluation.combined_penalty = Some(contact_share + useful.penalty());

@@ -1,15 +1,15 @@
 //! Usefulness of a policy: everyday traffic without noise, compared with `idm`.
 
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{
-    ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
-    simulate_batch,
+    RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 
 use super::source::EGO;
@@ -90,16 +90,14 @@ impl TrafficBenchmark {
             estimator,
             idm_rms: [1.0; 2],
         };
-        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(
-            Default::default(),
-        )))?;
+        let idm = traffic.evaluate(&ControllerSpec::Idm(Default::default()).into_source())?;
         traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
         Ok(traffic)
     }
 
     pub(crate) fn evaluate(
         &self,
-        controller: &ControllerKind,
+        controller: &Arc<dyn ControllerSource>,
     ) -> Result<TrafficUsefulness, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let runs = self
@@ -172,15 +170,13 @@ mod tests {
     fn idm_is_useful_and_the_reference_policy_is_not() {
         let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
         let idm = traffic
-            .evaluate(&ControllerKind::from(ControllerSpec::Idm(
-                Default::default(),
-            )))
+            .evaluate(&ControllerSpec::Idm(Default::default()).into_source())
             .unwrap();
         assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
         assert!(idm.penalty() < 0.02, "{idm:?}");
         let policy = traffic
-            .evaluate(&ControllerKind::Policy(Policy::reference()))
+            .evaluate(&Policy::reference().into_source())
             .unwrap();
         assert!(
             policy.penalty() > 0.3 && policy.fell_behind > 0,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::TuneError;
 use crate::rl::{TrafficBenchmark, TrafficUsefulness};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
@@ -102,7 +102,7 @@ impl ScoringSet {
         let traffic = self
             .traffic
             .as_ref()
-            .map(|traffic| traffic.evaluate(&controller.clone().into()))
+            .map(|traffic| traffic.evaluate(&controller.clone().into_source()))
             .transpose()?;
         let penalty = match (self.objective, &traffic) {
             (TuningObjective::Both, Some(found)) => found.penalty(),

@@ -278,7 +278,7 @@ pub(super) fn run_cases(
     motion: MotionRetention,
 ) -> Result<Vec<Vec<CaseResult>>, RunError> {
     let prepare = |scenario, controller: &NamedController, after_contact| {
-        let options = RunOptions::new(controller.kind.clone())
+        let options = RunOptions::new(controller.source.clone())
             .with_estimator(estimator)
             .with_after_contact(after_contact);
         Run::new(scenario, options)
@@ -362,7 +362,7 @@ impl CaseResult {
             )
             .map(Rounded::new),
             pile_up: None,
-            controller_arg: controller_arg(&controller.kind),
+            controller_arg: controller_arg(&*controller.source),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
         }
     }

@@ -14,11 +14,12 @@ use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::{NetworkController, ProcessController};
+use crumple_world::control::{
+    ControllerSource, ControllerSpec, NetworkController, PolicySource, ProcessController,
+};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{controller_file, file};
-use crumple_world::sim::ControllerKind;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,25 +71,23 @@ impl fmt::Display for CrumpleCommand {
 
 /// Returns the controller's command-line argument in the report folder; `None` for an external controller, and for a
 /// process that copies of its files do not determine.
-pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
-    match kind {
-        ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
-        ControllerKind::Policy(policy) => Some(policy_path(policy)),
-        ControllerKind::Shielded(shielded) => Some(format!(
-            "shield{}:{}",
-            shielded.settings.to_arg(),
-            controller_arg(&shielded.controller)?
-        )),
-        ControllerKind::Network(network) => {
-            Some(network_path(&controller_file::file_name(network)))
-        }
-        ControllerKind::Process(process) => Some(format!(
-            "{}/{}",
-            process_folder(process)?,
-            process.portable_file()?
-        )),
-        ControllerKind::Custom(_) => None,
+pub(super) fn controller_arg(source: &dyn ControllerSource) -> Option<String> {
+    if let Some(shield) = source.as_shield() {
+        let inner = controller_arg(&*shield.controller)?;
+        return Some(format!("shield{}:{inner}", shield.settings.to_arg()));
     }
+    if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+        return Some(spec.to_arg());
+    }
+    if let Some(network) = source.downcast_ref::<NetworkController>() {
+        return Some(network_path(&controller_file::file_name(network)));
+    }
+    if let Some(process) = source.downcast_ref::<ProcessController>() {
+        let (folder, file) = (process_folder(process)?, process.portable_file()?);
+        return Some(format!("{folder}/{file}"));
+    }
+    let policy = source.downcast_ref::<PolicySource>()?;
+    Some(policy_path(&policy.shared()))
 }
 
 fn process_folder(process: &ProcessController) -> Option<String> {
@@ -97,14 +96,6 @@ fn process_folder(process: &ProcessController) -> Option<String> {
 
 fn network_path(name: &str) -> String {
     format!("controllers/{name}")
-}
-
-fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
-    match kind {
-        ControllerKind::Network(network) => Some(network),
-        ControllerKind::Shielded(shielded) => find_network(&shielded.controller),
-        _ => None,
-    }
 }
 
 fn policy_path(policy: &Policy) -> String {
@@ -155,7 +146,7 @@ impl AssessmentPlan {
         for controller in &self.controllers {
             // Only policies that were read from files need to be stored.
             if let (Some(word), Some(policy)) =
-                (controller_arg(&controller.kind), controller.policy())
+                (controller_arg(&*controller.source), controller.policy())
                 && word.ends_with(&policy_path(&policy))
             {
                 add(
@@ -167,7 +158,7 @@ impl AssessmentPlan {
         for network in self
             .controllers
             .iter()
-            .filter_map(|controller| find_network(&controller.kind))
+            .filter_map(|controller| controller.source.unshielded().downcast_ref())
         {
             for (name, contents) in
                 controller_file::to_files(network).map_err(CacheError::encoding)?
@@ -176,7 +167,7 @@ impl AssessmentPlan {
             }
         }
         for controller in &self.controllers {
-            let ControllerKind::Process(process) = controller.kind.unshielded() else {
+            let Some(process) = controller.source.unshielded().downcast_ref() else {
                 continue;
             };
             let Some(folder) = process_folder(process) else {

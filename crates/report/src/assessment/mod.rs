@@ -325,7 +325,7 @@ impl AssessmentPlan {
         let learned = self
             .controllers
             .iter()
-            .filter(|controller| controller.kind.is_learned())
+            .filter(|controller| controller.source.is_learned())
             .count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.rate_spaces.len() as u64 * (learned + 1);

@@ -14,13 +14,13 @@ use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
 use crumple_core::regular_file;
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::{ControllerSource, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, built_in_scenario_names};
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 
 const MAX_DRAWS: u64 = 10_000_000;
 
@@ -183,7 +183,7 @@ impl AssessmentPlan {
                 controller.name
             ))
         };
-        let sha256 = controller.kind.identity().unwrap_or_else(unknown);
+        let sha256 = controller.source.identity().unwrap_or_else(unknown);
         Some(Subject {
             controller: ContentId {
                 name: controller.name.clone(),
@@ -221,7 +221,7 @@ impl AssessmentPlan {
     pub fn first_without_identity(&self) -> Option<&NamedController> {
         self.controllers
             .iter()
-            .find(|controller| controller.kind.identity().is_none())
+            .find(|controller| controller.source.identity().is_none())
     }
 
     /// Returns the inputs of evidence about one controller: name, policy and estimator.
@@ -278,7 +278,7 @@ pub(super) fn file_stem(name: &str) -> String {
 
 fn default_subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
-        controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
+        controller.source.is_learned() && controller.source.as_shield().is_none()
     };
     let road = controllers
         .iter()
@@ -291,7 +291,7 @@ fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate
     let reference = ControllerSpec::Policy(Default::default()).identity();
     if !controllers
         .iter()
-        .any(|controller| controller.kind.identity().as_deref() == Some(reference.as_str()))
+        .any(|controller| controller.source.identity().as_deref() == reference.as_deref())
     {
         return Vec::new();
     }

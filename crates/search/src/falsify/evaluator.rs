@@ -109,7 +109,7 @@ fn run_options(
     scenario: &Scenario,
     parts: u32,
 ) -> RunOptions {
-    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+    let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
     if parts == 1 {
         options
     } else {

@@ -60,7 +60,7 @@ impl AttackReport {
             controller: controller.name.clone(),
             estimator: estimator.name(),
             aim: aim.name(),
-            nondeterministic: !controller.kind.is_deterministic(),
+            nondeterministic: !controller.source.is_deterministic(),
             found: found.is_some(),
             method: answered.map(|_| "sequential"),
             optimality: answered.map(|_| "best-found"),

@@ -1,75 +1,115 @@
-//! Batched queries of external controllers, which hold an answer between two decisions.
+//! Controllers that obtain their commands by queries, of which several can be combined.
 
-use super::ControllerFailure;
+use std::any::Any;
+
+use super::{Controller, ControllerFailure};
 use crate::observation::Observation;
 
-/// A controller that obtains its commands by queries.
-pub(super) trait BatchQuery: Sized {
+/// A controller that obtains its commands by queries, and holds an answer between two decisions.
+///
+/// Lockstep runs combine queries of controllers that [share batches](Self::shares_batch_with). If the combined query
+/// fails, each controller queries by itself, so that each run ends as it would have ended alone.
+pub trait BatchQuery: Any {
     /// Stores the observation if a decision is due, and counts the step. Returns true if a decision is due.
     fn sample(&mut self, seen: &Observation) -> bool;
 
+    /// Queries for the stored observation.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if there is no answer.
     fn query(&mut self) -> Result<(), ControllerFailure>;
 
-    /// True if one query can serve both.
-    fn shares_batch_with(&self, other: &Self) -> bool;
+    /// Returns true if one query can serve both.
+    fn shares_batch_with(&self, other: &dyn BatchQuery) -> bool;
 
-    /// Returns the answers to the stored observations of several controllers; `None` if each has to query by itself.
-    fn query_batch(all: &[&Self]) -> Option<Vec<f64>>;
+    /// Returns the answers to the stored observations of several controllers that share batches with this one, which
+    /// is the first; `None` if each has to query by itself.
+    fn query_batch(&self, members: &[&dyn BatchQuery]) -> Option<Vec<f64>>;
 
+    /// Accepts the answer to the stored observation, in m/s².
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if the answer cannot be used.
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure>;
 
+    /// Returns the current command, in m/s².
     fn command_mps2(&self) -> f64;
 }
 
-pub(super) fn decide(
-    one: &mut impl BatchQuery,
-    seen: &Observation,
-) -> Result<f64, ControllerFailure> {
-    if one.sample(seen) {
-        one.query()?;
+impl dyn BatchQuery {
+    /// Returns the controller as its own type, if it is a `T`.
+    #[must_use]
+    pub fn downcast_ref<T: BatchQuery>(&self) -> Option<&T> {
+        (self as &dyn Any).downcast_ref()
     }
-    Ok(one.command_mps2())
 }
 
-/// Decides for many controllers ([`super::Controller::decide_batch`]) with one query per group that can share it.
+/// Decides for one controller: [`Controller::decide`].
 ///
-/// If the shared query fails, each controller queries by itself, so that each run ends as it would have ended alone.
-pub(super) fn decide_batch<C: BatchQuery>(
-    all: &mut [C],
+/// # Errors
+/// [`ControllerFailure`] of the query.
+pub fn decide_by_query(
+    controller: &mut impl BatchQuery,
+    seen: &Observation,
+) -> Result<f64, ControllerFailure> {
+    if controller.sample(seen) {
+        controller.query()?;
+    }
+    Ok(controller.command_mps2())
+}
+
+/// Decides for many controllers, with one query for each group of adjacent controllers that can share it.
+pub(super) fn decide_batch(
+    all: &mut [Box<dyn Controller>],
     mut see: impl FnMut(usize) -> Observation,
     commands_mps2: &mut [f64],
     failed: &mut Vec<(usize, ControllerFailure)>,
 ) {
-    let mut due = Vec::new();
-    for (place, one) in all.iter_mut().enumerate() {
-        if one.sample(&see(place)) {
-            due.push(place);
-        }
-    }
-    let groups: Vec<&[usize]> = due
-        .chunk_by(|&a, &b| all[a].shares_batch_with(&all[b]))
-        .collect();
-    for group in groups {
-        let members: Vec<&C> = group.iter().map(|&place| &all[place]).collect();
-        let together = if members.len() > 1 {
-            C::query_batch(&members)
-        } else {
-            None
-        };
-        for (index, &place) in group.iter().enumerate() {
-            let decided = match together
-                .as_ref()
-                .and_then(|answers_mps2| answers_mps2.get(index))
-            {
-                Some(&answer_mps2) => all[place].set_command(answer_mps2),
-                None => all[place].query(),
-            };
-            if let Err(failure) = decided {
-                failed.push((place, failure));
+    let mut due: Vec<(usize, &mut dyn BatchQuery)> = Vec::new();
+    let places = all.iter_mut().zip(&mut *commands_mps2).enumerate();
+    for (place, (controller, command_mps2)) in places {
+        let seen = see(place);
+        // Not `if let ... else`: the borrow of the first branch would last through the second.
+        if controller.as_batch_query().is_none() {
+            match controller.decide(&seen) {
+                Ok(answer_mps2) => *command_mps2 = answer_mps2,
+                Err(failure) => failed.push((place, failure)),
+            }
+        } else if let Some(query) = controller.as_batch_query() {
+            if query.sample(&seen) {
+                due.push((place, query));
+            } else {
+                *command_mps2 = query.command_mps2();
             }
         }
     }
-    for (command_mps2, one) in commands_mps2.iter_mut().zip(all) {
-        *command_mps2 = one.command_mps2();
+    for group in due.chunk_by_mut(|(_, a), (_, b)| a.shares_batch_with(&**b)) {
+        answer_group(group, commands_mps2, failed);
+    }
+}
+
+/// Answers the stored observations of controllers that share a batch.
+fn answer_group(
+    group: &mut [(usize, &mut dyn BatchQuery)],
+    commands_mps2: &mut [f64],
+    failed: &mut Vec<(usize, ControllerFailure)>,
+) {
+    let answers_mps2 = match &*group {
+        [(_, first), _, ..] => {
+            let members: Vec<&dyn BatchQuery> = group.iter().map(|(_, query)| &**query).collect();
+            first.query_batch(&members)
+        }
+        _ => None,
+    };
+    for (index, (place, query)) in group.iter_mut().enumerate() {
+        let answer_mps2 = answers_mps2.as_ref().and_then(|answers| answers.get(index));
+        let decided = match answer_mps2 {
+            Some(&answer_mps2) => query.set_command(answer_mps2),
+            None => query.query(),
+        };
+        match decided {
+            Ok(()) => commands_mps2[*place] = query.command_mps2(),
+            Err(failure) => failed.push((*place, failure)),
+        }
     }
 }

@@ -76,15 +76,12 @@ macro_rules! define {
             }
         }
 
-        /// A controller of any kind, ready to drive one vehicle.
+        /// A controller that drives one vehicle. The engines call rules and policies directly, all others by a dynamic
+        /// call.
         pub(crate) enum AnyController {
             $($(#[$doc])* $rule($rule),)*
             Policy(PolicyDriver),
-            Network(NetworkDriver),
-            Process(Box<ProcessDriver>),
-            Shielded(ShieldedController),
-            Custom(ZeroOrderHold),
-            NotStarted(ControllerFailure),
+            Other(Box<dyn Controller>),
         }
 
         impl Controller for AnyController {
@@ -93,11 +90,7 @@ macro_rules! define {
                 match self {
                     $(Self::$rule(controller) => controller.decide(seen),)*
                     Self::Policy(controller) => controller.decide(seen),
-                    Self::Network(controller) => controller.decide(seen),
-                    Self::Process(controller) => controller.decide(seen),
-                    Self::Shielded(controller) => controller.decide(seen),
-                    Self::Custom(controller) => controller.decide(seen),
-                    Self::NotStarted(failure) => Err(failure.clone()),
+                    Self::Other(controller) => controller.decide(seen),
                 }
             }
 
@@ -105,11 +98,14 @@ macro_rules! define {
                 match self {
                     $(Self::$rule(controller) => controller.record_command(command_mps2),)*
                     Self::Policy(controller) => controller.record_command(command_mps2),
-                    Self::Network(controller) => controller.record_command(command_mps2),
-                    Self::Process(controller) => controller.record_command(command_mps2),
-                    Self::Shielded(controller) => controller.record_command(command_mps2),
-                    Self::Custom(controller) => controller.record_command(command_mps2),
-                    Self::NotStarted(_) => {}
+                    Self::Other(controller) => controller.record_command(command_mps2),
+                }
+            }
+
+            fn overrides(&self) -> &[Override] {
+                match self {
+                    Self::Other(controller) => controller.overrides(),
+                    _ => &[],
                 }
             }
         }
@@ -303,20 +299,51 @@ impl ControllerSpec {
         of_row!(self, |_Row, settings| settings.get_mut(index))
     }
 
-    /// Starts the controller for a vehicle. `seed` is the scenario's.
-    #[must_use]
-    pub fn start(&self, ego: &Ego, seed: u64) -> Box<dyn Controller> {
-        Box::new(AnyController::from_spec(self, ego, seed))
-    }
-
     /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
     #[must_use]
-    pub fn identity(&self) -> String {
+    pub fn sha256(&self) -> String {
         let values: Vec<_> = self
             .values()
             .map(|(_, value)| (value + 0.0).to_bits().to_string())
             .collect();
         let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
         self.policy().map_or_else(rule, |policy| policy.digest())
+    }
+}
+
+impl ControllerSource for ControllerSpec {
+    fn identity(&self) -> Option<String> {
+        Some(self.sha256())
+    }
+
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(AnyController::from_spec(self, ego, seed)))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        Self::policy(self).map(|policy| policy.header().decision_interval_s)
+    }
+
+    fn description(&self) -> String {
+        self.summary().to_owned()
+    }
+
+    fn policy(&self) -> Option<Arc<Policy>> {
+        Self::policy(self)
+    }
+
+    fn is_learned(&self) -> bool {
+        Self::policy(self).is_some()
+    }
+
+    fn can_fail(&self) -> bool {
+        false
     }
 }

@@ -106,8 +106,8 @@ impl NetworkController {
         let header = CheckerFileHeader {
             version: VERSION,
             source: CheckerFileSource {
-                format: self.file().format(),
-                sha256: &self.file().sha256,
+                format: self.network_file().format(),
+                sha256: &self.network_file().sha256,
             },
             inputs: &mapping.inputs,
             steps,

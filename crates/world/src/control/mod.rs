@@ -73,7 +73,6 @@ mod fuzzy_safety;
 mod history;
 mod human;
 mod idm;
-mod kind;
 mod mapping;
 mod match_leader;
 mod network;
@@ -88,14 +87,17 @@ mod serve;
 mod set_speed;
 mod shield;
 mod source;
+mod source_file;
 mod space_check;
 mod stateless;
 mod stress;
+mod zero_order_hold;
 
 pub use crate::observation::ObservedQuantity;
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
+pub use batch_query::{BatchQuery, decide_by_query};
 pub(crate) use built_in::AnyController;
 pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
@@ -103,15 +105,12 @@ pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use emergency_brake::{EmergencyBrake, EmergencyBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
 pub use human::{Human, HumanSettings};
-pub use kind::{ControllerKind, ShieldedSource};
 pub use mapping::{HistoryPadding, InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 pub use match_leader::MatchLeader;
 pub use network::NetworkController;
-pub(crate) use network::NetworkDriver;
 pub use openpilot::{Openpilot, OpenpilotSettings};
-pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy, RoadPolicy};
+pub use policy::{PolicyDriver, PolicySource, ReferencePolicy, RetrainedPolicy, RoadPolicy};
 pub use predictive::{Predictive, PredictiveSettings};
-pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
 pub use process::find_fmu_host;
 pub use process::{
@@ -122,12 +121,17 @@ pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState,
-    ViabilityKernel, distance_and_speed_after, max_closing_m,
+    ErrorBounds, MIN_MARGIN_M, Override, Real, RearVehicleParams, ShieldParams, ShieldRefusal,
+    ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel, distance_and_speed_after,
+    max_closing_m,
 };
-pub(crate) use shield::{MAX_MARGIN_M, MotionBounds, Override, ShieldedController};
-pub(crate) use source::ZeroOrderHold;
-pub use source::{BatchController, ControllerFailure, ControllerSource, RequiredNeighbours};
+pub(crate) use shield::{MAX_MARGIN_M, MotionBounds};
+pub use source::{
+    BatchController, ControllerFailure, ControllerSource, IntoSource, RequiredNeighbours,
+    VehicleInRun,
+};
+pub(crate) use source::{ShieldAssumptions, not_started};
+pub use source_file::SourceFile;
 pub use stateless::{StatelessController, stateless};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
@@ -185,6 +189,16 @@ pub trait Controller: Send {
     /// Networks, policies, processes and FMUs receive the command as their input `last_answer_mps2`, if they have it.
     fn record_command(&mut self, _command_mps2: f64) {}
 
+    /// Returns the controller as one whose queries can be combined, if it is one.
+    fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {
+        None
+    }
+
+    /// Returns the periods in which the controller, a shield, replaced commands.
+    fn overrides(&self) -> &[Override] {
+        &[]
+    }
+
     /// Decides for many vehicles. Calls `see` once per controller, in order; each controller decides as it would alone.
     /// Writes answers to `commands_mps2`, and failures with their index to `failed`.
     #[inline]
@@ -212,6 +226,23 @@ impl Controller for Box<dyn Controller> {
 
     fn record_command(&mut self, command_mps2: f64) {
         (**self).record_command(command_mps2);
+    }
+
+    fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {
+        (**self).as_batch_query()
+    }
+
+    fn overrides(&self) -> &[Override] {
+        (**self).overrides()
+    }
+
+    fn decide_batch(
+        all: &mut [Self],
+        see: impl FnMut(usize) -> Observation,
+        commands_mps2: &mut [f64],
+        failed: &mut Vec<(usize, ControllerFailure)>,
+    ) {
+        batch_query::decide_batch(all, see, commands_mps2, failed);
     }
 }
 

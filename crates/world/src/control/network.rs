@@ -1,28 +1,37 @@
 //! Imported networks as controllers.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::batch_query::{BatchQuery, decide_by_query};
 use super::decision_timer::DecisionTimer;
 use super::history::InputHistory;
 use super::space_check;
-use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
+use super::{
+    Controller, ControllerFailure, ControllerSource, Ego, InvalidMapping, Mapping, SourceFile,
+    VehicleInRun,
+};
 use crate::network::{FeedForward, NetworkFile};
 use crate::observation::Observation;
 use crate::policy::Workspace;
 use crumple_core::digest::sha256;
 
-/// An imported network and its mapping.
+/// An imported network and its mapping. Clones share the network.
 ///
 /// A network always answers: its inputs are clipped, and a network that could overflow within their limits is rejected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkController {
+    mapped: Arc<MappedNetwork>,
+    /// True if the controller file states that the inputs include the normalisation; no effect on commands.
+    normalised: Option<bool>,
+    source_file: Option<SourceFile>,
+}
+
+/// What determines the commands.
+#[derive(Debug, PartialEq)]
+struct MappedNetwork {
     file: NetworkFile,
     mapping: Mapping,
     identity: String,
-    /// True if the controller file states that the inputs include the normalisation; no effect on commands.
-    normalised: Option<bool>,
-    file_path: Option<PathBuf>,
 }
 
 impl NetworkController {
@@ -72,11 +81,13 @@ impl NetworkController {
             .map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
         let identity = sha256(format!("network {} {written}", file.sha256));
         Ok(Self {
-            file,
-            mapping,
-            identity,
+            mapped: Arc::new(MappedNetwork {
+                file,
+                mapping,
+                identity,
+            }),
             normalised: None,
-            file_path: None,
+            source_file: None,
         })
     }
 
@@ -108,9 +119,8 @@ impl NetworkController {
         }
         let controller = Self::new(file, mapping)?;
         match controller
-            .file
-            .network
-            .answer_ranges(&controller.mapping.limits())
+            .network()
+            .answer_ranges(&controller.mapping().limits())
         {
             Ok(ranges)
                 if ranges
@@ -125,15 +135,11 @@ impl NetworkController {
         }
     }
 
-    pub(crate) fn with_file_path(self, path: &Path) -> Self {
+    pub(crate) fn with_source_file(self, source_file: SourceFile) -> Self {
         Self {
-            file_path: Some(path.to_owned()),
+            source_file: Some(source_file),
             ..self
         }
-    }
-
-    pub(crate) fn file_path(&self) -> Option<&Path> {
-        self.file_path.as_deref()
     }
 
     pub(crate) fn with_normalised(self, normalised: Option<bool>) -> Self {
@@ -144,162 +150,188 @@ impl NetworkController {
         self.normalised
     }
 
-    /// Returns warnings about the mapping, from the spaces of the training if the network file contains them.
-    #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let undecided =
-            |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
-        self.file.saved_model().map(undecided).unwrap_or_default()
-    }
-
     /// Returns the network.
     #[must_use]
     pub fn network(&self) -> &FeedForward {
-        &self.file.network
+        &self.mapped.file.network
     }
 
     /// Returns the network's file.
     #[must_use]
-    pub fn file(&self) -> &NetworkFile {
-        &self.file
+    pub fn network_file(&self) -> &NetworkFile {
+        &self.mapped.file
     }
 
     /// Returns the mapping.
     #[must_use]
     pub fn mapping(&self) -> &Mapping {
-        &self.mapping
+        &self.mapped.mapping
     }
 
     /// Returns the SHA-256, in hexadecimal, of file and mapping.
     #[must_use]
-    pub fn identity(&self) -> &str {
-        &self.identity
-    }
-
-    /// Starts a driver of a vehicle.
-    #[must_use]
-    pub fn start(self: &Arc<Self>, ego: &Ego) -> Box<dyn Controller> {
-        Box::new(NetworkDriver::new(Arc::clone(self), ego))
-    }
-
-    fn accelerations_mps2(
-        &self,
-        rows: &[f32],
-        batch: usize,
-        space: &mut Workspace,
-    ) -> impl Iterator<Item = f64> {
-        let width = self.file.network.outputs();
-        let answer = self.mapping.output.answer.unwrap_or_default();
-        let answers = self
-            .file
-            .network
-            .forward(rows, batch, space)
-            .chunks_exact(width);
-        answers.map(move |row| {
-            self.mapping
-                .acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN))
-        })
+    pub fn sha256(&self) -> &str {
+        &self.mapped.identity
     }
 }
 
-/// A driver that evaluates a network once per decision interval and holds its answer in between.
-pub(crate) struct NetworkDriver {
-    controller: Arc<NetworkController>,
+impl ControllerSource for NetworkController {
+    fn identity(&self) -> Option<String> {
+        Some(self.sha256().to_owned())
+    }
+
+    fn start(&self, ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(NetworkDriver::new(Arc::clone(&self.mapped), ego)))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.mapping().decision_interval_s
+    }
+
+    /// Returns differences between the mapping and the spaces of the training, if the file contains them.
+    fn warnings(&self) -> Vec<String> {
+        match self.network_file().saved_model() {
+            Some(saved) => {
+                space_check::warnings(self.mapping(), saved, self.normalised == Some(true))
+            }
+            None => Vec::new(),
+        }
+    }
+
+    fn description(&self) -> String {
+        let trained_by = match self.network_file().saved_model() {
+            Some(saved) => format!(" ({} of Stable-Baselines3)", saved.algorithm),
+            None => String::new(),
+        };
+        let shape = self.network().shape();
+        format!("external network{trained_by} with layers {shape}")
+    }
+
+    fn file(&self) -> Option<&SourceFile> {
+        self.source_file.as_ref()
+    }
+
+    fn is_learned(&self) -> bool {
+        true
+    }
+
+    fn can_fail(&self) -> bool {
+        false
+    }
+}
+
+impl MappedNetwork {
+    /// Returns the acceleration for each of `batch` rows of inputs, in m/s².
+    fn accelerations_mps2(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> Vec<f64> {
+        let network = &self.file.network;
+        let answer = self.mapping.output.answer.unwrap_or_default();
+        let answers = network.forward(rows, batch, space);
+        answers
+            .chunks_exact(network.outputs())
+            .map(|row| {
+                let raw = row.get(answer).copied().unwrap_or(f32::NAN);
+                self.mapping.acceleration_mps2(raw)
+            })
+            .collect()
+    }
+}
+
+/// A controller that evaluates a network once per decision interval and holds its answer in between.
+struct NetworkDriver {
+    mapped: Arc<MappedNetwork>,
     decision_timer: DecisionTimer,
     command_mps2: f64,
     /// Acceleration that was commanded in the last step in place of the answer, in m/s².
     replaced_mps2: Option<f64>,
     history: InputHistory<f32>,
-    rows: Vec<f32>,
+    /// Inputs of the last decision.
+    row: Vec<f32>,
     workspace: Workspace,
 }
 
 impl NetworkDriver {
-    pub(crate) fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
-        let interval = DecisionTimer::new(controller.mapping.decision_interval_s, ego.step_s);
+    fn new(mapped: Arc<MappedNetwork>, ego: &Ego) -> Self {
+        let decision_timer = DecisionTimer::new(mapped.mapping.decision_interval_s, ego.step_s);
         Self {
-            controller,
-            decision_timer: interval,
+            mapped,
+            decision_timer,
             command_mps2: 0.0,
             replaced_mps2: None,
             history: InputHistory::default(),
-            rows: Vec::new(),
+            row: Vec::new(),
             workspace: Workspace::default(),
         }
     }
+}
 
-    fn push_inputs(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
-        let Self {
-            controller,
-            history,
-            command_mps2,
-            replaced_mps2,
-            ..
-        } = self;
-        let last_mps2 = replaced_mps2.unwrap_or(*command_mps2);
-        let now = controller
-            .mapping
-            .input_values(seen, last_mps2)
-            .map(|value| value as f32);
-        history.push(&controller.mapping, now, rows);
+impl BatchQuery for NetworkDriver {
+    fn sample(&mut self, seen: &Observation) -> bool {
+        let last_mps2 = self.replaced_mps2.take().unwrap_or(self.command_mps2);
+        if !self.decision_timer.tick() {
+            return false;
+        }
+        let mapping = &self.mapped.mapping;
+        let inputs = mapping.input_values(seen, last_mps2);
+        self.row.clear();
+        self.history
+            .push(mapping, inputs.map(|value| value as f32), &mut self.row);
+        true
+    }
+
+    fn query(&mut self) -> Result<(), ControllerFailure> {
+        let answers_mps2 = self
+            .mapped
+            .accelerations_mps2(&self.row, 1, &mut self.workspace);
+        let lowest_mps2 = self.mapped.mapping.output.low_mps2;
+        self.set_command(answers_mps2.first().copied().unwrap_or(lowest_mps2))
+    }
+
+    fn shares_batch_with(&self, other: &dyn BatchQuery) -> bool {
+        other
+            .downcast_ref::<Self>()
+            .is_some_and(|other| Arc::ptr_eq(&self.mapped, &other.mapped))
+    }
+
+    /// Evaluates one matrix product for all members.
+    fn query_batch(&self, members: &[&dyn BatchQuery]) -> Option<Vec<f64>> {
+        let mut rows = Vec::with_capacity(members.len() * self.row.len());
+        for member in members {
+            rows.extend_from_slice(&member.downcast_ref::<Self>()?.row);
+        }
+        let mut space = Workspace::default();
+        Some(
+            self.mapped
+                .accelerations_mps2(&rows, members.len(), &mut space),
+        )
+    }
+
+    fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
+        self.command_mps2 = answer_mps2;
+        Ok(())
+    }
+
+    fn command_mps2(&self) -> f64 {
+        self.command_mps2
     }
 }
 
 impl Controller for NetworkDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.decision_timer.tick() {
-            let mut rows = std::mem::take(&mut self.rows);
-            rows.clear();
-            self.push_inputs(seen, &mut rows);
-            let Self {
-                controller,
-                workspace: space,
-                ..
-            } = self;
-            let answer_mps2 = controller.accelerations_mps2(&rows, 1, space).next();
-            self.command_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
-            self.rows = rows;
-        }
-        self.replaced_mps2 = None;
-        Ok(self.command_mps2)
+        decide_by_query(self, seen)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
         self.replaced_mps2 = Some(command_mps2);
     }
 
-    /// Decides for all drivers that are due, with one matrix product per group of equal networks.
-    fn decide_batch(
-        all: &mut [Self],
-        mut see: impl FnMut(usize) -> Observation,
-        commands_mps2: &mut [f64],
-        _failed: &mut Vec<(usize, ControllerFailure)>,
-    ) {
-        let (mut due, mut rows) = (Vec::new(), Vec::new());
-        for (index, driver) in all.iter_mut().enumerate() {
-            let observation = see(index);
-            if driver.decision_timer.tick() {
-                due.push((index, Arc::clone(&driver.controller)));
-                driver.push_inputs(&observation, &mut rows);
-            }
-            driver.replaced_mps2 = None;
-        }
-        let mut rows = rows.as_slice();
-        let mut space = Workspace::default();
-        for group in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
-            let controller = &group[0].1;
-            let (now, later) = rows.split_at(group.len() * controller.mapping.width());
-            rows = later;
-            for ((index, _), answer_mps2) in
-                group
-                    .iter()
-                    .zip(controller.accelerations_mps2(now, group.len(), &mut space))
-            {
-                all[*index].command_mps2 = answer_mps2;
-            }
-        }
-        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = driver.command_mps2;
-        }
+    fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {
+        Some(self)
     }
 }

@@ -3,7 +3,10 @@
 use std::sync::Arc;
 
 use super::decision_timer::DecisionTimer;
-use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
+use super::{
+    BuiltIn, Controller, ControllerFailure, ControllerSource, Ego, IntoSource, NoSettings, Role,
+    VehicleInRun,
+};
 use crate::observation::Observation;
 use crate::policy::{FrameStack, HeldAction, Policy, Workspace};
 
@@ -88,6 +91,70 @@ impl Controller for PolicyDriver {
                 .held_action
                 .acceleration_mps2(&driver.policy.header().action);
         }
+    }
+}
+
+/// A policy as a source of controllers.
+#[derive(Debug)]
+pub struct PolicySource(Arc<Policy>);
+
+impl PolicySource {
+    /// Creates a source of controllers that evaluate a policy.
+    #[must_use]
+    pub fn new(policy: Arc<Policy>) -> Self {
+        Self(policy)
+    }
+
+    /// Returns the policy, which other owners share.
+    #[must_use]
+    pub fn shared(&self) -> Arc<Policy> {
+        Arc::clone(&self.0)
+    }
+}
+
+impl IntoSource for Arc<Policy> {
+    fn into_source(self) -> Arc<dyn ControllerSource> {
+        Arc::new(PolicySource(self))
+    }
+}
+
+impl ControllerSource for PolicySource {
+    fn identity(&self) -> Option<String> {
+        Some(self.0.digest())
+    }
+
+    fn start(&self, ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(PolicyDriver::new(Arc::clone(&self.0), ego)))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        Some(self.0.header().decision_interval_s)
+    }
+
+    fn description(&self) -> String {
+        format!(
+            "learned policy with hidden layers {:?}",
+            self.0.header().hidden
+        )
+    }
+
+    fn policy(&self) -> Option<Arc<Policy>> {
+        Some(Arc::clone(&self.0))
+    }
+
+    fn is_learned(&self) -> bool {
+        true
+    }
+
+    fn can_fail(&self) -> bool {
+        false
     }
 }
 

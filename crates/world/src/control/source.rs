@@ -1,13 +1,18 @@
-//! External controllers: their properties, their batches and their failures.
+//! Sources of controllers: each starts a controller for a vehicle of a run.
 
+use std::any::Any;
+use std::fmt;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::batch_query::{self, BatchQuery};
-use super::decision_timer::DecisionTimer;
-use super::{Controller, Ego};
+use super::zero_order_hold::ZeroOrderHold;
+use super::{
+    Controller, ControllerSpec, Ego, ShieldParams, ShieldRefusal, ShieldSettings, ShieldedSource,
+    SourceFile,
+};
 use crate::observation::Observation;
+use crate::policy::Policy;
 use crate::process::ProcessFailure;
 
 /// Reason why a controller gave no usable answer. The run ends there: a vehicle without a controller does not coast.
@@ -68,9 +73,10 @@ pub enum RequiredNeighbours {
     AheadAndBehind,
 }
 
-/// Source of controllers of one kind.
+/// Source of controllers of one kind: a built-in rule, a policy, a network, a process, an FMU, a shield around another
+/// source, or a user's own.
 ///
-/// Only [`start`](Self::start) starts a controller.
+/// Two methods are required. Only [`start`](Self::start) starts a controller.
 ///
 /// ```
 /// use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
@@ -97,12 +103,19 @@ pub enum RequiredNeighbours {
 /// }
 /// assert_eq!(Gain(1.0).interval_s(), None);
 /// ```
-pub trait ControllerSource: Send + Sync {
+pub trait ControllerSource: Any + Send + Sync {
     /// Returns the SHA-256, in hexadecimal, of everything that determines the commands: the key of resuming, caching
     /// and claims. `None` if it is unknown; results are then neither stored nor certified.
     fn identity(&self) -> Option<String>;
 
-    /// Returns the time between decisions in seconds, a multiple of the scenario's step; `None` for every step.
+    /// Creates a controller for a vehicle, without memory of earlier runs. `seed` is the scenario's.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if it cannot drive; the run then ends before its first step.
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure>;
+
+    /// Returns the time between decisions in seconds, a multiple of the scenario's step. `None` for every step, or if
+    /// only a started process knows it.
     fn interval_s(&self) -> Option<f64> {
         None
     }
@@ -117,11 +130,175 @@ pub trait ControllerSource: Send + Sync {
         None
     }
 
-    /// Creates a controller for a vehicle, without memory of earlier runs. `seed` is the scenario's.
+    /// Returns warnings, one line each.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Returns a description for reports, without the name.
+    fn description(&self) -> String {
+        "external controller".to_owned()
+    }
+
+    /// Returns the controller file, network or FMU that defines the mapping or the command, if there is one.
+    fn file(&self) -> Option<&SourceFile> {
+        None
+    }
+
+    /// Returns the policy, behind a shield or not.
+    fn policy(&self) -> Option<Arc<Policy>> {
+        None
+    }
+
+    /// Returns true for a policy or an imported network, behind a shield or not.
+    fn is_learned(&self) -> bool {
+        false
+    }
+
+    /// Returns true if its controllers may fail without a collision. Built-in rules, policies and networks cannot.
+    fn can_fail(&self) -> bool {
+        true
+    }
+
+    /// Returns the field of a [file](Self::file) that names the program, behind a shield or not; `None` without a
+    /// program.
+    fn program_field(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Returns false for a program that its file or its handshake declares nondeterministic.
+    fn is_deterministic(&self) -> bool {
+        true
+    }
+
+    /// Starts the program without a run, and ends it.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if it cannot drive; the run then ends before its first step.
-    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure>;
+    /// [`ControllerFailure`] of a program that cannot be started or does not complete the handshake.
+    fn try_start(&self) -> Result<(), ControllerFailure> {
+        Ok(())
+    }
+
+    /// Returns the reason to reject all runs of a program: it proved nondeterministic, or does not start any more.
+    fn refusal(&self) -> Option<ControllerFailure> {
+        None
+    }
+
+    /// Returns false if each run needs its own program, so that runs in lockstep would need many at once.
+    fn supports_lockstep(&self, _ego: &Ego) -> bool {
+        true
+    }
+
+    /// Returns the shield that this source is, if it is one.
+    fn as_shield(&self) -> Option<&ShieldedSource> {
+        None
+    }
+
+    /// Refuses a vehicle that its controllers cannot protect, before the run begins.
+    ///
+    /// # Errors
+    /// [`ShieldRefusal`] of a shield that gives no guarantee for this vehicle.
+    fn check_vehicle(&self, _vehicle: &VehicleInRun<'_>) -> Result<(), ShieldRefusal> {
+        Ok(())
+    }
+
+    /// Starts a controller for a vehicle of a run: that of [`start`](Self::start), with its
+    /// [interval](Self::interval_s) and its [batches](Self::batch_controller). A non-finite answer is a failure.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`], as for [`start`](Self::start).
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        let controller = self.start(&vehicle.ego, vehicle.seed)?;
+        let held = ZeroOrderHold::new(controller, self.interval_s(), vehicle.ego.step_s);
+        Ok(Box::new(held.with_batching(vehicle.source)))
+    }
+}
+
+impl dyn ControllerSource {
+    /// Returns the source as its own type, if it is a `T`.
+    #[must_use]
+    pub fn downcast_ref<T: ControllerSource>(&self) -> Option<&T> {
+        (self as &dyn Any).downcast_ref()
+    }
+
+    /// Returns the source behind a shield, or this source.
+    #[must_use]
+    pub fn unshielded(&self) -> &dyn ControllerSource {
+        self.as_shield()
+            .map_or(self, |shield| shield.controller.unshielded())
+    }
+}
+
+impl fmt::Debug for dyn ControllerSource {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_tuple("ControllerSource")
+            .field(&self.identity())
+            .finish()
+    }
+}
+
+/// A vehicle of a run, for which a source starts a controller.
+pub struct VehicleInRun<'r> {
+    /// The vehicle.
+    pub ego: Ego,
+    /// Seed of the scenario.
+    pub seed: u64,
+    /// The source itself.
+    pub(crate) source: &'r Arc<dyn ControllerSource>,
+    pub(crate) assumptions: &'r dyn ShieldAssumptions,
+}
+
+impl VehicleInRun<'_> {
+    /// Returns the parameters of a shield of this vehicle with these settings.
+    pub(crate) fn shield_params(
+        &self,
+        settings: &ShieldSettings,
+    ) -> Result<ShieldParams, ShieldRefusal> {
+        self.assumptions.shield_params(self.ego.vehicle, settings)
+    }
+}
+
+/// What a run knows about its vehicles, from which a shield computes its parameters.
+pub(crate) trait ShieldAssumptions {
+    /// Returns the parameters of a shield of vehicle `vehicle` with these settings.
+    fn shield_params(
+        &self,
+        vehicle: usize,
+        settings: &ShieldSettings,
+    ) -> Result<ShieldParams, ShieldRefusal>;
+}
+
+/// A value that is, or stands for, a source of controllers: a built-in controller, a policy, or a shared source.
+pub trait IntoSource {
+    /// Returns the source.
+    fn into_source(self) -> Arc<dyn ControllerSource>;
+}
+
+impl IntoSource for Arc<dyn ControllerSource> {
+    fn into_source(self) -> Arc<dyn ControllerSource> {
+        self
+    }
+}
+
+impl IntoSource for &Arc<dyn ControllerSource> {
+    fn into_source(self) -> Arc<dyn ControllerSource> {
+        Arc::clone(self)
+    }
+}
+
+impl<S: ControllerSource> IntoSource for Arc<S> {
+    fn into_source(self) -> Arc<dyn ControllerSource> {
+        self
+    }
+}
+
+impl IntoSource for ControllerSpec {
+    fn into_source(self) -> Arc<dyn ControllerSource> {
+        Arc::new(self)
+    }
 }
 
 /// Controllers whose answers depend only on the observation, so that many can be queried at once.
@@ -139,222 +316,15 @@ pub trait BatchController: Send + Sync {
     ) -> Result<(), ControllerFailure>;
 }
 
-/// Zero-order hold around an external controller; a non-finite answer is a failure.
-pub(crate) struct ZeroOrderHold {
-    controller: Box<dyn Controller>,
-    batch_source: Option<Arc<dyn ControllerSource>>,
-    decision_timer: DecisionTimer,
-    observation: Option<Observation>,
-    command_mps2: f64,
+/// Returns a controller that fails at its first decision, in place of one that did not start.
+pub(crate) fn not_started(failure: ControllerFailure) -> Box<dyn Controller> {
+    Box::new(NotStarted(failure))
 }
 
-impl ZeroOrderHold {
-    /// Creates a hold with decisions every `interval_s` seconds from the first step on, or at every step.
-    pub(crate) fn new(
-        controller: Box<dyn Controller>,
-        interval_s: Option<f64>,
-        step_s: f64,
-    ) -> Self {
-        let interval = DecisionTimer::new(interval_s, step_s);
-        Self {
-            controller,
-            batch_source: None,
-            decision_timer: interval,
-            observation: None,
-            command_mps2: 0.0,
-        }
-    }
+struct NotStarted(ControllerFailure);
 
-    /// Batches queries with others of `source` if it [supports batches](ControllerSource::batch_controller).
-    pub(crate) fn with_batching(mut self, source: &Arc<dyn ControllerSource>) -> Self {
-        self.batch_source = source
-            .batch_controller()
-            .is_some()
-            .then(|| Arc::clone(source));
-        self
-    }
-}
-
-impl BatchQuery for ZeroOrderHold {
-    fn sample(&mut self, seen: &Observation) -> bool {
-        self.observation = self.decision_timer.tick().then_some(*seen);
-        self.observation.is_some()
-    }
-
-    fn query(&mut self) -> Result<(), ControllerFailure> {
-        let Some(seen) = self.observation else {
-            return Ok(());
-        };
-        let answer_mps2 = self.controller.decide(&seen)?;
-        self.set_command(answer_mps2)
-    }
-
-    fn shares_batch_with(&self, other: &Self) -> bool {
-        match (&self.batch_source, &other.batch_source) {
-            (Some(own), Some(other)) => std::ptr::addr_eq(Arc::as_ptr(own), Arc::as_ptr(other)),
-            _ => false,
-        }
-    }
-
-    fn query_batch(all: &[&Self]) -> Option<Vec<f64>> {
-        let batch = all.first()?.batch_source.as_ref()?.batch_controller()?;
-        let seen = all
-            .iter()
-            .map(|one| one.observation)
-            .collect::<Option<Vec<_>>>()?;
-        let mut query_batch = vec![0.0; seen.len()];
-        batch.decide_batch(&seen, &mut query_batch).ok()?;
-        query_batch
-            .iter()
-            .all(|answer_mps2| answer_mps2.is_finite())
-            .then_some(query_batch)
-    }
-
-    fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
-        self.command_mps2 = answer_mps2;
-        if answer_mps2.is_finite() {
-            Ok(())
-        } else {
-            Err(ControllerFailure::NotFinite)
-        }
-    }
-
-    fn command_mps2(&self) -> f64 {
-        self.command_mps2
-    }
-}
-
-impl Controller for ZeroOrderHold {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        batch_query::decide(self, seen)
-    }
-
-    fn record_command(&mut self, command_mps2: f64) {
-        self.controller.record_command(command_mps2);
-    }
-
-    fn decide_batch(
-        all: &mut [Self],
-        see: impl FnMut(usize) -> Observation,
-        commands_mps2: &mut [f64],
-        failed: &mut Vec<(usize, ControllerFailure)>,
-    ) {
-        batch_query::decide_batch(all, see, commands_mps2, failed);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
-
-    use super::super::tests::leader_observation;
-    use super::*;
-    use crate::scenario::PaperDistribution;
-    use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
-
-    struct CountingController(f64);
-    impl Controller for CountingController {
-        fn decide(&mut self, _: &Observation) -> Result<f64, ControllerFailure> {
-            self.0 += 1.0;
-            Ok(if self.0 > 2.5 { f64::NAN } else { self.0 })
-        }
-    }
-
-    #[test]
-    fn decides_once_an_interval_and_fails_at_an_answer_that_is_no_number() {
-        let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
-        let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
-        let failed = Err(ControllerFailure::NotFinite);
-        assert_eq!(
-            answers,
-            [Ok(1.0), Ok(1.0), Ok(1.0), Ok(2.0), Ok(2.0), Ok(2.0), failed]
-        );
-        let mut at_every_step = ZeroOrderHold::new(Box::new(CountingController(0.0)), None, 0.01);
-        let answers =
-            [0; 2].map(|_| at_every_step.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
-        assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
-    }
-
-    #[derive(Clone)]
-    struct MinGapController {
-        min_gap_m: f64,
-        max_batch_size: Arc<AtomicUsize>,
-    }
-    impl MinGapController {
-        fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
-            let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.min_gap_m);
-            let ahead = ahead.ok_or(ControllerFailure::Died {
-                message: "too close".to_owned(),
-            })?;
-            Ok(ahead.speed_mps - seen.speed_mps)
-        }
-    }
-    impl Controller for MinGapController {
-        fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-            self.answer_mps2(seen)
-        }
-    }
-    impl BatchController for MinGapController {
-        fn decide_batch(
-            &self,
-            seen: &[Observation],
-            answers_mps2: &mut [f64],
-        ) -> Result<(), ControllerFailure> {
-            self.max_batch_size.fetch_max(seen.len(), Ordering::Relaxed);
-            answers_mps2
-                .iter_mut()
-                .zip(seen)
-                .try_for_each(|(answer_mps2, seen)| {
-                    *answer_mps2 = self.answer_mps2(seen)?;
-                    Ok(())
-                })
-        }
-    }
-    impl ControllerSource for MinGapController {
-        fn identity(&self) -> Option<String> {
-            None
-        }
-        fn interval_s(&self) -> Option<f64> {
-            Some(0.1)
-        }
-        fn batch_controller(&self) -> Option<&dyn BatchController> {
-            Some(self)
-        }
-        fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-            Ok(Box::new(self.clone()))
-        }
-    }
-
-    #[test]
-    fn runs_that_share_questions_end_as_they_would_alone() {
-        let draws: Vec<_> = (0..60)
-            .map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap())
-            .collect();
-        let most_together = Arc::new(AtomicUsize::new(0));
-        let sources = [0.0, 12.0].map(|least_gap_m| {
-            Arc::new(MinGapController {
-                min_gap_m: least_gap_m,
-                max_batch_size: most_together.clone(),
-            })
-        });
-        let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
-        let runs: Vec<_> = (0..60)
-            .map(|index| Run::new(&draws[index], options(index)).unwrap())
-            .collect();
-        let two_threads = rayon::ThreadPoolBuilder::new()
-            .num_threads(2)
-            .build()
-            .unwrap();
-        let together = two_threads
-            .install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated));
-        for (run, together) in runs.iter().zip(&together) {
-            assert_eq!(simulate(run, RecordingLevel::Summary), *together);
-        }
-        let failed = together
-            .iter()
-            .filter(|simulated| simulated.outcome.failed_controller().is_some())
-            .count();
-        assert!((1..=30).contains(&failed), "{failed}");
-        assert!(most_together.load(Ordering::Relaxed) >= 5);
+impl Controller for NotStarted {
+    fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
+        Err(self.0.clone())
     }
 }

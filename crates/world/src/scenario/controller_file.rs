@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    ControllerKind, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping,
-    NameOrigin, NetworkController, OutputMapping, ProcessController, ProcessSetup, StartPermission,
-    StartRefusal,
+    ControllerSource, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping,
+    NameOrigin, NetworkController, OutputMapping, PolicySource, ProcessController, ProcessSetup,
+    SourceFile, StartPermission, StartRefusal,
 };
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
@@ -187,7 +187,10 @@ pub enum ControllerFileError {
 ///
 /// # Errors
 /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
-pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
+pub fn load(
+    path: &Path,
+    named_by: NameOrigin,
+) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     if path
         .extension()
         .is_some_and(|extension| extension == "toml")
@@ -198,7 +201,7 @@ pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
     } else if NetworkFile::is_network(path) {
         load_network(path)
     } else {
-        Ok(Arc::new(Policy::load(path)?).into())
+        Ok(Arc::new(PolicySource::new(Arc::new(Policy::load(path)?))))
     }
 }
 
@@ -217,7 +220,7 @@ pub fn to_files(
         inputs,
         output,
     } = controller.mapping().clone();
-    let (network, bytes) = controller.file().name_and_bytes();
+    let (network, bytes) = controller.network_file().name_and_bytes();
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
         network: Some(network.clone()),
@@ -239,7 +242,7 @@ pub fn to_files(
 /// Returns the name that [`to_files`] gives the controller file.
 #[must_use]
 pub fn file_name(controller: &NetworkController) -> String {
-    let identity = controller.identity();
+    let identity = controller.sha256();
     format!("{}.toml", identity.get(..16).unwrap_or(identity))
 }
 
@@ -249,7 +252,7 @@ pub(crate) fn is_regular_file(path: &Path) -> bool {
 }
 
 /// Loads a network without controller file, with the mapping of crumple's own policies.
-fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
+fn load_network(path: &Path) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
     if let Some(reason) = normalisation_evidence(&file, path) {
@@ -266,15 +269,14 @@ fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     })?;
     // Keeps `normalised = false` from the statistics file, which a copy elsewhere would lack.
     let is_behind = controller
-        .file()
+        .network_file()
         .saved_model()
         .is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind);
     Ok(Arc::new(
         controller
             .with_normalised(is_behind.then_some(false))
-            .with_file_path(path),
-    )
-    .into())
+            .with_source_file(SourceFile::binary(path)),
+    ))
 }
 
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
@@ -339,7 +341,7 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
 fn load_controller_file(
     path: &Path,
     named_by: NameOrigin,
-) -> Result<ControllerKind, ControllerFileError> {
+) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
     let wrong =
@@ -356,6 +358,7 @@ fn load_controller_file(
         named_by
             .permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))
     };
+    let source_file = SourceFile::controller_file(path, &text);
     match file.controller_source().map_err(wrong)? {
         ControllerFileSource::Network(name) => {
             let normalised = file.normalised;
@@ -381,7 +384,11 @@ fn load_controller_file(
                 return Err(wrong(InvalidMapping::new("normalised", problem)).into());
             }
             let controller = NetworkController::new(network, mapping).map_err(wrong)?;
-            Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
+            Ok(Arc::new(
+                controller
+                    .with_normalised(normalised)
+                    .with_source_file(source_file),
+            ))
         }
         ControllerFileSource::Fmu(name) => {
             let plain =
@@ -399,12 +406,12 @@ fn load_controller_file(
                         .into(),
                     }
                 })?;
-            process_controller(file.with_limits(plain), path, permission("fmu")?)
+            process_controller(file.with_limits(plain), source_file, permission("fmu")?)
                 .map_err(|invalid| wrong(invalid).into())
         }
         ControllerFileSource::Command(command) => {
             let setup = file.into_process_setup(command, &folder);
-            process_controller(setup, path, permission("command")?)
+            process_controller(setup, source_file, permission("command")?)
                 .map_err(|invalid| wrong(invalid).into())
         }
     }
@@ -412,18 +419,21 @@ fn load_controller_file(
 
 fn process_controller(
     setup: ProcessSetup,
-    path: &Path,
+    file: SourceFile,
     permission: StartPermission,
-) -> Result<ControllerKind, InvalidMapping> {
+) -> Result<Arc<dyn ControllerSource>, InvalidMapping> {
     let setup = ProcessSetup {
-        file: Some(path.to_owned()),
+        file: Some(file),
         ..setup
     };
-    Ok(Arc::new(ProcessController::new(setup, permission)?).into())
+    Ok(Arc::new(ProcessController::new(setup, permission)?))
 }
 
 /// Loads an FMU without controller file; its variables must have the names of the inputs.
-fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
+fn load_fmu(
+    path: &Path,
+    named_by: NameOrigin,
+) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default());
     let failed = |problem| match problem {
@@ -438,7 +448,8 @@ fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
     };
     let setup = setup.map_err(failed)?;
     let permission = named_by.permission(|| path.display().to_string())?;
-    process_controller(setup, path, permission).map_err(|invalid| failed(invalid.into()))
+    process_controller(setup, SourceFile::binary(path), permission)
+        .map_err(|invalid| failed(invalid.into()))
 }
 
 enum ControllerFileSource {

@@ -1,13 +1,16 @@
 //! Drivers of vehicles as plain data; [`crate::control`] and [`super::profile`] implement them.
 
 use std::path::{self, Path};
+use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::controller_file::{self, ControllerFileError, is_regular_file};
 use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
-use crate::control::{self, BuiltIn, ControllerKind, ControllerSpec, NameOrigin, with_controllers};
+use crate::control::{
+    self, BuiltIn, ControllerSource, ControllerSpec, NameOrigin, with_controllers,
+};
 
 /// The source of a vehicle's acceleration.
 ///
@@ -41,7 +44,7 @@ pub struct FileDriver {
     sha256: Option<String>,
     /// Controller, after it was read.
     #[serde(skip)]
-    controller: Option<ControllerKind>,
+    controller: Option<Arc<dyn ControllerSource>>,
 }
 
 /// Compares paths and identities; reading the controller sets its identity.
@@ -54,7 +57,7 @@ impl PartialEq for FileDriver {
 impl FileDriver {
     /// Returns the controller, if it was read.
     #[must_use]
-    pub fn controller(&self) -> Option<&ControllerKind> {
+    pub fn controller(&self) -> Option<&Arc<dyn ControllerSource>> {
         self.controller.as_ref()
     }
 

@@ -19,6 +19,7 @@ mod shielding;
 mod stepper;
 mod trace;
 
+pub use crate::control::ShieldRefusal;
 pub(crate) use lane::TIME_TOLERANCE_S;
 pub use lockstep::simulate_batch;
 pub use motion::Motion;
@@ -32,8 +33,8 @@ pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
 pub use run::{OpenLoopController, Run, RunError, RunOptions};
 pub use scalar::simulate;
-pub use shielding::{Intervention, ShieldRefusal};
+pub use shielding::Intervention;
 pub use stepper::{StepView, Stepper};
 pub use trace::{Trace, Track, VehiclePair};
 
-pub use crate::control::{ControllerKind, ShieldedSource};
+pub use crate::control::ShieldedSource;

@@ -5,14 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds,
-    InvalidSetting, NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings,
+    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting,
+    NameOrigin, PolicySource, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings,
     ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{self, ControllerFileError, is_regular_file};
-use crate::scenario::file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller under test and its name.
 ///
@@ -29,7 +28,7 @@ pub struct NamedController {
     /// Built-in name, or path as given by the user.
     pub name: String,
     /// Source of the controller.
-    pub kind: ControllerKind,
+    pub source: Arc<dyn ControllerSource>,
 }
 
 const EXEC_PREFIX: &str = "exec:";
@@ -142,7 +141,7 @@ impl NamedController {
     pub fn from_source(name: &str, source: Arc<dyn ControllerSource>) -> Self {
         Self {
             name: name.to_owned(),
-            kind: ControllerKind::Custom(source),
+            source,
         }
     }
 
@@ -205,34 +204,27 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController::NotStarted`].
     pub fn try_start(&self) -> Result<(), UnknownController> {
-        let field = match self.kind.unshielded() {
-            ControllerKind::Process(process) if process.setup().program.is_some() => "fmu",
-            _ => "command",
-        };
-        let place = || match self.kind.file().is_some_and(is_toml) {
-            true => format!("{}{field}: ", self.field_location(field)),
-            false => self.field_location(field),
-        };
-        self.kind
+        self.source
             .try_start()
             .map_err(|failure| UnknownController::NotStarted {
-                location: place(),
+                location: self.program_location(),
                 failure,
             })
     }
 
-    /// Returns file and line of a field as a message prefix (`acc.toml:12: `); empty without a controller file.
+    fn program_location(&self) -> String {
+        match (self.source.file(), self.source.program_field()) {
+            (Some(file), Some(field)) => file.program_location(field),
+            _ => String::new(),
+        }
+    }
+
+    /// Returns file and line of a field as a message prefix (`acc.toml:12: `); empty without a file.
     #[must_use]
     pub fn field_location(&self, field: &str) -> String {
-        let Some(path) = self.kind.file() else {
-            return String::new();
-        };
-        match read_at_most(path, MAX_TOML_BYTES) {
-            Ok(text) if is_toml(path) => {
-                format!("{}:{}: ", path.display(), line_in_toml(&text, field))
-            }
-            _ => format!("{}: ", path.display()),
-        }
+        self.source
+            .file()
+            .map_or_else(String::new, |file| file.field_location(field))
     }
 
     /// Fails if the controller contradicted itself or can no longer be started; call before reporting any result.
@@ -240,7 +232,7 @@ impl NamedController {
     /// # Errors
     /// [`RefusedController`] if the controller answered the same query differently, or cannot be started any more.
     pub fn ensure_trusted(&self) -> Result<(), RefusedController> {
-        match self.kind.refusal() {
+        match self.source.refusal() {
             None => Ok(()),
             Some(failure) => Err(RefusedController {
                 controller: self.name.clone(),
@@ -257,19 +249,20 @@ impl NamedController {
         if split_shield(inner).is_some() {
             return Err(UnknownController::NestedShields);
         }
-        let Self {
-            name: inner_name,
-            kind: controller,
-        } = Self::parse_unshielded(inner, folder, named_by)?;
-        let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
-        Ok(Self {
-            name,
-            kind: ShieldedSource {
-                controller,
+        let inner = Self::parse_unshielded(inner, folder, named_by)?;
+        Ok(inner.behind_shield(settings))
+    }
+
+    /// Returns the controller behind a shield.
+    #[must_use]
+    pub fn behind_shield(self, settings: ShieldSettings) -> Self {
+        Self {
+            name: format!("shield{}:{}", settings.to_arg(), self.name),
+            source: Arc::new(ShieldedSource {
+                controller: self.source,
                 settings,
-            }
-            .into(),
-        })
+            }),
+        }
     }
 
     fn parse_unshielded(
@@ -290,7 +283,7 @@ impl NamedController {
                 .map_err(ControllerFileError::Command)?;
             return Ok(Self {
                 name: name.to_owned(),
-                kind: Arc::new(process).into(),
+                source: Arc::new(process),
             });
         }
         let place = folder.join(name);
@@ -316,7 +309,7 @@ impl NamedController {
         }
         Ok(Self {
             name: name.to_owned(),
-            kind: controller_file::load(&place, named_by)?,
+            source: controller_file::load(&place, named_by)?,
         })
     }
 
@@ -324,17 +317,17 @@ impl NamedController {
     /// controllers and controllers under another name need it.
     #[must_use]
     pub fn disambiguating_hash(&self) -> Option<String> {
-        if is_identified_by_name(&self.kind, &self.name) {
+        if is_identified_by_name(&*self.source, &self.name) {
             None
         } else {
-            self.kind.identity()
+            self.source.identity()
         }
     }
 
     /// Describes a failure of a run; only external controllers can fail without a collision.
     #[must_use]
     pub fn failure_description(&self) -> &'static str {
-        if self.kind.is_external() {
+        if self.source.can_fail() {
             "vehicles touch, or a controller fails"
         } else {
             "vehicles touch"
@@ -344,14 +337,8 @@ impl NamedController {
     /// Returns the policy of a policy controller.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
-        self.kind.policy()
+        self.source.policy()
     }
-}
-
-/// Returns true for a controller file, the only kind of file with fields.
-fn is_toml(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|extension| extension == "toml")
 }
 
 /// Returns the name without names of earlier versions: version 0.1.0 calls the retrained policy `hardened`.
@@ -380,20 +367,16 @@ fn file_with_extension(place: &Path, name: &str) -> Option<String> {
 }
 
 /// True if a name identifies the controller, together with the digest of a policy.
-fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
-    match kind {
-        ControllerKind::BuiltIn(spec) => name == spec.to_arg(),
-        ControllerKind::Policy(_) => true,
-        ControllerKind::Shielded(shielded) => {
-            split_shield(name).is_some_and(|(settings, inner)| {
-                parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
-                    && is_identified_by_name(&shielded.controller, inner)
-            })
-        }
-        ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => {
-            false
-        }
+fn is_identified_by_name(source: &dyn ControllerSource, name: &str) -> bool {
+    if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+        return name == spec.to_arg();
     }
+    if let Some(shield) = source.as_shield() {
+        return name
+            .strip_prefix(&format!("shield{}:", shield.settings.to_arg()))
+            .is_some_and(|inner| is_identified_by_name(&*shield.controller, inner));
+    }
+    source.downcast_ref::<PolicySource>().is_some()
 }
 
 /// Returns the error for a name of a program, a library or a source file.
@@ -500,7 +483,7 @@ impl From<ControllerSpec> for NamedController {
     fn from(spec: ControllerSpec) -> Self {
         Self {
             name: spec.to_arg(),
-            kind: ControllerKind::BuiltIn(spec),
+            source: Arc::new(spec),
         }
     }
 }

@@ -6,11 +6,10 @@ use super::AfterContact;
 use super::lane::{Bodies, LaneState};
 use super::motion::Motion;
 use super::platoon::PlatoonState;
-use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, Controller, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver,
-    ProcessDriver, RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold,
-    clamp_command,
+    AnyController, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+    IntoSource, PolicyDriver, PolicySource, RequiredNeighbours, ShieldRefusal, VehicleInRun,
+    clamp_command, not_started,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
@@ -33,7 +32,7 @@ use crate::scenario::{
 #[derive(Clone)]
 pub struct RunOptions {
     /// Controller of the vehicles under test.
-    pub controller: ControllerKind,
+    pub controller: Arc<dyn ControllerSource>,
     /// Estimator of the vehicles under test. All others observe the true state.
     pub estimator: EstimatorKind,
     /// Integration step in seconds, a whole fraction of the scenario's step; `None` for the scenario's step.
@@ -45,9 +44,9 @@ pub struct RunOptions {
 impl RunOptions {
     /// Creates options with the Kalman filter, the scenario's step, and an end at the first collision.
     #[must_use]
-    pub fn new(controller: impl Into<ControllerKind>) -> Self {
+    pub fn new(controller: impl IntoSource) -> Self {
         Self {
-            controller: controller.into(),
+            controller: controller.into_source(),
             estimator: EstimatorKind::default(),
             dt_s: None,
             after_contact: AfterContact::default(),
@@ -154,9 +153,6 @@ pub enum RunError {
         /// Side without a neighbour: `ahead of` or `behind`.
         missing: &'static str,
     },
-    /// A shield around another shield.
-    #[error("only one shield may stand before a controller")]
-    NestedShields,
     /// A shield gives no guarantee for a vehicle under test.
     #[error("a shield cannot protect vehicle {vehicle}: {refusal}")]
     Shield {
@@ -185,8 +181,6 @@ pub struct Run {
     pub(super) time_grid: TimeGrid,
     /// Created on demand: most runs with the true state never need it.
     tuning: OnceLock<Arc<EgoTuning>>,
-    /// Assumptions of shields, one per vehicle; `None` without a shield.
-    shield_params: Vec<Option<ShieldParams>>,
 }
 
 /// Times of a run. The stepwise engine has a copy, which saves a pointer access per step.
@@ -229,13 +223,11 @@ impl Run {
             steps,
             after_contact,
         };
-        let (tuning, shield_params) = Default::default();
-        let mut run = Self {
+        let run = Self {
             scenario: scenario.clone(),
             options,
             time_grid,
-            tuning,
-            shield_params,
+            tuning: OnceLock::new(),
         };
         let found = run.vehicle_samples();
         if found > MAX_VEHICLE_STEPS {
@@ -245,41 +237,56 @@ impl Run {
                 found,
             });
         }
-        run.shield_params = run.shield_params_by_vehicle()?;
-        let vehicles = scenario.vehicles();
-        for (vehicle, spec) in vehicles.iter().enumerate() {
-            let kind = match &spec.driver {
-                Driver::Profile(_) => continue,
-                Driver::Controller(spec) => &ControllerKind::BuiltIn(spec.clone()),
-                Driver::File(file) => match file.controller() {
-                    Some(controller) => controller,
-                    None => continue,
-                },
-                Driver::UnderTest => &run.options.controller,
-            };
-            if let Some(interval_s) = kind.interval_s() {
-                whole_multiple(interval_s, step_s)
-                    .ok_or(RunError::DecisionInterval { interval_s, step_s })?;
-            }
-            let needs = kind.required_neighbours();
-            // A vehicle that enters or leaves is not always a neighbour.
-            let (ahead, behind) = (&vehicles[..vehicle], &vehicles[vehicle + 1..]);
-            if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
-                return Err(RunError::MissingNeighbour {
-                    vehicle,
-                    missing: "ahead of",
-                });
-            }
-            if needs == RequiredNeighbours::AheadAndBehind
-                && !behind.iter().any(VehicleSpec::keeps_lane)
-            {
-                return Err(RunError::MissingNeighbour {
-                    vehicle,
-                    missing: "behind",
-                });
-            }
+        for vehicle in 0..scenario.vehicles().len() {
+            run.check_driver(vehicle)?;
         }
         Ok(run)
+    }
+
+    /// Refuses a driver that cannot drive vehicle `index`.
+    fn check_driver(&self, index: usize) -> Result<(), RunError> {
+        let vehicles = self.scenario.vehicles();
+        let source: &dyn ControllerSource = match &vehicles[index].driver {
+            Driver::Profile(_) => return Ok(()),
+            Driver::Controller(spec) => spec,
+            Driver::File(file) => match file.controller() {
+                Some(controller) => &**controller,
+                None => return Ok(()),
+            },
+            Driver::UnderTest => {
+                let source = &self.options.controller;
+                source
+                    .check_vehicle(&self.vehicle_in_run(index, source))
+                    .map_err(|refusal| RunError::Shield {
+                        vehicle: index,
+                        refusal,
+                    })?;
+                &**source
+            }
+        };
+        let step_s = self.time_grid.step_s;
+        if let Some(interval_s) = source.interval_s() {
+            whole_multiple(interval_s, step_s)
+                .ok_or(RunError::DecisionInterval { interval_s, step_s })?;
+        }
+        let needs = source.required_neighbours();
+        // A vehicle that enters or leaves is not always a neighbour.
+        let (ahead, behind) = (&vehicles[..index], &vehicles[index + 1..]);
+        if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
+            return Err(RunError::MissingNeighbour {
+                vehicle: index,
+                missing: "ahead of",
+            });
+        }
+        if needs == RequiredNeighbours::AheadAndBehind
+            && !behind.iter().any(VehicleSpec::keeps_lane)
+        {
+            return Err(RunError::MissingNeighbour {
+                vehicle: index,
+                missing: "behind",
+            });
+        }
+        Ok(())
     }
 
     /// Returns the scenario.
@@ -319,27 +326,6 @@ impl Run {
             .get_or_init(|| Arc::new(EgoTuning::new(spec.step_s, &spec.sensors)))
     }
 
-    fn shield_params_by_vehicle(&self) -> Result<Vec<Option<ShieldParams>>, RunError> {
-        let vehicles = self.scenario.vehicles();
-        let ControllerKind::Shielded(shielded) = &self.options.controller else {
-            return Ok(vec![None; vehicles.len()]);
-        };
-        if matches!(shielded.controller, ControllerKind::Shielded(_)) {
-            return Err(RunError::NestedShields);
-        }
-        let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
-            Driver::UnderTest => self
-                .shield_params(vehicle, &shielded.settings)
-                .map(Some)
-                .map_err(|why| RunError::Shield {
-                    vehicle,
-                    refusal: why,
-                }),
-            _ => Ok(None),
-        };
-        vehicles.iter().enumerate().map(frame).collect()
-    }
-
     /// Starts the controller under test in vehicle `index`, for observations that the caller supplies; `None` if there
     /// is no such vehicle.
     #[must_use]
@@ -375,11 +361,8 @@ impl Run {
                 Driver::Profile(_) | Driver::Controller(_) => true,
                 Driver::File(file) => file
                     .controller()
-                    .is_none_or(|controller| controller.supports_lockstep(|| self.ego(index))),
-                Driver::UnderTest => self
-                    .options
-                    .controller
-                    .supports_lockstep(|| self.ego(index)),
+                    .is_none_or(|controller| controller.supports_lockstep(&self.ego(index))),
+                Driver::UnderTest => self.options.controller.supports_lockstep(&self.ego(index)),
             })
     }
 
@@ -393,9 +376,9 @@ impl Run {
             )),
             Driver::File(file) => VehicleController::Controller(match file.controller() {
                 Some(controller) => self.start_controller(index, controller),
-                None => AnyController::NotStarted(ControllerFailure::Died {
+                None => AnyController::Other(not_started(ControllerFailure::Died {
                     message: "it was not read".to_owned(),
-                }),
+                })),
             }),
             Driver::UnderTest => VehicleController::Controller(
                 self.start_controller(index, &self.options.controller),
@@ -403,39 +386,29 @@ impl Run {
         }
     }
 
-    fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
-        let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
-        match kind {
-            ControllerKind::BuiltIn(spec) => AnyController::from_spec(spec, &ego, seed),
-            ControllerKind::Policy(policy) => {
-                AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego))
-            }
-            ControllerKind::Network(network) => {
-                AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego))
-            }
-            ControllerKind::Process(process) => {
-                match ProcessDriver::new(Arc::clone(process), &ego, seed) {
-                    Ok(started) => AnyController::Process(Box::new(started)),
-                    Err(failure) => AnyController::NotStarted(failure),
-                }
-            }
-            ControllerKind::Shielded(shielded) => {
-                let controller = self.start_controller(index, &shielded.controller);
-                match self.shield_params.get(index).copied().flatten() {
-                    Some(frame) => {
-                        AnyController::Shielded(ShieldedController::new(controller, frame))
-                    }
-                    None => controller,
-                }
-            }
-            ControllerKind::Custom(source) => match source.start(&ego, seed) {
-                Ok(started) => AnyController::Custom(
-                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s)
-                        .with_batching(source),
-                ),
-                Err(failure) => AnyController::NotStarted(failure),
-            },
+    fn vehicle_in_run<'r>(
+        &'r self,
+        index: usize,
+        source: &'r Arc<dyn ControllerSource>,
+    ) -> VehicleInRun<'r> {
+        VehicleInRun {
+            ego: self.ego(index),
+            seed: self.scenario.spec().seed,
+            source,
+            assumptions: self,
         }
+    }
+
+    fn start_controller(&self, index: usize, source: &Arc<dyn ControllerSource>) -> AnyController {
+        let vehicle = self.vehicle_in_run(index, source);
+        if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+            return AnyController::from_spec(spec, &vehicle.ego, vehicle.seed);
+        }
+        if let Some(policy) = source.downcast_ref::<PolicySource>() {
+            return AnyController::Policy(PolicyDriver::new(policy.shared(), &vehicle.ego));
+        }
+        let started = source.start_in_run(&vehicle);
+        AnyController::Other(started.unwrap_or_else(not_started))
     }
 
     /// Creates sensors and filters of vehicle `index`; `None` if it observes the true state.

@@ -4,60 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::control::{
-    AnyController, ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override,
-    RearVehicleParams, ShieldParams, ShieldSettings, ViabilityKernel,
+    ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override, RearVehicleParams,
+    ShieldAssumptions, ShieldParams, ShieldRefusal, ShieldSettings, ViabilityKernel,
 };
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield assumes as a bound; exceeded once in 10⁹ samples.
 const NOISE_SIGMAS: f64 = 6.0;
-
-/// Reason why a shield gives no guarantee for a vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ShieldRefusal {
-    /// Full braking is not available at a known rate.
-    #[error("it has a jerk limit, which the kernel does not cover")]
-    JerkLimit,
-    /// The kernel assumes that every vehicle executes its command at once, within known limits.
-    #[error("a vehicle has the plant `multi-body`, and the kernel covers only `point-mass`")]
-    Plant,
-    /// The kernel assumes that the leader stays the same vehicle.
-    #[error("vehicles enter or leave the lane, which the kernel does not cover")]
-    LaneChanges,
-    /// Noise on the own acceleration may cancel the brake.
-    #[error(
-        "noise on its acceleration can be as large as its maximum braking, {brake_mps2} m/s² on this road"
-    )]
-    Noise {
-        /// Maximum deceleration on this road, in m/s².
-        brake_mps2: f64,
-    },
-    /// The error of the Kalman filter is unbounded if measurements may be lost.
-    #[error(
-        "its sensors lose measurements, so the error of its observations has no bound: give bounds, as in \
-        `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
-    )]
-    Dropout,
-    /// Delayed, missing or false targets are no bounded errors.
-    #[error("its sensors have faults, which the kernel does not cover: remove `sensors.faults`")]
-    SensorFaults,
-    /// Rounding may decrease the gap by more than the margin covers.
-    #[error(
-        "rounding may take up to {rounding_m} m of the gap in a run of this length at positions up to {} m, and twice \
-         that exceeds the largest margin, {max_margin_m} m: begin nearer to the origin, or make fewer or longer steps",
-        crumple_core::digits::format_rounded(*position_m, 3)
-    )]
-    Rounding {
-        /// Maximum effect of rounding, in metres.
-        rounding_m: f64,
-        /// Maximum distance of the run from the origin, in metres.
-        position_m: f64,
-        /// Maximum margin, in metres.
-        max_margin_m: f64,
-    },
-}
 
 /// A period in which a shield braked instead of the controller's command.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -75,14 +29,12 @@ pub struct Intervention {
     pub rear_conflict: bool,
 }
 
+/// Returns the interventions of a shield; none for other controllers.
 pub(super) fn interventions(
-    controller: &AnyController,
+    overrides: &[Override],
     vehicle: usize,
     step_s: f64,
 ) -> Vec<Intervention> {
-    let AnyController::Shielded(shield) = controller else {
-        return Vec::new();
-    };
     let intervention = |done: &Override| Intervention {
         vehicle,
         from_s: done.first_step as f64 * step_s,
@@ -90,15 +42,11 @@ pub(super) fn interventions(
         outside_kernel: done.outside_kernel,
         rear_conflict: done.rear_conflict,
     };
-    shield.overrides().iter().map(intervention).collect()
+    overrides.iter().map(intervention).collect()
 }
 
-impl Run {
-    /// Returns the assumptions of a shield of vehicle `index`.
-    ///
-    /// # Errors
-    /// [`ShieldRefusal`] if no guarantee is possible.
-    pub(super) fn shield_params(
+impl ShieldAssumptions for Run {
+    fn shield_params(
         &self,
         index: usize,
         settings: &ShieldSettings,
@@ -194,7 +142,9 @@ impl Run {
         }
         Ok(frame)
     }
+}
 
+impl Run {
     /// Returns bounds of the motion of vehicle `front` and its follower in this run, without collisions.
     ///
     /// No vehicle overtakes, so the first vehicle bounds all positions. For a vehicle (speed v, brake b) in the kernel

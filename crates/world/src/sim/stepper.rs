@@ -307,7 +307,7 @@ impl Stepper {
                 .enumerate()
                 .flat_map(|(index, vehicle)| match &vehicle.driver {
                     VehicleController::Controller(controller) => {
-                        interventions(controller, index, step_s)
+                        interventions(controller.overrides(), index, step_s)
                     }
                     VehicleController::Profile(_) => Vec::new(),
                 });

@@ -137,7 +137,7 @@ pub(super) fn certificate_subject(
         Statement::Comparison(two) => registered_subject(plan, &two.registration),
         // The unshielded policy or network with the true state: a shield would make it another controller.
         Statement::Reach(reach) => {
-            let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
+            let digest = |one: &NamedController| Some(sha256(checker_file(&one.source).ok()??));
             let is_it = |one: &NamedController| {
                 digest(one).as_deref() == Some(reach.policy_sha256.as_str())
             };
@@ -250,7 +250,7 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
     };
     let find = |place: &str| {
         let identity = of(&format!("{place}_sha256"));
-        let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
+        let is_it = |one: &NamedController| one.source.identity().as_deref() == Some(identity);
         // Both must define a failure alike.
         let place = plan.controllers.iter().position(is_it)?;
         let counts = plan.controllers.get(place).is_some_and(|one| {

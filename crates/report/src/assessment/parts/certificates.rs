@@ -20,7 +20,7 @@ use crumple_evidence::{CertificateReport, RateInterval, kernel_certificate, ship
 use crumple_world::control::{MIN_MARGIN_M, ShieldSettings, ViabilityKernel};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 
 /// A certificate and the result of its check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -387,7 +387,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
 /// Returns the kernels of a controller's shield, for all pairs of vehicle classes. Empty without a shield, or if a user
 /// set its error bounds, which this report cannot verify.
 pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKernel> {
-    let ControllerKind::Shielded(shielded) = &controller.kind else {
+    let Some(shielded) = controller.source.as_shield() else {
         return Vec::new();
     };
     let ShieldSettings {

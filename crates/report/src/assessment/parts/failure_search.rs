@@ -77,7 +77,7 @@ impl FailureSearch {
             file_stem(space.name()),
             plan.controller_slug(index)
         );
-        let word = controller_arg(&controller.kind);
+        let word = controller_arg(&*controller.source);
         let seeing = plan.estimator_args().iter().copied();
         let replay = |file: &str| {
             let simulate =
@@ -318,7 +318,7 @@ impl FailureSearch {
 }
 
 fn is_main_controller(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
-    index == 0 || index == plan.subject_index || controller.kind.is_learned()
+    index == 0 || index == plan.subject_index || controller.source.is_learned()
 }
 
 impl FailureSearch {

@@ -148,7 +148,7 @@ impl HarmRun {
         work: &GatherContext<'_>,
     ) -> Result<Vec<Self>, AssessError> {
         let options =
-            RunOptions::new(controller.kind.clone()).with_estimator(work.plan.config.estimator);
+            RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
         let mut all = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
         let collided: Vec<usize> = (0..all.len())
             .filter(|&index| all[index].harm > 0.0)

@@ -47,7 +47,7 @@ pub(in crate::assessment) fn planned_rate_counts(
         .controllers
         .iter()
         .enumerate()
-        .filter(|(_, controller)| controller.kind.is_learned());
+        .filter(|(_, controller)| controller.source.is_learned());
     let mut wanted: Vec<(String, NamedController, Option<NamedController>)> = learned
         .map(|(index, one)| {
             (
@@ -71,7 +71,7 @@ pub(in crate::assessment) fn planned_rate_counts(
     wanted.retain(|(_, one, other)| {
         std::iter::once(one)
             .chain(other)
-            .all(|of| of.kind.identity().is_some())
+            .all(|of| of.source.identity().is_some())
     });
     let several = plan.rate_spaces.len() > 1;
     let mut counted = Vec::new();
@@ -157,8 +157,8 @@ pub(super) fn recount_controllers(
     let identities =
         ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
     let argument = |identity: &String| {
-        let is_it = |one: &&NamedController| one.kind.identity().as_ref() == Some(identity);
-        controller_arg(&plan.controllers.iter().find(is_it)?.kind)
+        let is_it = |one: &&NamedController| one.source.identity().as_ref() == Some(identity);
+        controller_arg(&*plan.controllers.iter().find(is_it)?.source)
     };
     identities.into_iter().flatten().map(argument).collect()
 }

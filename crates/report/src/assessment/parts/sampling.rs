@@ -382,7 +382,7 @@ pub(super) fn run_samples(
     controller: &NamedController,
     plan: &AssessmentPlan,
 ) -> Result<Vec<RunSummary>, RunError> {
-    let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+    let options = RunOptions::new(controller.source.clone()).with_estimator(plan.config.estimator);
     simulate_each(
         scenarios,
         &options,

@@ -37,7 +37,7 @@ pub(super) fn run_campaign(
     work.get_or_gather(item, inputs, || {
         let folder = work.cache.scratch_folder(item, inputs)?;
         let options = CampaignOptions {
-            resume: campaign.controller.kind.identity().is_some(),
+            resume: campaign.controller.source.identity().is_some(),
             ..Default::default()
         };
         let done = AtomicU64::new(0);

@@ -424,7 +424,7 @@ impl SuiteFailure {
             sha256(&text),
         );
         let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
-        let replay = controller_arg(&controller.kind)
+        let replay = controller_arg(&*controller.source)
             .filter(|_| is_contact)
             .map(|word| {
                 CrumpleCommand::new(["simulate", file.as_str(), "--controller", word.as_str()])

@@ -11,10 +11,9 @@ use crate::assessment::claims::{
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart, Rounded};
-use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space_summary;
-use crumple_world::sim::{ControllerKind, NamedController};
+use crumple_world::sim::NamedController;
 
 /// Every claim about every controller.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -87,7 +86,7 @@ impl ClaimSummary {
                 || plan
                     .controllers
                     .get(index)
-                    .is_some_and(|one| one.kind.is_learned())
+                    .is_some_and(|one| one.source.is_learned())
         };
         let main_columns = (0..controllers.len()).filter(is_asked).collect();
         Self {
@@ -194,7 +193,7 @@ impl ClaimSummary {
 fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
     let controllers = plan.controllers.iter().map(|one| NameExplanation {
         name: one.name.clone(),
-        explanation: describe_controller(&one.kind),
+        explanation: one.source.description(),
     });
     let spaces = plan.all_spaces().into_iter().map(|space| {
         let explanation =
@@ -218,49 +217,6 @@ fn first_clause(text: &str) -> &str {
         .map(|(at, _)| at)
         .find(|at| is_end(*at));
     end.and_then(|end| text.get(..end)).unwrap_or(text)
-}
-
-fn describe_controller(kind: &ControllerKind) -> String {
-    match kind {
-        ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
-        ControllerKind::Policy(policy) => format!(
-            "learned policy with hidden layers {:?}",
-            policy.header().hidden
-        ),
-        ControllerKind::Network(network) => {
-            let saved = network.file().saved_model();
-            let saved = saved.map_or(String::new(), |saved| {
-                format!(" ({} of Stable-Baselines3)", saved.algorithm)
-            });
-            format!(
-                "external network{saved} with layers {}",
-                network.network().shape()
-            )
-        }
-        ControllerKind::Shielded(shielded) => {
-            format!(
-                "with a shield: {}",
-                describe_controller(&shielded.controller)
-            )
-        }
-        ControllerKind::Process(process) => match process.is_deterministic() {
-            true => describe_process(process).to_owned(),
-            false => format!(
-                "{} that is not deterministic: a repeated assessment may have other results",
-                describe_process(process)
-            ),
-        },
-        ControllerKind::Custom(_) => "external controller".to_owned(),
-    }
-}
-
-/// An FMU runs in its own process, but the user sees an FMU.
-fn describe_process(process: &ProcessController) -> &'static str {
-    if process.setup().program.is_some() {
-        "FMU"
-    } else {
-        "process"
-    }
 }
 
 fn claim_rows(plan: &AssessmentPlan, found: &AssessmentReport) -> Vec<ClaimRow> {
@@ -442,8 +398,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &AssessmentReport) -> Vec<ClaimRow> 
             ),
         );
     }
-    let shielded =
-        |controller: &NamedController| matches!(controller.kind, ControllerKind::Shielded(_));
+    let shielded = |controller: &NamedController| controller.source.as_shield().is_some();
     let domain = |controller: &NamedController| kernel_domain(&shield_kernels(controller));
     for one in plan.controllers.iter().filter(|one| shielded(one)) {
         // Shields with other limits prove other claims.

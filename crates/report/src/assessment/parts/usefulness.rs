@@ -145,7 +145,7 @@ impl UsefulnessReport {
             .map(|scenarios| follower_drivers(scenarios).into_iter().collect());
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options =
-                RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+                RunOptions::new(controller.source.clone()).with_estimator(plan.config.estimator);
             let drives = simulate_each(
                 &traffic,
                 &options,
@@ -153,7 +153,7 @@ impl UsefulnessReport {
                 EverydayDrive::new,
             )?;
             let danger = run_samples(&high_risk, controller, plan)?;
-            let gain = OscillationGain::new(&GainSurvey::new(&controller.kind)?);
+            let gain = OscillationGain::new(&GainSurvey::new(&controller.source)?);
             let mut useful = ControllerUsefulness::new(controller, &drives, &danger, gain);
             useful.unnecessary_braking_rates = braking_rates(&traffic, &drives, &options)?;
             work.add_runs(2 * count)?;

@@ -33,7 +33,7 @@ impl ResolvedConfig {
         let record = CampaignRecord::from_campaign(campaign, log);
         let is_deterministic = campaign
             .controllers()
-            .all(|driver| driver.kind.is_deterministic());
+            .all(|driver| driver.source.is_deterministic());
         Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| {
             Ok(campaign.specification.clone())
         })

@@ -85,7 +85,7 @@ impl Campaign {
     ) -> Result<CampaignSummary, CampaignError> {
         if let Some(unknown) = self
             .controllers()
-            .find(|driver| resume && driver.kind.identity().is_none())
+            .find(|driver| resume && driver.source.identity().is_none())
         {
             return Err(CampaignError::NoIdentity(unknown.name.clone()));
         }

@@ -159,7 +159,7 @@ impl<'a> Examiner<'a> {
             && self
                 .campaign
                 .controllers()
-                .any(|driver| driver.kind.is_external())
+                .any(|driver| driver.source.can_fail())
         {
             return Ok(None);
         }

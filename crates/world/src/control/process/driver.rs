@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{ConnectedProcess, ProcessController};
-use crate::control::batch_query::{self, BatchQuery};
+use super::{ConnectedProcess, ProcessPool};
+use crate::control::batch_query::{BatchQuery, decide_by_query};
 use crate::control::decision_timer::DecisionTimer;
 use crate::control::history::InputHistory;
 use crate::control::{Controller, ControllerFailure, Ego, Mapping};
@@ -14,8 +14,8 @@ use crate::process::protocol::{
 };
 
 /// A driver that queries a process once per decision interval and holds its answer in between.
-pub(crate) struct ProcessDriver {
-    controller: Arc<ProcessController>,
+pub(super) struct ProcessDriver {
+    pool: Arc<ProcessPool>,
     hello: Arc<[u8]>,
     /// Process of this run. `None` if the process answers in batches; the driver then borrows one for each decision.
     own_process: Option<ConnectedProcess>,
@@ -41,23 +41,22 @@ impl ProcessDriver {
     ///
     /// # Errors
     /// [`ControllerFailure`] if the process cannot be started or is not ready.
-    pub(crate) fn new(
-        controller: Arc<ProcessController>,
+    pub(super) fn new(
+        pool: Arc<ProcessPool>,
         ego: &Ego,
         seed: u64,
     ) -> Result<Self, ControllerFailure> {
-        let hello = controller.hello(ego);
-        let taken = controller.acquire(&hello)?;
+        let hello = pool.hello(ego);
+        let taken = pool.acquire(&hello)?;
         let reused = taken.question_count > 0;
-        let first = controller.reset_for_run(taken, seed)?;
-        let checked = controller.is_selected_for_check(ego.vehicle, reused, seed);
+        let first = pool.reset_for_run(taken, seed)?;
+        let checked = pool.is_selected_for_check(ego.vehicle, reused, seed);
         let second = checked.then(|| {
-            controller
-                .start(&hello)
-                .and_then(|second| controller.reset_for_run(second, seed))
+            pool.start(&hello)
+                .and_then(|second| pool.reset_for_run(second, seed))
         });
         let is_batch = first.greeting.batch;
-        let interval_s = controller
+        let interval_s = pool
             .setup
             .mapping
             .decision_interval_s
@@ -77,7 +76,7 @@ impl ProcessDriver {
             line_buffer: Vec::new(),
             command_mps2: 0.0,
             replaced_mps2: None,
-            controller,
+            pool,
         };
         if let Some(interval_s) =
             interval_s.filter(|interval_s| !DecisionTimer::is_whole_steps(*interval_s, ego.step_s))
@@ -88,13 +87,13 @@ impl ProcessDriver {
             );
         }
         if is_batch && let Some(borrowed) = driver.own_process.take() {
-            driver.controller.release(borrowed);
+            driver.pool.release(borrowed);
         }
         Ok(driver)
     }
 
     fn ask(&mut self, greeted: &mut ConnectedProcess) -> Result<f64, ProcessProblem> {
-        let within = self.controller.answer_timeout();
+        let within = self.pool.answer_timeout();
         let see = self.inputs.as_slice();
         let id = greeted.next_id();
         let answer = if self.is_batch {
@@ -121,7 +120,7 @@ impl ProcessDriver {
             )?;
             protocol::parse_decision(greeted.program.query(&self.line_buffer, within)?, id)?
         };
-        checked_acceleration_mps2(&self.controller.setup.mapping, answer)
+        checked_acceleration_mps2(&self.pool.setup.mapping, answer)
     }
 
     fn end_with_failure(
@@ -131,7 +130,7 @@ impl ProcessDriver {
     ) -> ControllerFailure {
         self.second_process = None;
         let program = program.or_else(|| self.own_process.take());
-        self.controller
+        self.pool
             .end_with_failure(problem, program.map(|greeted| greeted.program))
     }
 }
@@ -151,7 +150,7 @@ fn checked_acceleration_mps2(mapping: &Mapping, answer: f64) -> Result<f64, Proc
     }
 }
 
-impl ProcessController {
+impl ProcessPool {
     /// Resets a process for a run, unless it answers in batches and therefore has no state.
     fn reset_for_run(
         &self,
@@ -189,7 +188,7 @@ impl BatchQuery for ProcessDriver {
         let due = self.decision_timer.tick();
         let last_mps2 = self.replaced_mps2.take().unwrap_or(self.command_mps2);
         if due {
-            let mapping = &self.controller.setup.mapping;
+            let mapping = &self.pool.setup.mapping;
             self.inputs.clear();
             self.history.push(
                 mapping,
@@ -203,12 +202,12 @@ impl BatchQuery for ProcessDriver {
     fn query(&mut self) -> Result<(), ControllerFailure> {
         let mut first = match self.own_process.take() {
             Some(own) => own,
-            None if self.is_batch => self.controller.acquire(&self.hello)?,
+            None if self.is_batch => self.pool.acquire(&self.hello)?,
             None => return Err(self.end_with_failure(ProcessProblem::Closed, None)),
         };
         match self.ask(&mut first) {
             Ok(answer_mps2) if self.is_batch => {
-                self.controller.release(first);
+                self.pool.release(first);
                 self.set_command(answer_mps2)
             }
             Ok(answer_mps2) => {
@@ -219,40 +218,40 @@ impl BatchQuery for ProcessDriver {
         }
     }
 
-    fn shares_batch_with(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.controller, &other.controller)
-            && self.is_batch
-            && other.is_batch
-            && self.hello == other.hello
+    fn shares_batch_with(&self, other: &dyn BatchQuery) -> bool {
+        other.downcast_ref::<Self>().is_some_and(|other| {
+            let both_batch = self.is_batch && other.is_batch;
+            both_batch && Arc::ptr_eq(&self.pool, &other.pool) && self.hello == other.hello
+        })
     }
 
-    fn query_batch(all: &[&Self]) -> Option<Vec<f64>> {
-        let first = all.first()?;
-        let controller = &first.controller;
-        let mut greeted = controller.acquire(&first.hello).ok()?;
-        let times_s: Vec<f64> = all.iter().map(|driver| driver.time_s).collect();
-        let see = all.iter().map(|driver| driver.inputs.as_slice()).collect();
-        let (id, mut line) = (greeted.next_id(), Vec::new());
-        protocol::write_line(
-            &mut line,
-            &BatchDecisionRequest {
-                id,
-                times_s: &times_s,
-                inputs: see,
-            },
-        )
-        .ok()?;
-        let line = greeted
+    fn query_batch(&self, members: &[&dyn BatchQuery]) -> Option<Vec<f64>> {
+        let drivers = members
+            .iter()
+            .map(|member| member.downcast_ref::<Self>())
+            .collect::<Option<Vec<_>>>()?;
+        let times_s: Vec<f64> = drivers.iter().map(|driver| driver.time_s).collect();
+        let inputs = drivers.iter().map(|driver| driver.inputs.as_slice());
+        let mut process = self.pool.acquire(&self.hello).ok()?;
+        let request = BatchDecisionRequest {
+            id: process.next_id(),
+            times_s: &times_s,
+            inputs: inputs.collect(),
+        };
+        let (id, mut line) = (request.id, Vec::new());
+        protocol::write_line(&mut line, &request).ok()?;
+        let line = process
             .program
-            .query(&line, controller.answer_timeout())
+            .query(&line, self.pool.answer_timeout())
             .ok()?;
-        let answers = protocol::parse_decisions(line, id, all.len()).ok()?;
-        let wanted = answers
+        let answers = protocol::parse_decisions(line, id, drivers.len()).ok()?;
+        let mapping = &self.pool.setup.mapping;
+        let accelerations_mps2 = answers
             .into_iter()
-            .map(|answer| checked_acceleration_mps2(&controller.setup.mapping, answer).ok());
-        let wanted = wanted.collect::<Option<Vec<_>>>()?;
-        controller.release(greeted);
-        Some(wanted)
+            .map(|answer| checked_acceleration_mps2(mapping, answer).ok())
+            .collect::<Option<Vec<_>>>()?;
+        self.pool.release(process);
+        Some(accelerations_mps2)
     }
 
     /// Accepts the answer if the second process gives the same.
@@ -269,7 +268,7 @@ impl BatchQuery for ProcessDriver {
                         reused: self.is_reused,
                     };
                     let failure = self.end_with_failure(problem, Some(second));
-                    return Err(self.controller.refuse(failure));
+                    return Err(self.pool.refuse(failure));
                 }
                 Err(problem) => return Err(self.end_with_failure(problem, Some(second))),
             }
@@ -285,27 +284,22 @@ impl BatchQuery for ProcessDriver {
 
 impl Controller for ProcessDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        batch_query::decide(self, seen)
+        decide_by_query(self, seen)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
         self.replaced_mps2 = Some(command_mps2);
     }
 
-    fn decide_batch(
-        all: &mut [Self],
-        see: impl FnMut(usize) -> Observation,
-        commands_mps2: &mut [f64],
-        failed: &mut Vec<(usize, ControllerFailure)>,
-    ) {
-        batch_query::decide_batch(all, see, commands_mps2, failed);
+    fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {
+        Some(self)
     }
 }
 
 impl Drop for ProcessDriver {
     fn drop(&mut self) {
         if let Some(own) = self.own_process.take() {
-            self.controller.release(own);
+            self.pool.release(own);
         }
     }
 }

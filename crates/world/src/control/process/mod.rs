@@ -14,14 +14,17 @@ use std::time::Duration;
 use rand::Rng as _;
 use serde::Serialize;
 
-pub(crate) use self::driver::ProcessDriver;
+use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::find_fmu_host;
 pub use self::fmu::{FmuConfig, FmuProblem};
 pub use self::permission::{
     NameOrigin, StartPermission, StartRefusal, allow_external, is_external_allowed,
 };
-use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
+use super::{
+    Controller, ControllerFailure, ControllerSource, Ego, InvalidMapping, Mapping, SourceFile,
+    VehicleInRun,
+};
 use crate::process::protocol::{
     self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams,
 };
@@ -56,7 +59,7 @@ pub struct ProcessSetup {
     /// Working folder of the process.
     pub folder: PathBuf,
     /// Controller file or FMU that contains the command, for messages; `None` for a command without a file.
-    pub file: Option<PathBuf>,
+    pub file: Option<SourceFile>,
     /// Files, relative to `folder`, that determine the commands; empty if they are unknown.
     pub files: Vec<String>,
     /// True unless the controller file declares the process nondeterministic.
@@ -137,11 +140,15 @@ struct ListedFile {
     bytes: u64,
 }
 
-/// A controller that is a process.
+/// A controller that is a process. Clones share the processes.
 ///
-/// A run starts a process if none is idle; idle processes wait for the next run and end when this value is dropped.
+/// A run starts a process if none is idle; idle processes wait for the next run and end with the last clone.
 /// There is one process per driven vehicle of the current runs, or one per thread if processes answer in batches.
-pub struct ProcessController {
+#[derive(Clone)]
+pub struct ProcessController(Arc<ProcessPool>);
+
+/// The processes of a controller.
+struct ProcessPool {
     setup: ProcessSetup,
     files: Vec<ListedFile>,
     identity: Option<String>,
@@ -234,29 +241,88 @@ impl ProcessController {
             .map_err(|e| InvalidMapping::new("command", e.to_string()))?;
         let identity =
             (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
-        Ok(Self {
+        Ok(Self(Arc::new(ProcessPool {
             setup,
             files,
             identity,
             state: Mutex::default(),
-        })
+        })))
+    }
+
+    /// Returns true for an FMU, which runs in its own process.
+    #[must_use]
+    pub fn is_fmu(&self) -> bool {
+        self.0.setup.program.is_some()
     }
 
     /// Returns the setup.
     #[must_use]
     pub fn setup(&self) -> &ProcessSetup {
-        &self.setup
+        &self.0.setup
     }
+}
 
+impl ControllerSource for ProcessController {
     /// Returns the SHA-256 of command, mapping and files; `None` without files or for a nondeterministic process.
-    #[must_use]
-    pub fn identity(&self) -> Option<&str> {
-        self.identity.as_deref()
+    fn identity(&self) -> Option<String> {
+        self.0.identity.clone()
     }
 
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        let driver = ProcessDriver::new(Arc::clone(&self.0), ego, seed)?;
+        Ok(Box::new(driver))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.setup().mapping.decision_interval_s
+    }
+
+    fn description(&self) -> String {
+        let kind = if self.is_fmu() { "FMU" } else { "process" };
+        if self.is_deterministic() {
+            kind.to_owned()
+        } else {
+            format!(
+                "{kind} that is not deterministic: a repeated assessment may have other results"
+            )
+        }
+    }
+
+    fn file(&self) -> Option<&SourceFile> {
+        self.setup().file.as_ref()
+    }
+
+    fn program_field(&self) -> Option<&'static str> {
+        Some(if self.is_fmu() { "fmu" } else { "command" })
+    }
+
+    fn is_deterministic(&self) -> bool {
+        self.0.is_deterministic()
+    }
+
+    fn try_start(&self) -> Result<(), ControllerFailure> {
+        self.0.try_start()
+    }
+
+    fn refusal(&self) -> Option<ControllerFailure> {
+        self.0.state().refusal.clone()
+    }
+
+    fn supports_lockstep(&self, ego: &Ego) -> bool {
+        self.0.supports_batches(ego)
+    }
+}
+
+impl ProcessPool {
     /// True unless the controller file or the handshake declares the process nondeterministic.
-    #[must_use]
-    pub fn is_deterministic(&self) -> bool {
+    fn is_deterministic(&self) -> bool {
         self.setup.deterministic
             && self
                 .state()
@@ -269,7 +335,7 @@ impl ProcessController {
     ///
     /// # Errors
     /// [`ControllerFailure`] if the start or the handshake fails.
-    pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
+    fn try_start(&self) -> Result<(), ControllerFailure> {
         let ego = Ego {
             vehicle: 1,
             max_brake_mps2: 7.5,
@@ -283,14 +349,8 @@ impl ProcessController {
         Ok(())
     }
 
-    /// Returns the reason for which all later runs fail: the process contradicted itself, or does not start any more.
-    #[must_use]
-    pub fn refusal(&self) -> Option<ControllerFailure> {
-        self.state().refusal.clone()
-    }
-
     /// True if one process can answer for many runs at once. Starts a process if that is not known yet.
-    pub(crate) fn supports_batches(&self, ego: &Ego) -> bool {
+    fn supports_batches(&self, ego: &Ego) -> bool {
         if let Some(greeting) = &self.state().greeting {
             return greeting.batch;
         }
@@ -539,13 +599,13 @@ impl ProcessController {
 impl fmt::Debug for ProcessController {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("ProcessController")
-            .field("setup", &self.setup)
-            .field("identity", &self.identity)
+            .field("setup", &self.0.setup)
+            .field("identity", &self.0.identity)
             .finish()
     }
 }
 
-impl Drop for ProcessController {
+impl Drop for ProcessPool {
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
         // Close all stdins first, so that the processes exit concurrently.

@@ -24,10 +24,11 @@ impl ProcessController {
             folder,
             file,
             ..
-        } = &self.setup;
-        let name = file.as_deref()?.file_name()?.to_str()?;
+        } = &self.0.setup;
+        let name = file.as_ref()?.path().file_name()?.to_str()?;
         let is_listed = |path: &str| {
-            self.files
+            self.0
+                .files
                 .iter()
                 .any(|listed| listed.path == path.trim_start_matches("./"))
         };
@@ -38,10 +39,10 @@ impl ProcessController {
         let is_program_elsewhere = program.is_some()
             || Path::new(first).is_absolute()
             || Path::new(first).components().count() == 1;
-        let is_small = self.files.iter().map(|listed| listed.bytes).sum::<u64>() <= MAX_BYTES;
-        let names = self.files.iter().map(|listed| listed.path.as_str());
+        let is_small = self.0.files.iter().map(|listed| listed.bytes).sum::<u64>() <= MAX_BYTES;
+        let names = self.0.files.iter().map(|listed| listed.path.as_str());
         let is_copied =
-            self.identity.is_some() && is_small && names.chain([name]).all(is_plain_path);
+            self.0.identity.is_some() && is_small && names.chain([name]).all(is_plain_path);
         (is_copied && is_program_elsewhere && words.iter().all(is_portable)).then_some(name)
     }
 
@@ -55,14 +56,14 @@ impl ProcessController {
         };
         let read = |path: &str| -> io::Result<Vec<u8>> {
             let mut bytes = Vec::new();
-            regular_file::open(&self.setup.folder.join(path))?
+            regular_file::open(&self.0.setup.folder.join(path))?
                 .take(MAX_BYTES)
                 .read_to_end(&mut bytes)?;
             Ok(bytes)
         };
         let mut files = Vec::new();
-        for ListedFile { path, sha256, .. } in &self.files {
-            if file_sha256(&self.setup.folder.join(path))?.0 != *sha256 {
+        for ListedFile { path, sha256, .. } in &self.0.files {
+            if file_sha256(&self.0.setup.folder.join(path))?.0 != *sha256 {
                 return Err(io::Error::other(format!(
                     "{path} has changed since it was read"
                 )));

@@ -41,6 +41,7 @@ mod kernel;
 mod params;
 mod real;
 mod rounding;
+mod source;
 
 pub use admission::ShieldState;
 pub use kernel::{ViabilityKernel, distance_and_speed_after, max_closing_m};
@@ -48,16 +49,19 @@ pub use params::{ErrorBounds, RearVehicleParams, ShieldParams, ShieldSettings};
 pub use real::Real;
 pub use rounding::MIN_MARGIN_M;
 pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
+pub use source::{ShieldRefusal, ShieldedSource};
 
 use std::collections::VecDeque;
 
-use super::{AnyController, Controller, ControllerFailure, clamp_command};
+use super::{Controller, ControllerFailure, clamp_command};
 use crate::observation::Observation;
 
 /// Successive steps in which a shield replaced the command, or the state was outside the kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Override {
+pub struct Override {
+    /// First step.
     pub first_step: usize,
+    /// Last step.
     pub last_step: usize,
     /// True if the state was outside the kernel in one of them: a collision could no longer be excluded.
     pub outside_kernel: bool,
@@ -65,8 +69,8 @@ pub(crate) struct Override {
     pub rear_conflict: bool,
 }
 
-pub(crate) struct ShieldedController {
-    controller: Box<AnyController>,
+struct ShieldedController {
+    controller: Box<dyn Controller>,
     params: ShieldParams,
     /// Commands that the actuator has not received yet, oldest first.
     pending_mps2: VecDeque<f64>,
@@ -78,9 +82,9 @@ pub(crate) struct ShieldedController {
 }
 
 impl ShieldedController {
-    pub(crate) fn new(controller: AnyController, params: ShieldParams) -> Self {
+    fn new(controller: Box<dyn Controller>, params: ShieldParams) -> Self {
         Self {
-            controller: Box::new(controller),
+            controller,
             pending_mps2: VecDeque::from(vec![0.0; params.delay_steps]),
             params,
             response_mps2: 0.0,
@@ -88,10 +92,6 @@ impl ShieldedController {
             step: 0,
             overrides: Vec::new(),
         }
-    }
-
-    pub(crate) fn overrides(&self) -> &[Override] {
-        &self.overrides
     }
 
     /// Returns the worst possible state in which a command given now takes effect; `None` without a leader.
@@ -139,6 +139,10 @@ impl ShieldedController {
 }
 
 impl Controller for ShieldedController {
+    fn overrides(&self) -> &[Override] {
+        &self.overrides
+    }
+
     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let wanted_mps2 = clamp_command(
             self.controller.decide(observation)?,

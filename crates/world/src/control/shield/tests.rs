@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::control::ControllerSpec;
 use crate::control::tests::{EGO, command_behind, leader_observation};
+use crate::control::{ControllerSource, ControllerSpec};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
@@ -152,7 +152,7 @@ proptest! {
 
 fn full_throttle_shield(frame: ShieldParams) -> ShieldedController {
     let full_throttle = ControllerSpec::FullThrottle(Default::default());
-    ShieldedController::new(AnyController::from_spec(&full_throttle, &EGO, 0), frame)
+    ShieldedController::new(full_throttle.start(&EGO, 0).unwrap(), frame)
 }
 
 /// Returns the smallest gap at which full throttle is admitted, to a micrometre.

@@ -9,10 +9,12 @@
 mod amplitude;
 mod run;
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use self::run::LineRuns;
-use crate::control::ControllerKind;
+use crate::control::ControllerSource;
 use crate::scenario::InvalidField;
 use crate::sim::RunError;
 
@@ -103,8 +105,8 @@ impl GainSurvey {
     ///
     /// # Errors
     /// [`GainError`] if the controller cannot drive in a line of vehicles.
-    pub fn new(controller: &ControllerKind) -> Result<Self, GainError> {
-        let is_process = matches!(controller.unshielded(), ControllerKind::Process(_));
+    pub fn new(controller: &Arc<dyn ControllerSource>) -> Result<Self, GainError> {
+        let is_process = controller.program_field().is_some();
         let grid = if is_process {
             PROCESS_GRID
         } else {
@@ -118,12 +120,15 @@ impl GainSurvey {
     ///
     /// # Errors
     /// [`GainError`] if the controller cannot drive in a line of vehicles, or a speed is impossible.
-    pub fn at_speeds(controller: &ControllerKind, speeds_mps: &[f64]) -> Result<Self, GainError> {
+    pub fn at_speeds(
+        controller: &Arc<dyn ControllerSource>,
+        speeds_mps: &[f64],
+    ) -> Result<Self, GainError> {
         Self::on_grid(controller, speeds_mps, &STANDARD_GRID)
     }
 
     fn on_grid(
-        controller: &ControllerKind,
+        controller: &Arc<dyn ControllerSource>,
         speeds_mps: &[f64],
         grid: &GainGrid,
     ) -> Result<Self, GainError> {

@@ -1,10 +1,11 @@
 //! Runs of a line of vehicles: settling, and steady oscillation.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use super::amplitude::Wave;
 use super::{GainError, MeasuredGain, NoGain, OSCILLATION_AMPLITUDE_MPS, OperatingPoint};
-use crate::control::ControllerKind;
+use crate::control::ControllerSource;
 use crate::observation::EstimatorKind;
 use crate::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
 use crate::sim::{
@@ -56,7 +57,7 @@ pub(super) struct LineRuns {
 type SettledGaps = Result<Vec<f64>, NoGain>;
 
 impl LineRuns {
-    pub(super) fn new(controller: &ControllerKind) -> Self {
+    pub(super) fn new(controller: &Arc<dyn ControllerSource>) -> Self {
         let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
         Self {
             options,

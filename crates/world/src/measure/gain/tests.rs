@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::control::{
-    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings,
+    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings, IntoSource,
 };
 use crate::observation::{EstimatorKind, Observation};
 use crate::scenario::{FollowingLine, SpeedOscillation};
@@ -51,8 +51,8 @@ impl LinearFollower {
     }
 }
 
-fn survey(controller: impl Into<ControllerKind>, speeds_mps: &[f64]) -> GainSurvey {
-    GainSurvey::at_speeds(&controller.into(), speeds_mps).unwrap()
+fn survey(controller: impl IntoSource, speeds_mps: &[f64]) -> GainSurvey {
+    GainSurvey::at_speeds(&controller.into_source(), speeds_mps).unwrap()
 }
 
 fn idm_with(change: impl FnOnce(&mut IdmSettings)) -> ControllerSpec {
@@ -68,7 +68,7 @@ fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
         time_gap_s: 1.2,
         damping_per_s: 0.3,
     };
-    let found = survey(ControllerKind::Custom(Arc::new(law)), &[20.0]);
+    let found = survey(Arc::new(law), &[20.0]);
     for point in &found.points {
         // A decision holds for 0.01 s: this delay changes gains by up to 0.003.
         let (gain, exact) = (
@@ -120,7 +120,7 @@ fn road_amplifies_more_than_idm() {
         frequency_rad_per_s: 0.2,
     };
     let gain = |name: &str| {
-        let controller = ControllerSpec::from_name(name).unwrap().into();
+        let controller = ControllerSpec::from_name(name).unwrap().into_source();
         LineRuns::new(&controller).measure(&[at]).unwrap()[0]
             .gain
             .clone()
@@ -204,7 +204,7 @@ fn a_controller_that_follows_no_leader_has_no_gain() {
         time_gap_s: 0.0,
         damping_per_s: 0.0,
     };
-    let found = survey(ControllerKind::Custom(Arc::new(keeps_speed)), &[8.0]);
+    let found = survey(Arc::new(keeps_speed), &[8.0]);
     assert!(
         found
             .points

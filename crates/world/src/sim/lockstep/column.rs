@@ -280,11 +280,7 @@ impl<'a> VehicleColumn<'a> {
         vehicle: usize,
         step_s: f64,
     ) -> Vec<Intervention> {
-        self.drivers
-            .shielded_controller(run)
-            .map_or_else(Vec::new, |controller| {
-                interventions(controller, vehicle, step_s)
-            })
+        interventions(self.drivers.overrides(run), vehicle, step_s)
     }
 
     pub(super) fn remove_run(&mut self, run: usize) -> VehicleSummary {

@@ -6,8 +6,7 @@ use super::followers::Followers;
 use super::leaders::ScriptedLeaders;
 use super::view::NeighbourhoodView;
 use crate::control::{
-    self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver,
-    ZeroOrderHold, with_controllers,
+    self, AnyController, Controller, ControllerFailure, Override, PolicyDriver, with_controllers,
 };
 use crate::observation::Observation;
 use crate::scenario::LeadProfile;
@@ -21,10 +20,9 @@ macro_rules! define {
             Followers(Followers),
             $($(#[$doc])* $rule(Vec<control::$rule>),)*
             Policy(Vec<PolicyDriver>),
-            Network(Vec<NetworkDriver>),
-            Process(Vec<ProcessDriver>),
-            Custom(Vec<ZeroOrderHold>),
-            /// Drivers of several kinds, or behind shields.
+            /// Controllers that the engines do not know: networks, programs, shields, and those of users.
+            Other(Vec<Box<dyn Controller>>),
+            /// Drivers of several kinds.
             Mixed(Vec<VehicleController<&'s LeadProfile>>),
         }
 
@@ -54,9 +52,7 @@ macro_rules! define {
                     unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
-                let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
-                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => *one, all => Self::Process(all));
-                let drivers = unless_all!(drivers, C(AnyController::Custom(one)) => one, all => Self::Custom(all));
+                let drivers = unless_all!(drivers, C(AnyController::Other(one)) => one, all => Self::Other(all));
                 Self::Mixed(drivers)
             }
 
@@ -80,9 +76,7 @@ macro_rules! define {
                     }
                     $(Self::$rule(all) => Controller::decide_batch(all, see, commands, failed),)*
                     Self::Policy(all) => Controller::decide_batch(all, see, commands, failed),
-                    Self::Network(all) => Controller::decide_batch(all, see, commands, failed),
-                    Self::Process(all) => Controller::decide_batch(all, see, commands, failed),
-                    Self::Custom(all) => Controller::decide_batch(all, see, commands, failed),
+                    Self::Other(all) => Controller::decide_batch(all, see, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);
@@ -106,9 +100,7 @@ macro_rules! define {
                     Self::Followers(followers) => followers.swap_remove(run),
                     $(Self::$rule(all) => drop(all.swap_remove(run)),)*
                     Self::Policy(all) => drop(all.swap_remove(run)),
-                    Self::Network(all) => drop(all.swap_remove(run)),
-                    Self::Process(all) => drop(all.swap_remove(run)),
-                    Self::Custom(all) => drop(all.swap_remove(run)),
+                    Self::Other(all) => drop(all.swap_remove(run)),
                     Self::Mixed(all) => drop(all.swap_remove(run)),
                 }
             }
@@ -155,13 +147,17 @@ impl Drivers<'_> {
         }
     }
 
-    pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
-        let Self::Mixed(drivers) = self else {
-            return None;
-        };
-        let VehicleController::Controller(controller) = drivers.get(run)? else {
-            return None;
-        };
-        Some(controller)
+    /// Returns the periods in which a shield replaced the commands of a run.
+    pub(super) fn overrides(&self, run: usize) -> &[Override] {
+        match self {
+            Self::Other(all) => all
+                .get(run)
+                .map_or(&[], |controller| controller.overrides()),
+            Self::Mixed(drivers) => match drivers.get(run) {
+                Some(VehicleController::Controller(controller)) => controller.overrides(),
+                _ => &[],
+            },
+            _ => &[],
+        }
     }
 }

@@ -21,7 +21,8 @@ use rayon::prelude::*;
 
 use self::block::LockstepBlock;
 use self::per_run::RunSet;
-use super::{ControllerKind, RecordingLevel, Run, SimulationResult, simulate};
+use super::{RecordingLevel, Run, SimulationResult, simulate};
+use crate::control::ControllerSpec;
 
 /// Maximum number of runs in a block: enough to fill vector registers and hide latencies, few enough for the L1 cache.
 const MAX_RUNS: usize = RunSet::CAPACITY;
@@ -107,13 +108,12 @@ fn compare_shapes(a: &Run, b: &Run) -> Ordering {
 
 /// Returns the properties that runs of one block share, except the kinds of drivers.
 fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
-    let under_test = match &run.options().controller {
-        ControllerKind::BuiltIn(spec) => spec.name(),
-        ControllerKind::Policy(_) => "policy",
-        ControllerKind::Network(_) => "network",
-        ControllerKind::Process(_) => "process",
-        ControllerKind::Shielded(_) => "shielded",
-        ControllerKind::Custom(_) => "custom",
+    let controller = &run.options().controller;
+    let under_test = match controller.downcast_ref::<ControllerSpec>() {
+        Some(spec) => spec.name(),
+        None if controller.as_shield().is_some() => "shield",
+        None if controller.program_field().is_some() => "program",
+        None => "other",
     };
     let spec = run.scenario().spec();
     let steps = (spec.step_s.to_bits(), run.dt_s().to_bits());
@@ -130,7 +130,6 @@ fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::ControllerSpec;
     use crate::policy::available_archs;
     use crate::scenario::{Driver, PaperDistribution};
     use crate::sim::RunOptions;

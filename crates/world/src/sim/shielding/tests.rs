@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::*;
 use crate::control::{
-    Controller, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, Ego,
+    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IntoSource,
     ShieldedSource,
 };
 use crate::observation::{EstimatorKind, Observation};
@@ -91,10 +91,10 @@ impl FarAway {
 
     fn shielded_options(&self) -> RunOptions {
         let controller = ShieldedSource {
-            controller: self.driver.clone().into(),
+            controller: self.driver.clone().into_source(),
             settings: ShieldSettings::default(),
         };
-        RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth)
+        RunOptions::new(controller.into_source()).with_estimator(EstimatorKind::Truth)
     }
 
     fn simulate(&self) -> SimulationResult {
@@ -497,11 +497,14 @@ impl ControllerSource for CommandLog {
 #[test]
 fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
     let shielded = |log: &CommandLog| {
-        let controller = ControllerKind::Custom(Arc::new(log.clone()));
-        RunOptions::new(ControllerKind::from(ShieldedSource {
-            controller,
-            settings: ShieldSettings::default(),
-        }))
+        let controller = Arc::new(log.clone());
+        RunOptions::new(
+            ShieldedSource {
+                controller,
+                settings: ShieldSettings::default(),
+            }
+            .into_source(),
+        )
     };
     for interval_s in [None, Some(0.05)] {
         let logs: Vec<_> = (0..3).map(|_| CommandLog::new(interval_s)).collect();
@@ -557,11 +560,7 @@ fn a_consulted_controller_learns_of_the_commands_of_another() {
     let scenario = built_in_scenario("paper-1").unwrap();
     for together in [1, 10] {
         let log = CommandLog::new(None);
-        let run = Run::new(
-            &scenario,
-            RunOptions::new(ControllerKind::Custom(Arc::new(log.clone()))),
-        )
-        .unwrap();
+        let run = Run::new(&scenario, RunOptions::new(Arc::new(log.clone()))).unwrap();
         let mut stepper = Stepper::without_summaries(&run);
         stepper.consult(1, EstimatorKind::Kalman);
         stepper.drive(
@@ -588,21 +587,28 @@ fn a_shield_around_a_shield_is_refused() {
         ahead_brake_mps2: Some(ahead_mps2),
         ..Default::default()
     };
-    let controller = ControllerSpec::FullThrottle(Default::default()).into();
+    let controller = ControllerSpec::FullThrottle(Default::default()).into_source();
     let inner = ShieldedSource {
         controller,
         settings: settings(9.0),
     }
-    .into();
-    let nested = ControllerKind::from(ShieldedSource {
+    .into_source();
+    let nested = ShieldedSource {
         controller: inner,
         settings: settings(3.0),
-    });
+    }
+    .into_source();
     let refused = Run::new(
         &built_in_scenario("paper-1").unwrap(),
         RunOptions::new(nested),
     );
-    assert!(matches!(refused.err(), Some(RunError::NestedShields)));
+    assert!(matches!(
+        refused.err(),
+        Some(RunError::Shield {
+            refusal: ShieldRefusal::Nested,
+            ..
+        })
+    ));
     let name = "shield,ahead=3:shield,ahead=9:full-throttle";
     let error = crate::sim::NamedController::find(name, std::path::Path::new(""))
         .unwrap_err()

@@ -1,6 +1,5 @@
 use super::*;
-use crate::control::{AebSettings, ControllerSpec};
-use crate::control::{AnyController, Ego};
+use crate::control::{AebSettings, AnyController, ControllerSpec, Ego};
 use crate::scenario::PaperDistribution;
 use crate::sim::{RunOptions, simulate};
 
