@@ -112,9 +112,12 @@ impl PyScenario {
 }
 
 impl PyScenario {
-    fn from_read(py: Python<'_>, read: Result<world::Scenario, file::FileError>) -> PyResult<Self> {
+    fn from_read(
+        py: Python<'_>,
+        read: Result<world::Scenario, file::ScenarioFileError>,
+    ) -> PyResult<Self> {
         read.map(Self)
-            .map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+            .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Scenario, &error))
     }
 }
 
@@ -137,7 +140,7 @@ impl PySpace {
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = space::file::from_toml(text, Path::new("<toml>"));
         read.map(Self)
-            .map_err(|error| errors::file_exception(py, ExceptionClass::Space, &error))
+            .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Space, &error))
     }
 
     #[getter]

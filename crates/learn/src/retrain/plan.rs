@@ -12,7 +12,8 @@ use super::files::{
 use super::{RetrainError, SearchedSpaces};
 use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 
-use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
+use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
+use crumple_core::text_file::is_default;
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;

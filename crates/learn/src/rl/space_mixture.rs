@@ -4,8 +4,9 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
-use super::serde_helpers::{is_default, is_one, one};
+use super::serde_helpers::{is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
+use crumple_core::text_file::is_default;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};

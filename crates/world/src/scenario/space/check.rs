@@ -9,11 +9,12 @@ use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
 use crate::control::StartRefusal;
-use crate::scenario::file::FileError;
+use crate::scenario::file::ScenarioFileError;
 use crate::scenario::{
     FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names,
-    file, format_compact,
+    file,
 };
+use crumple_core::digits::format_compact;
 
 /// An invalid field of a space, with its path and its problem.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -445,7 +446,7 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
                 )
             }
             None => file::load(&folder.join(name)).map_err(|error| match error {
-                FileError::Invalid {
+                ScenarioFileError::Invalid {
                     path,
                     line,
                     invalid:
