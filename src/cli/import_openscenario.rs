@@ -17,8 +17,8 @@ use crumple_exchange::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError,
     Variation,
 };
+use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{self, MAX_FOLDER_BYTES};
-use crumple_world::scenario::{Scenario, space};
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -82,7 +82,7 @@ impl OpenScenarioArgs {
                     let (space, notes) =
                         show(&bar, |progress| source.space(ego, &distributions, progress))?;
                     let text = readable(
-                        space::file::to_toml(&space).map_err(CliError::input)?,
+                        crumple_spaces::file::to_toml(&space).map_err(CliError::input)?,
                         space.name(),
                     )?;
                     (

@@ -15,9 +15,9 @@ use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
 use crumple_core::text_file::FileError;
 use crumple_search::worst_case::covers_scenario;
+use crumple_spaces::ScenarioSpace;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, ScenarioFileError};
-use crumple_world::scenario::space::{self, ScenarioSpace};
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::NamedController;
 
@@ -314,8 +314,10 @@ fn check_invariant(
 }
 
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
-    let space =
-        space::file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+    let space = crumple_spaces::file::from_toml(
+        scenario_text(certificate)?,
+        Path::new(SCENARIO_TEXT_FIELD),
+    )?;
     check_name(certificate, space.name())?;
     Ok(space)
 }
@@ -381,7 +383,7 @@ fn check_registration(
             .get(key)
             .map_or("", String::as_str)
     };
-    let text = space::file::to_toml(&space).unwrap_or_default();
+    let text = crumple_spaces::file::to_toml(&space).unwrap_or_default();
     if sha256(text) != of("space_sha256") {
         return Err(mismatch(
             "provenance.scenario_text",

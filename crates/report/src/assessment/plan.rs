@@ -14,10 +14,10 @@ use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
 use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
+use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, built_in_scenario_names, file};
 use crumple_world::sim::{ControllerKind, NamedController};
 

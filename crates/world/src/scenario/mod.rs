@@ -13,7 +13,6 @@ mod paper;
 mod plant;
 mod profile;
 mod sensor_faults;
-pub mod space;
 mod speed_dip;
 mod validate;
 mod vehicle;

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
-use crate::scenario::InvalidField;
-use crate::scenario::file::ScenarioFileError;
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
+use crumple_world::scenario::InvalidField;
+use crumple_world::scenario::file::ScenarioFileError;
 
 /// Reads and checks a space file.
 ///

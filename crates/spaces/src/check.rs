@@ -8,13 +8,13 @@ use super::marginal::CoordinateMarginal;
 use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
-use crate::control::StartRefusal;
-use crate::scenario::file::ScenarioFileError;
-use crate::scenario::{
+use crumple_core::digits::format_compact;
+use crumple_world::control::StartRefusal;
+use crumple_world::scenario::file::ScenarioFileError;
+use crumple_world::scenario::{
     FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names,
     file,
 };
-use crumple_core::digits::format_compact;
 
 /// An invalid field of a space, with its path and its problem.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -412,7 +412,7 @@ fn is_overlapping(a: &str, b: &str) -> bool {
 
 /// Returns true for problems that several fields cause jointly.
 fn is_joint_problem(invalid: &InvalidField) -> bool {
-    use crate::scenario::FieldProblem as P;
+    use crumple_world::scenario::FieldProblem as P;
     matches!(
         invalid.problem,
         P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. }
