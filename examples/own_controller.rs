@@ -8,10 +8,11 @@ use std::sync::Arc;
 
 use crumple::core::digest::sha256;
 use crumple::report::assessment::{AssessConfig, EvidenceCache};
+use crumple::spaces::built_in_space;
 use crumple::store::disk;
 use crumple::world::control::Ego;
 use crumple::world::observation::Observation;
-use crumple::world::scenario::{built_in_scenario, space::built_in_space};
+use crumple::world::scenario::built_in_scenario;
 use crumple::{
     AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource,
     NamedController, Quiet, RecordingLevel, Run, RunOptions, assess, simulate,

@@ -22,6 +22,7 @@
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests |
 //! | [`world`] | scenarios, drivers, estimators, engines with identical results, measures |
+//! | [`spaces`] | scenario spaces: parameters with ranges and distributions |
 //! | [`exchange`] | scenarios from recordings and from OpenSCENARIO |
 //! | [`search`] | worst cases, falsification |
 //! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |
@@ -52,6 +53,7 @@ pub use crumple_exchange as exchange;
 pub use crumple_learn as learn;
 pub use crumple_report as report;
 pub use crumple_search as search;
+pub use crumple_spaces as spaces;
 pub use crumple_store as store;
 pub use crumple_suites as suites;
 pub use crumple_verify as verify;
@@ -80,13 +82,13 @@ pub use crumple_search::worst_case::{
     Attack, AttackError, AttackObjective, AttackResult, AvoidError, AvoidOptions, Avoidance,
     AvoidanceVerdict, Envelope, attack, avoid,
 };
+pub use crumple_spaces::{ScenarioSpace, built_in_space};
 pub use crumple_verify::{Certificate, ProvedClaim, Rejection, WorkLimit, check, check_with};
 pub use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
 };
 pub use crumple_world::measure::{Specification, SpecificationError};
 pub use crumple_world::observation::{EstimatorKind, Observation};
-pub use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 pub use crumple_world::scenario::{InvalidField, Scenario, built_in_scenario};
 pub use crumple_world::sim::{
     Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult,

@@ -875,7 +875,7 @@ def targets(program, work):
             "space",
             "toml",
             ".toml",
-            read_seeds("corpora/spaces/*.toml", "crates/world/src/scenario/space/built_in/*.toml"),
+            read_seeds("corpora/spaces/*.toml", "crates/spaces/src/built_in/*.toml"),
             [["falsify", "--controller", "idm", "--space", "{file}", "--budget", "2", "--out", "out"]],
         ),
         Target(

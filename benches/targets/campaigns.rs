@@ -3,10 +3,10 @@
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
+use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::wall_time_s;

@@ -23,9 +23,9 @@ use crumple::evidence::RateInterval;
 use crumple::report::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Svg,
 };
+use crumple::spaces::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
-use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple::world::sim::{
     NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,

@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use crumple::core::interval::RateInterval;
-use crumple::world::scenario::space::{ScenarioSpace, built_in_space};
+use crumple::spaces::{ScenarioSpace, built_in_space};
 use crumple::world::scenario::{GhostObject, PlantKind, Scenario, SensorFaults, built_in_scenario};
 use crumple::world::sim::{
     AfterContact, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,

@@ -11,7 +11,7 @@
 use std::path::Path;
 
 use crate::ExperimentError;
-use crumple::world::scenario::space::built_in_space;
+use crumple::spaces::built_in_space;
 use crumple::world::sim::NamedController;
 use crumple::{Campaign, CampaignOptions, CampaignSummary, Method, Quiet};
 

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use crumple_core::observer::RunProgress;
+use crumple_core::text_file;
 use crumple_report::assessment::{
     self as report, AssessConfig, AssessConfigError, AssessmentPlan, EarlierAssessment,
     EvidenceCache,
 };
 use crumple_store::program;
-use crumple_world::scenario::file;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
@@ -156,13 +156,13 @@ fn read_config(
     let here = PathBuf::new();
     let of_file = |error| errors::file_exception(py, ExceptionClass::Assessment, &error);
     if let Some(path) = path {
-        let text = file::read(path).map_err(of_file)?;
+        let text = text_file::read(path).map_err(of_file)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        return Ok((file::parse_toml(&text, path).map_err(of_file)?, folder));
+        return Ok((text_file::parse_toml(&text, path).map_err(of_file)?, folder));
     }
     if let Some(text) = toml {
         return Ok((
-            file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?,
+            text_file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?,
             here,
         ));
     }
@@ -170,7 +170,7 @@ fn read_config(
         return Ok((AssessConfig::default(), here));
     };
     Ok((
-        file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?,
+        text_file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?,
         here,
     ))
 }
@@ -179,6 +179,9 @@ fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
     match error {
         AssessConfigError::File(error) => {
             errors::file_exception(py, ExceptionClass::Assessment, error)
+        }
+        AssessConfigError::Scenario(error) => {
+            errors::scenario_file_exception(py, ExceptionClass::Assessment, error)
         }
         AssessConfigError::Field {
             path, line, field, ..

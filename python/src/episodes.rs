@@ -2,12 +2,13 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crumple_core::text_file;
 use crumple_learn::rl::{
     EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode,
     action_bounds, unsuitability,
 };
 use crumple_world::control::{ControllerSpec, NoSettings};
-use crumple_world::scenario::{Scenario, file};
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
@@ -419,7 +420,7 @@ fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig
     if path.extension().is_none() {
         return TrainingConfig::preset(preset).map_err(|error| wrong(&error));
     }
-    let text = file::read(path)
+    let text = text_file::read(path)
         .map_err(|error| errors::file_exception(py, ExceptionClass::Training, &error))?;
     TrainingConfig::parse(&text, path).map_err(|error| wrong(&error))
 }

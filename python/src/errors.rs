@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use crumple_core::quoting::shorten_message;
+use crumple_core::text_file::FileError;
+use crumple_spaces::FindSpaceError;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::file::FileError;
-use crumple_world::scenario::space::FindSpaceError;
+use crumple_world::scenario::file::ScenarioFileError;
 use pyo3::prelude::*;
 
 /// Exceptions, without the end `Error` of their names.
@@ -37,9 +38,7 @@ pub(crate) fn exception(
 /// Creates an exception for a file that cannot be used.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
-        FileError::Read { path, .. } | FileError::Extension { path } => {
-            (Some(path.as_path()), None, None)
-        }
+        FileError::Read { path, .. } => (Some(path.as_path()), None, None),
         FileError::Syntax {
             path,
             line,
@@ -51,7 +50,21 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
                 .filter(|field| !field.contains(' '));
             (Some(path.as_path()), Some(*line), field)
         }
-        FileError::Invalid {
+        _ => (None, None, None),
+    };
+    exception_at(py, class, error, place)
+}
+
+/// Creates an exception for a scenario or space file that cannot be used.
+pub(crate) fn scenario_file_exception(
+    py: Python<'_>,
+    class: ExceptionClass,
+    error: &ScenarioFileError,
+) -> PyErr {
+    let place = match error {
+        ScenarioFileError::File(error) => return file_exception(py, class, error),
+        ScenarioFileError::Extension { path } => (Some(path.as_path()), None, None),
+        ScenarioFileError::Invalid {
             path,
             line,
             invalid,
@@ -68,7 +81,7 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
 /// Creates an exception for a space that cannot be found.
 pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
     match error {
-        FindSpaceError::File(error) => file_exception(py, ExceptionClass::Space, error),
+        FindSpaceError::File(error) => scenario_file_exception(py, ExceptionClass::Space, error),
         other => exception(py, ExceptionClass::Space, other),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crumple_world::scenario::space::{self, find_space};
+use crumple_spaces::find_space;
 use crumple_world::scenario::{self as world, built_in_scenario, built_in_scenario_names, file};
 use pyo3::prelude::*;
 
@@ -112,15 +112,18 @@ impl PyScenario {
 }
 
 impl PyScenario {
-    fn from_read(py: Python<'_>, read: Result<world::Scenario, file::FileError>) -> PyResult<Self> {
+    fn from_read(
+        py: Python<'_>,
+        read: Result<world::Scenario, file::ScenarioFileError>,
+    ) -> PyResult<Self> {
         read.map(Self)
-            .map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+            .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Scenario, &error))
     }
 }
 
 /// Scenario space whose points are all valid scenarios.
 #[pyclass(name = "Space", frozen, module = "crumple")]
-pub(crate) struct PySpace(pub(crate) space::ScenarioSpace);
+pub(crate) struct PySpace(pub(crate) crumple_spaces::ScenarioSpace);
 
 #[pymethods]
 impl PySpace {
@@ -135,9 +138,9 @@ impl PySpace {
     /// Parses a space from TOML. A base scenario in a file is relative to the working directory.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
-        let read = space::file::from_toml(text, Path::new("<toml>"));
+        let read = crumple_spaces::file::from_toml(text, Path::new("<toml>"));
         read.map(Self)
-            .map_err(|error| errors::file_exception(py, ExceptionClass::Space, &error))
+            .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Space, &error))
     }
 
     #[getter]
@@ -180,7 +183,7 @@ impl PySpace {
 
     /// Pickles the TOML text, with its base scenario.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
-        let text = space::file::to_toml(&self.0);
+        let text = crumple_spaces::file::to_toml(&self.0);
         let text = text.map_err(|error| errors::exception(py, ExceptionClass::Space, &error))?;
         Ok((py.import("crumple")?.getattr("space")?, (text,)))
     }

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use super::output;
 use crumple_core::quoting::shorten_message;
+use crumple_core::text_file::FileError;
 use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_exchange::recording::RecordingError;
@@ -18,7 +19,7 @@ use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_suites::SuiteError;
-use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::file::ScenarioFileError;
 use crumple_world::sim::{RefusedController, RunError};
 
 #[derive(Debug, thiserror::Error)]
@@ -171,6 +172,15 @@ impl From<FileError> for CliError {
     }
 }
 
+impl From<ScenarioFileError> for CliError {
+    fn from(error: ScenarioFileError) -> Self {
+        match error {
+            ScenarioFileError::File(error) => error.into(),
+            other => Self::from_cause(other),
+        }
+    }
+}
+
 impl From<RecordingError> for CliError {
     fn from(error: RecordingError) -> Self {
         match error {
@@ -200,7 +210,7 @@ macro_rules! from_errors {
 from_errors! {
     AssessError { Cache, Campaign }
     CampaignError { Disk, Work }
-    AssessConfigError { File }
+    AssessConfigError { File, Scenario }
     RareError { RunFolder }
     RefusedController {}
     RetrainError { Disk, RunFolder, Campaign, Training }

@@ -14,10 +14,10 @@ use crumple_search::falsify::campaign::{
     MAX_SEED, MethodSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
+use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_store::disk::StagedFiles;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails

@@ -24,8 +24,8 @@ use crumple_evidence::fit::{
 };
 use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_report::figures;
+use crumple_spaces::file;
 use crumple_store::disk::StagedFiles;
-use crumple_world::scenario::space::file;
 
 /// Fit a scenario space to the braking episodes of recordings
 #[derive(Args)]

@@ -12,12 +12,13 @@ use super::simulate::OutputFormat;
 use super::{export, output};
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_core::quoting::TerminalText;
+use crumple_core::text_file;
 use crumple_exchange::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError,
     Variation,
 };
-use crumple_world::scenario::file::MAX_FOLDER_BYTES;
-use crumple_world::scenario::{Scenario, file, space};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::{self, MAX_FOLDER_BYTES};
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -81,7 +82,7 @@ impl OpenScenarioArgs {
                     let (space, notes) =
                         show(&bar, |progress| source.space(ego, &distributions, progress))?;
                     let text = readable(
-                        space::file::to_toml(&space).map_err(CliError::input)?,
+                        crumple_spaces::file::to_toml(&space).map_err(CliError::input)?,
                         space.name(),
                     )?;
                     (
@@ -145,10 +146,10 @@ fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
 
 /// Refuses a file that crumple could not read again.
 fn readable(text: String, name: &str) -> Result<String, CliError> {
-    if text.len() as u64 <= file::MAX_TOML_BYTES {
+    if text.len() as u64 <= text_file::MAX_TOML_BYTES {
         return Ok(text);
     }
-    let most = file::MAX_TOML_BYTES >> 20;
+    let most = text_file::MAX_TOML_BYTES >> 20;
     let problem = "as its speeds have too many samples: shorten trajectories, speed profiles or curved transitions";
     Err(CliError::Input(format!(
         "the file of `{name}` would have more than {most} MiB, {problem}"

@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::simulate::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
+use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, HUMAN_SPACES};
 
 const SHIELD_ENTRY: (&str, &str) = (
     "shield:policy",

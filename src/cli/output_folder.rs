@@ -12,9 +12,8 @@ use std::path::{Component, Path, PathBuf};
 
 use super::{CliError, output};
 use crumple_core::digest::{Sha256, sha256};
-use crumple_core::regular_file;
+use crumple_core::{regular_file, text_file};
 use crumple_store::disk::{self, DiskError, StagedFiles};
-use crumple_world::scenario::file;
 
 #[derive(Debug)]
 pub(super) struct OutputFolder {
@@ -248,7 +247,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
         }
         _ => {}
     }
-    let text = file::read(path)?;
+    let text = text_file::read(path)?;
     let entry = |(index, line): (usize, &str)| {
         // Reject names outside the folder.
         let is_within = |name: &str| {

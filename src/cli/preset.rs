@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, file_kind};
+use crumple_core::text_file;
 use crumple_learn::rl::{PRESETS, TrainingConfig, TrainingConfigError};
-use crumple_world::scenario::file;
 
 /// A configuration with the text of its file, so that later errors can state a line.
 pub(super) struct TrainingPreset {
@@ -58,7 +58,7 @@ impl TrainingPreset {
         if let Some(what) = file_kind::detect(path) {
             return Err(CliError::at(path, format!("is not a preset, but {what}")));
         }
-        let text = file::read(path)?;
+        let text = text_file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(CliError::input)?;
         Ok(Some(Self {
             config,

@@ -12,8 +12,8 @@ use super::output;
 use super::output_folder::stage;
 use super::simulate::OutputFormat;
 use super::{CliError, args, progress};
+use crumple_core::text_file;
 use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCounts, VolumeShares};
-use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
 /// Prove from which part of a box of initial states a policy or a network avoids every collision
@@ -76,7 +76,7 @@ fn load_box_text(place: &Path) -> Result<String, CliError> {
                 place.display()
             )))
         }
-        _ => Ok(file::read_at_most(place, file::MAX_TOML_BYTES)?),
+        _ => Ok(text_file::read_at_most(place, text_file::MAX_TOML_BYTES)?),
     }
 }
 
@@ -87,7 +87,7 @@ impl ReachCommand {
         let failed = |error: InvalidBox| match error {
             InvalidBox::Field { ref field, .. } => CliError::Input(format!(
                 "{place}:{}: {error}",
-                file::line_in_toml(&text, field)
+                text_file::line_in_toml(&text, field)
             )),
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {

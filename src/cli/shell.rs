@@ -9,9 +9,9 @@ use clap_complete::Shell;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
 use crumple_search::falsify::Method;
+use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, HUMAN_SPACES};
 
 /// Print a completion script for a shell
 #[derive(Args)]

@@ -17,9 +17,9 @@ use crumple_evidence::{
     CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan,
     SampleSizeError, report_json, required_runs, shipped_kernels,
 };
+use crumple_spaces::ScenarioSpace;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// Make claims and write certificates that `crumple check` accepts

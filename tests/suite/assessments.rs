@@ -11,10 +11,10 @@ use crumple_report::assessment::{
     CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_verify::{Certificate, Statement};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::sim::NamedController;
 
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {

@@ -8,13 +8,13 @@ use crumple_report::assessment::{
     AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess,
 };
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
+use crumple_spaces::{ScenarioSpace, built_in_space};
 use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
     ShieldSettings,
 };
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{
     FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions,

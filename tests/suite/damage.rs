@@ -15,12 +15,12 @@ use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSetti
 use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFolder};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::scenario::space::built_in_space;
 use tempfile::TempDir;
 
 /// Changed positions per file, one at a time, unless the variable `FLIPS` overrides it.

@@ -9,11 +9,11 @@ use crumple_evidence::{
     check_covers_scenario, shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
+use crumple_spaces::built_in_space;
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::NamedController;
 use rand::SeedableRng;

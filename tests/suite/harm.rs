@@ -5,9 +5,9 @@ use crumple_core::observer::Quiet;
 use crumple_report::assessment::HarmConfig;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, SearchObjective};
+use crumple_spaces::{HUMAN_SPACES, built_in_space};
 use crumple_world::measure::harm_of_pair;
 use crumple_world::scenario::file;
-use crumple_world::scenario::space::{HUMAN_SPACES, built_in_space};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 use crate::assessments::{config, run};

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use crumple_core::quoting::is_hidden;
+use crumple_spaces::{built_in_space, file as space_file};
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in_scenario, file};
 use pulldown_cmark::{Event, Options, Parser, Tag};
 use saphyr::LoadableYamlNode;

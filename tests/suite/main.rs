@@ -58,8 +58,9 @@ mod schema;
 mod search;
 mod seeds;
 mod shield;
-mod spaces;
+mod short_line;
 #[cfg(unix)]
+mod spaces;
 mod special_files;
 mod suite_pages;
 mod suites;

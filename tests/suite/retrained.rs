@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use crumple_core::digest::{Sha256, sha256};
 use crumple_learn::retrain::{Cases, RetrainingReport, TestSetResults, training_preset};
+use crumple_spaces::{ScenarioSpace, built_in_space};
 use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 

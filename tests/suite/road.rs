@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use crumple_learn::rl::TrainingConfig;
+use crumple_spaces::built_in_space;
 use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 

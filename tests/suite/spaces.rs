@@ -1,6 +1,6 @@
 //! Scenario space files: the schema matches the types.
 
-use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, json_schema};
+use crumple_spaces::{BUILT_IN_SPACES, built_in_space, json_schema};
 
 use crate::schema::{assert_committed, validate};
 
@@ -8,7 +8,7 @@ use crate::schema::{assert_committed, validate};
 #[test]
 fn the_committed_space_schema_accepts_the_built_in_spaces_and_refuses_nonsense() {
     let schema = json_schema();
-    assert_committed("crates/world/src/scenario/space/space.schema.json", &schema);
+    assert_committed("crates/spaces/src/space.schema.json", &schema);
     for (name, ..) in BUILT_IN_SPACES {
         let space = serde_json::to_value(built_in_space(name).unwrap().spec()).unwrap();
         validate(&schema, &schema, &space, "space").unwrap();

@@ -42,6 +42,17 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     }
 }
 
+/// Formats a number, with an exponent below 1e-9 and from 1e16 on.
+#[must_use]
+pub fn format_compact(number: f64) -> String {
+    let size = number.abs();
+    if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
+        format!("{number:e}")
+    } else {
+        number.to_string()
+    }
+}
+
 /// Returns a number in scientific notation, and its exponent.
 fn format_scientific(number: f64, digits: usize) -> (String, i32) {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));

@@ -1,5 +1,5 @@
-//! Digests, rounded numbers, intervals of rates, quoted text, progress and opening of files, for every other crate of
-//! crumple.
+//! Digests, rounded numbers, intervals of rates, quoted text, progress, opening of files, and text files with errors
+//! that name a line, for every other crate of crumple.
 //!
 //! | module | content |
 //! |---|---|
@@ -10,6 +10,7 @@
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
 //! | [`regular_file`] | opening of files that users name: regular files only |
+//! | [`text_file`] | text files in TOML or JSON, with errors that name line and field |
 
 pub mod binomial;
 pub mod digest;
@@ -18,3 +19,4 @@ pub mod interval;
 pub mod observer;
 pub mod quoting;
 pub mod regular_file;
+pub mod text_file;

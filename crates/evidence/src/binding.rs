@@ -13,11 +13,12 @@ use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
 use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
+use crumple_core::text_file::FileError;
 use crumple_search::worst_case::covers_scenario;
+use crumple_spaces::ScenarioSpace;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::FileError;
-use crumple_world::scenario::space::{self, ScenarioSpace};
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
+use crumple_world::scenario::file::{self, ScenarioFileError};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::NamedController;
 
 /// Reason why a statement does not match its texts.
@@ -32,7 +33,7 @@ pub enum BindingError {
     },
     /// The text is not a valid scenario, space or box.
     #[error(transparent)]
-    Text(FileError),
+    Text(ScenarioFileError),
     /// The box allows no claim.
     #[error("provenance.box_text: {0}")]
     Box(#[from] super::InvalidBox),
@@ -41,7 +42,7 @@ pub enum BindingError {
     Rate(#[from] InvalidRate),
     /// The scenario or space names a program that may not be started.
     #[error(transparent)]
-    StartRefused(FileError),
+    StartRefused(ScenarioFileError),
     /// Statement and text differ.
     #[error("`{field}` {problem}")]
     Differs {
@@ -54,6 +55,12 @@ pub enum BindingError {
 
 impl From<FileError> for BindingError {
     fn from(error: FileError) -> Self {
+        Self::Text(error.into())
+    }
+}
+
+impl From<ScenarioFileError> for BindingError {
+    fn from(error: ScenarioFileError) -> Self {
         if error.is_start_refused() {
             Self::StartRefused(error)
         } else {
@@ -307,8 +314,10 @@ fn check_invariant(
 }
 
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
-    let space =
-        space::file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+    let space = crumple_spaces::file::from_toml(
+        scenario_text(certificate)?,
+        Path::new(SCENARIO_TEXT_FIELD),
+    )?;
     check_name(certificate, space.name())?;
     Ok(space)
 }
@@ -374,7 +383,7 @@ fn check_registration(
             .get(key)
             .map_or("", String::as_str)
     };
-    let text = space::file::to_toml(&space).unwrap_or_default();
+    let text = crumple_spaces::file::to_toml(&space).unwrap_or_default();
     if sha256(text) != of("space_sha256") {
         return Err(mismatch(
             "provenance.scenario_text",

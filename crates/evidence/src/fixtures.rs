@@ -1,9 +1,9 @@
 //! Plans and folders for tests.
 
+use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
 use crate::rare::{RarePlan, SplittingConfig};

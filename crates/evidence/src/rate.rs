@@ -12,9 +12,9 @@ use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
+use crumple_spaces::{ScenarioSpace, file};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::space::{ScenarioSpace, file};
 use crumple_world::sim::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
@@ -162,7 +162,7 @@ impl RatePlan {
     /// use crumple_evidence::{RateConfig, RatePlan};
     /// use crumple_world::control::ControllerSpec;
     /// use crumple_world::observation::EstimatorKind;
-    /// use crumple_world::scenario::space::built_in_space;
+    /// use crumple_spaces::built_in_space;
     ///
     /// let plan = RatePlan::new(RateConfig {
     ///     seed: 1,

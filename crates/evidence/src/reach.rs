@@ -19,14 +19,14 @@ use serde::{Deserialize, Serialize};
 use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, Stopped};
+use crumple_core::text_file::{self, FileError};
 use crumple_search::worst_case::build_certificate;
 use crumple_world::control::{ControllerSource, IntoSource, InvalidMapping, NetworkController};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
-    built_in_scenario_names,
+    built_in_scenario_names, file,
 };
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
@@ -206,7 +206,7 @@ impl BoxSpec {
     /// # Errors
     /// [`FileError`] if the text is not a box.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        file::parse_first_version(text, path, |spec: &Self| spec.version)
+        text_file::parse_first_version(text, path, |spec: &Self| spec.version)
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
+use crumple_core::text_file::FileError;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::file::ScenarioFileError;
 use hyper::StatusCode;
 use serde_json::{Value, json};
 
@@ -85,7 +86,16 @@ impl From<FileError> for RequestError {
     fn from(error: FileError) -> Self {
         match error {
             FileError::Syntax { line, message, .. } => Self::Malformed { line, message },
-            FileError::Invalid { invalid, .. } => invalid.into(),
+            other => Self::Internal(other.to_string()),
+        }
+    }
+}
+
+impl From<ScenarioFileError> for RequestError {
+    fn from(error: ScenarioFileError) -> Self {
+        match error {
+            ScenarioFileError::File(error) => error.into(),
+            ScenarioFileError::Invalid { invalid, .. } => invalid.into(),
             other => Self::Internal(other.to_string()),
         }
     }

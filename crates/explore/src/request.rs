@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use crumple_core::text_file::parse_json;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::parse_json;
 use crumple_world::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass,
 };

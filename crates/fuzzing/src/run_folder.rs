@@ -9,9 +9,9 @@ use std::sync::OnceLock;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_spaces::built_in_space;
 use crumple_store::run_folder::{FolderExamination, examine};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
 type FolderContents = BTreeMap<String, Vec<u8>>;

@@ -9,7 +9,7 @@ use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
+use crumple_world::scenario::file::{ScenarioFileError, from_json, from_toml, to_toml};
 use crumple_world::sim::{
     self, Contact, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
 };
@@ -77,12 +77,12 @@ pub trait System {
     /// Writes a scenario to a file format and reads it again.
     ///
     /// # Errors
-    /// [`FileError`] if the written text cannot be read.
+    /// [`ScenarioFileError`] if the written text cannot be read.
     fn file_round_trip(
         &self,
         scenario: &Scenario,
         format: ScenarioFormat,
-    ) -> Result<Scenario, FileError> {
+    ) -> Result<Scenario, ScenarioFileError> {
         format.read(&format.to_text(scenario))
     }
 
@@ -160,8 +160,8 @@ impl ScenarioFormat {
     /// Reads a scenario; errors name the file `f.toml` or `f.json`.
     ///
     /// # Errors
-    /// [`FileError`] if the text is no scenario file.
-    pub fn read(self, text: &str) -> Result<Scenario, FileError> {
+    /// [`ScenarioFileError`] if the text is no scenario file.
+    pub fn read(self, text: &str) -> Result<Scenario, ScenarioFileError> {
         match self {
             Self::Toml => from_toml(text, Path::new("f.toml")),
             Self::Json => from_json(text, Path::new("f.json")),

@@ -54,7 +54,7 @@ impl TestSuite {
     /// # Errors
     /// [`SuiteError`] names file, line and field.
     pub fn load(path: &Path) -> Result<Self, SuiteError> {
-        let text = crumple_world::scenario::file::read(path)?;
+        let text = crumple_core::text_file::read(path)?;
         Self::from_toml(&text, path)
     }
 
@@ -63,10 +63,10 @@ impl TestSuite {
     /// # Errors
     /// [`SuiteError`] names file, line and field.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, SuiteError> {
-        use crumple_world::scenario::file;
-        let spec = file::parse_toml(text, path)?;
+        use crumple_core::text_file;
+        let spec = text_file::parse_toml(text, path)?;
         Self::new(spec).map_err(|InvalidSuite { field, problem }| {
-            let line = file::line_in_toml(text, &field);
+            let line = text_file::line_in_toml(text, &field);
             SuiteError::Invalid {
                 path: path.to_owned(),
                 line,

@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::file::ScenarioFileError;
 
 use super::ScenariosError;
 
@@ -30,7 +30,7 @@ pub enum CheckError {
     Scenarios(#[from] ScenariosError),
     /// A scenario of the corpus cannot be read.
     #[error(transparent)]
-    Corpus(#[from] FileError),
+    Corpus(#[from] ScenarioFileError),
     /// A failure cannot be written.
     #[error("{}: {source}", path.display())]
     Write {

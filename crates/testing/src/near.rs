@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     Base, DistributionSpec, InvalidSpace, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec,
     UniformSpec,
 };

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arbitrary::Unstructured;
-use crumple_world::scenario::file::{FileError, load_all};
-use crumple_world::scenario::space::{FindSpaceError, InvalidSpace, ScenarioSpace, find_space};
+use crumple_spaces::{FindSpaceError, InvalidSpace, ScenarioSpace, find_space};
+use crumple_world::scenario::file::{ScenarioFileError, load_all};
 use crumple_world::scenario::{Scenario, speed_dip};
 use proptest::strategy::{NewTree, Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
@@ -50,7 +50,7 @@ pub enum ScenariosError {
     Near(#[from] InvalidSpace),
     /// A scenario file cannot be read.
     #[error(transparent)]
-    File(#[from] FileError),
+    File(#[from] ScenarioFileError),
     /// A folder has no scenario files.
     #[error("{} has no scenario files", .0.display())]
     Empty(PathBuf),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::super::{CliError, args, output};
 use crumple_learn::rl::unsuitability;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
+use crumple_spaces::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 
 /// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out

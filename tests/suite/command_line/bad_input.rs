@@ -534,7 +534,7 @@ fn names_and_lists_that_mean_something_else_are_refused() {
         &refused,
         "list.json:1: invalid type: a list, expected fields with names",
     );
-    let space = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
+    let space = include_str!("../../../crates/spaces/src/built_in/paper.toml");
     let first =
         space.find("[[parameters]]\nname = \"").unwrap() + "[[parameters]]\nname = \"".len();
     let end = first + space[first..].find('"').unwrap();

@@ -1,8 +1,8 @@
 //! `crumple check` against forged certificates.
 
+use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
 use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
-use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, PlantKind, RampBrake, built_in_scenario, file,
 };

@@ -360,7 +360,7 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
 #[test]
 fn mistakes_are_reported_before_anything_is_written() {
     let folder = temp_folder();
-    let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
+    let good = include_str!("../../../crates/spaces/src/built_in/paper.toml");
     let line = 1 + good
         .lines()
         .position(|line| line.contains("deviation = 0.2, low = 2.0"))

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::*;
-use crumple_world::scenario::space::{DistributionSpec, ScenarioSpace, UniformSpec, file};
+use crumple_spaces::{DistributionSpec, ScenarioSpace, UniformSpec, file};
 
 /// Returns events of 10 s in which the leader brakes once; the parameters follow no known family of distributions.
 fn events_csv(count: u32) -> String {

@@ -10,9 +10,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use crumple_report::assessment::AssessmentPlan;
+use crumple_spaces::built_in_space;
 use crumple_world::control::{ControllerSource, IntoSource, allow_external};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,

@@ -20,7 +20,7 @@ use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::file::ScenarioFileError;
 use crumple_world::sim::{
     self, Contact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
@@ -197,7 +197,7 @@ impl System for FaultySystem {
         &self,
         scenario: &Scenario,
         format: ScenarioFormat,
-    ) -> Result<Scenario, FileError> {
+    ) -> Result<Scenario, ScenarioFileError> {
         let back = Crumple.file_round_trip(scenario, format)?;
         Ok(match self.0 {
             Fault::RoundedFile => back

@@ -8,9 +8,9 @@ use std::path::Path;
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Optimality, avoid,
 };
+use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 

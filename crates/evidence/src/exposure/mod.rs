@@ -24,7 +24,7 @@ pub use resampling::{MIN_RESAMPLES, Resamples, ResamplingError, count_on_resampl
 
 use super::RateInterval;
 use super::rare::RareEstimate;
-use crumple_world::scenario::space::ScenarioSpace;
+use crumple_spaces::ScenarioSpace;
 
 /// Confidence level of all intervals.
 pub const CONFIDENCE: f64 = 0.95;

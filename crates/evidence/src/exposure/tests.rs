@@ -1,8 +1,8 @@
 use super::*;
 use crate::fit::refit;
 use crate::rare::Level;
+use crumple_spaces::{DrivingExposure, ObservedData, ObservedParameter, file};
 use crumple_world::random::{Purpose, Stream, stream};
-use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, file};
 use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crumple_world::scenario::space::{DistributionSpec, ParameterValue};
+use crumple_spaces::{DistributionSpec, ParameterValue};
 
 /// Minimum eigenvalue of a matrix whose entries were estimated pair by pair and may be inconsistent.
 const MIN_EIGENVALUE: f64 = 1e-3;

@@ -9,9 +9,7 @@ use crumple_exchange::recording::{
     BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2,
     MinBrake, Recording, braking_clusters, find_episodes, following_exposure,
 };
-use crumple_world::scenario::space::{
-    DrivingExposure, ObservedData, ObservedParameter, SourceExposure,
-};
+use crumple_spaces::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
 /// Selection of episodes from recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,7 @@
 
 use super::MAX_VEHICLES;
 use super::family::FamilyFitError;
-use crumple_world::scenario::space::InvalidSpace;
+use crumple_spaces::InvalidSpace;
 
 /// Reason why a space cannot be fitted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -4,9 +4,7 @@ use serde::Serialize;
 use statrs::function::gamma::ln_gamma;
 
 use super::minimum::{hessian, minimize};
-use crumple_world::scenario::space::{
-    DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec,
-};
+use crumple_spaces::{DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec};
 
 /// Distribution family with two parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -9,7 +9,7 @@ use super::family::{DistributionFamily, FamilyFit};
 use super::goodness::{GoodnessOfFit, Tails};
 use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
 use super::space::{build_space, fit_marginals, median};
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec,
     ParameterValue, SPACE_VERSION, ScenarioSpace, SpaceSpec, UniformSpec,
 };

@@ -3,7 +3,7 @@
 use super::FitError;
 use super::family::{DistributionFamily, FamilyFit, FamilyFitError};
 use crate::RateInterval;
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     ChoiceSpec, DistributionSpec, ObservedParameter, ParameterValue, PointMassSpec,
 };
 use serde::Serialize;

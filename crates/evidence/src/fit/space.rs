@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::FitError;
 use super::dependence::{self, CopulaColumn};
 use super::marginal::FittedMarginal;
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter,
     ParameterValue, ScenarioSpace, SpaceSpec,
 };

@@ -9,11 +9,11 @@ use super::marginal::FamilyRanking;
 use super::*;
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::{LeaderSelection, MinBrake, Recording, read};
-use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter,
     ScenarioSpace, ShapeScaleSpec, UniformSpec, file,
 };
+use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
 fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2], [f64; 2])> {
@@ -228,17 +228,15 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     let draws: Vec<Vec<f64>> = (0..count.into())
         .map(|index| space.values(&space.draw_point(seed, index)))
         .collect();
-    let seen = |(which, parameter): (usize, &crumple_world::scenario::space::SpaceParameter)| {
-        ObservedParameter {
-            name: parameter.name().to_owned(),
-            low: parameter.range()[0],
-            high: parameter.range()[1],
-            point_mass: match &space.spec().parameters[which].distribution {
-                DistributionSpec::PointMass(point) => Some(point.at),
-                _ => None,
-            },
-            values: draws.iter().map(|draw| draw[which]).collect(),
-        }
+    let seen = |(which, parameter): (usize, &crumple_spaces::SpaceParameter)| ObservedParameter {
+        name: parameter.name().to_owned(),
+        low: parameter.range()[0],
+        high: parameter.range()[1],
+        point_mass: match &space.spec().parameters[which].distribution {
+            DistributionSpec::PointMass(point) => Some(point.at),
+            _ => None,
+        },
+        values: draws.iter().map(|draw| draw[which]).collect(),
     };
     ObservedData {
         braking_clusters: (0..count).collect(),
@@ -360,7 +358,7 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
         find_edit(&space, &observed),
         Ok(Some("friction".to_owned()))
     );
-    let changed = |change: &dyn Fn(&mut crumple_world::scenario::space::SpaceSpec)| {
+    let changed = |change: &dyn Fn(&mut crumple_spaces::SpaceSpec)| {
         let mut spec = fitted.spec().clone();
         change(&mut spec);
         find_edit(&ScenarioSpace::new(spec, Path::new("")).unwrap(), &observed).unwrap()

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use crumple_core::digest::sha256;
+use crumple_core::text_file::{self, FileError};
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::table::TableAxis;
 use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
 use crumple_verify::reach::{NeuralController, controller_file_name};
-use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{Driver, Scenario};
 use serde::{Deserialize, Serialize};
 
@@ -48,7 +48,7 @@ impl InvariantSpec {
     /// # Errors
     /// [`FileError`] if the text has another form.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        file::parse_first_version(text, path, |spec: &Self| spec.version)
+        text_file::parse_first_version(text, path, |spec: &Self| spec.version)
     }
 
     /// Returns the claim without its set, for a law of the spec or the bytes of a policy file.

@@ -8,11 +8,11 @@ use super::{RareEstimate, SplittingConfig, SplittingLevels};
 use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
+use crumple_spaces::{ScenarioSpace, file};
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::space::{ScenarioSpace, file};
 use crumple_world::sim::{
     NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::plan::RareRecord;
 use super::{RareError, RareEstimate, RarePlan, Repetition, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
+use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const PROGRESS_FILE: &str = "progress.json";
 

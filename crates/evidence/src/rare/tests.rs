@@ -12,12 +12,12 @@ use super::*;
 use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
+use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
 use crumple_world::estimate::{Filter, Sensor, Tuning};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{NoiseShare, Purpose, Stream};
 use crumple_world::scenario::Sensors;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 struct ClosedFormLimitState {

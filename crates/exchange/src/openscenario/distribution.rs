@@ -9,8 +9,8 @@ use super::limits::ensure_at_most;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
+use crumple_spaces::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 use crumple_world::scenario::file::MAX_FILES;
-use crumple_world::scenario::space::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

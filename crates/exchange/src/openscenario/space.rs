@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::distribution::ParameterDistributionFile;
 use super::error::ScenarioImportError;
 use super::{ImportedLaneScenario, OpenScenarioSource};
-use crumple_world::scenario::space::{
+use crumple_spaces::{
     Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace,
     SpaceSpec, UniformSpec,
 };
@@ -96,7 +96,7 @@ impl OpenScenarioSource {
             }
             let factor = (to - from) / (high - low);
             let map = |value: f64| from + factor * (value - low);
-            let unit = crumple_world::scenario::space::field_unit(field, &base)
+            let unit = crumple_spaces::field_unit(field, &base)
                 .unwrap_or_default()
                 .to_owned();
             let (name, field) = (identifier(name), field.clone());

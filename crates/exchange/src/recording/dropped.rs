@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use super::consistency::ColumnContradiction;
 use super::error::format_place;
-use crumple_world::scenario::{InvalidField, format_compact};
+use crumple_core::digits::format_compact;
+use crumple_world::scenario::InvalidField;
 
 /// Advice about values that are possible, but not usual in traffic.
 pub(super) const CHECK_UNIT: &str = "more than is usual in traffic, so check the unit in the map";

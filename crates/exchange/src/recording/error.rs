@@ -4,7 +4,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
-use crumple_world::scenario::{file::FileError, format_compact};
+use crumple_core::digits::format_compact;
+use crumple_core::text_file::FileError;
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
 #[derive(Debug, thiserror::Error)]

@@ -1,7 +1,7 @@
 //! Failure grid of a campaign over two parameters: evaluations, failures and the worst one of each cell.
 
 use crumple_search::falsify::campaign::CampaignReader;
-use crumple_world::scenario::space::SpaceParameter;
+use crumple_spaces::SpaceParameter;
 
 use super::EvaluationFilter;
 

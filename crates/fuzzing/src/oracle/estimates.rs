@@ -2,8 +2,8 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning};
-use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
+use crumple_world::estimate::EgoTuning;
+use crumple_world::observation::{BANDWIDTH_RAD_PER_S, EstimatorKind, Neighbour, Observation};
 use crumple_world::scenario::{Driver, VehicleSpec};
 use crumple_world::sim::Motion;
 

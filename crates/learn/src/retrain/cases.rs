@@ -36,7 +36,7 @@ pub struct CollidingDraws {
     pub round: u64,
     /// Seed of the scenarios.
     pub seed: u64,
-    /// Indices for [`ScenarioSpace::draw`](crumple_world::scenario::space::ScenarioSpace::draw) of the space with the
+    /// Indices for [`ScenarioSpace::draw`](crumple_spaces::ScenarioSpace::draw) of the space with the
     /// number index modulo the number of spaces.
     pub indices: Vec<u64>,
 }

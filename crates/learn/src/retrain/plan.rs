@@ -12,12 +12,13 @@ use super::files::{
 use super::{RetrainError, SearchedSpaces};
 use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 
-use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
+use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
+use crumple_core::text_file::is_default;
 use crumple_search::falsify::Method;
+use crumple_spaces::{ScenarioSpace, SpaceSpec};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
-use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 
 /// Version of the file `retrain.toml`.

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use super::RetrainError;
 use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
 use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
+use crumple_spaces::ScenarioSpace;
 use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Significance level in a regression space, for collisions and for usefulness each.
@@ -163,8 +163,8 @@ mod tests {
     };
     use super::*;
     use crumple_search::falsify::Method;
+    use crumple_spaces::{BUILT_IN_SPACES, built_in_space, file};
     use crumple_world::policy::Policy;
-    use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, file};
 
     /// Standing vehicle 40 to 120 m ahead of an ego vehicle at 10 to 80 km/h, without a follower.
     const QUEUE: &str = include_str!("queue.toml");

@@ -3,7 +3,7 @@
 use super::RetrainError;
 use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
-use crumple_world::scenario::space::ScenarioSpace;
+use crumple_spaces::ScenarioSpace;
 use crumple_world::scenario::{InvalidField, Scenario};
 
 /// One or more scenario spaces that are searched and drawn from in turn.

@@ -10,11 +10,11 @@ use super::costs::CostConfig;
 use super::imitation::ImitationConfig;
 use super::observation::ObservationConfig;
 use super::replay::TransitionLayout;
-use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
+use super::serde_helpers::deserialize_f32_no_underflow;
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
+use crumple_core::text_file::{self, is_default};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
 
 /// Version of the preset format that this release reads.
 pub const TRAINING_VERSION: u32 = 1;
@@ -328,7 +328,7 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
-        let config: Self = file::parse_toml(text, path)
+        let config: Self = text_file::parse_toml(text, path)
             .map_err(|error| TrainingConfigError::Located(error.to_string()))?;
         config
             .check()

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crumple_world::scenario::file;
+use crumple_core::text_file;
 
 /// Reason why a configuration is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -53,7 +53,7 @@ impl TrainingConfigError {
             Self::Range {
                 field, low, high, ..
             } => {
-                let written = file::raw_toml_value(text, field);
+                let written = text_file::raw_toml_value(text, field);
                 let written = written.map(|found| {
                     format!("{field}: must be between {low} and {high}, found {found}")
                 });
@@ -63,7 +63,7 @@ impl TrainingConfigError {
         Self::Located(format!(
             "{}:{}: {message}",
             path.display(),
-            file::line_in_toml(text, field)
+            text_file::line_in_toml(text, field)
         ))
     }
 }

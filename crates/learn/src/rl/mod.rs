@@ -52,7 +52,6 @@ pub use observation::{InputScaling, ObservationConfig, ObservationInputs};
 pub use replay::{Batch, Transition};
 pub use runner::{TrainingEvent, parallel_map, train};
 pub(crate) use runner::{TrainingRecorder, train_with_recorder};
-pub(crate) use serde_helpers::is_default;
 pub use source::{CaseMixture, PaperSource, ScenarioSource, SourceMixture, unsuitability};
 pub use space_mixture::{SpaceMixture, TrainingSpace};
 pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};

@@ -80,8 +80,8 @@ impl<'s> PrivilegedInfo<'s> {
 mod tests {
     use super::*;
     use crate::rl::{EpisodeConstants, TrainingConfig};
+    use crumple_spaces::built_in_space;
     use crumple_world::scenario::built_in_scenario;
-    use crumple_world::scenario::space::built_in_space;
     use crumple_world::sim::{Run, RunOptions};
 
     #[test]

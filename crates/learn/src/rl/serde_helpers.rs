@@ -3,10 +3,6 @@
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
-pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
-}
-
 pub(super) fn one<T: From<u8>>() -> T {
     T::from(1)
 }

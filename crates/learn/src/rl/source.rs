@@ -7,8 +7,8 @@ use rand::RngExt;
 
 use crumple_core::digest::{Sha256, sha256};
 
+use crumple_spaces::ScenarioSpace;
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 
 pub(super) const EGO: usize = 1;
@@ -254,7 +254,7 @@ mod tests {
 
     #[test]
     fn a_blend_takes_its_share_of_each_source_as_it_is() {
-        let space = crumple_world::scenario::space::built_in_space("high-risk").unwrap();
+        let space = crumple_spaces::built_in_space("high-risk").unwrap();
         let blend = SourceMixture::new(Arc::new(PaperSource), 0.25, Arc::new(space.clone()));
         let nominal = (0..2000).filter(|&index| {
             let drawn = blend.draw(7, index).unwrap();

@@ -4,10 +4,11 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
-use super::serde_helpers::{is_default, is_one, one};
+use super::serde_helpers::{is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
+use crumple_core::text_file::is_default;
+use crumple_spaces::{ScenarioSpace, find_space};
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
 const MAX_COST_MULTIPLIER: f64 = 1e4;
@@ -297,8 +298,8 @@ mod tests {
     #[test]
     fn a_space_in_two_files_is_one_space() {
         let folder = tempfile::tempdir().unwrap();
-        let steady = crumple_world::scenario::space::built_in_space("steady").unwrap();
-        let text = crumple_world::scenario::space::file::to_toml(&steady).unwrap();
+        let steady = crumple_spaces::built_in_space("steady").unwrap();
+        let text = crumple_spaces::file::to_toml(&steady).unwrap();
         let shares = ["one.toml", "other.toml"].map(|name| {
             let path = folder.path().join(name);
             std::fs::write(&path, &text).unwrap();

@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+use crumple_spaces::built_in_space;
 use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
 use crumple_world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{
     RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate, simulate_batch,

@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::TuneError;
 use crate::rl::{TrafficBenchmark, TrafficUsefulness};
+use crumple_spaces::ScenarioSpace;
 use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Number that a tuning minimises.

@@ -116,7 +116,7 @@ impl NamedSpace {
     }
 
     fn is_built_in(&self) -> bool {
-        crumple_world::scenario::space::built_in_space(&self.name).is_some()
+        crumple_spaces::built_in_space(&self.name).is_some()
     }
 
     fn path(&self) -> String {

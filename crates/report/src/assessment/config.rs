@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::gate::AssessmentGate;
 use super::planned_suite::SuiteConfig;
+use crumple_core::text_file::FileError;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::FileError;
+use crumple_world::scenario::file::ScenarioFileError;
 
 /// Version of the configuration format that this release reads.
 pub const CONFIG_VERSION: u32 = 1;
@@ -226,9 +227,12 @@ impl Default for AssessConfig {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AssessConfigError {
-    /// The configuration, or a scenario file that it names, cannot be read.
+    /// The configuration cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A scenario file that the configuration names cannot be read.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioFileError),
     /// A field is out of range.
     #[error("{}:{line}: {field}: {problem}", path.display())]
     Field {

@@ -28,7 +28,7 @@ pub(super) fn describe_followers(drivers: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::space::built_in_space;
+    use crumple_spaces::built_in_space;
 
     #[test]
     fn followers_of_built_in_spaces_are_named() {

@@ -12,14 +12,13 @@ use super::gate::AssessmentGate;
 use super::parts::{self, EVERYDAY_SPACES};
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
-use crumple_core::regular_file;
+use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
+use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::control::{ControllerSource, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::file;
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::scenario::{Scenario, built_in_scenario_names};
+use crumple_world::scenario::{Scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
 const MAX_DRAWS: u64 = 10_000_000;
@@ -136,8 +135,8 @@ impl AssessmentPlan {
     /// # Errors
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
-        let text = file::read(path)?;
-        let config: AssessConfig = file::parse_toml(&text, path)?;
+        let text = text_file::read(path)?;
+        let config: AssessConfig = text_file::parse_toml(&text, path)?;
         let loading = PlanLoader {
             path,
             text: &text,
@@ -320,7 +319,7 @@ impl PlanLoader<'_> {
     fn field_error(&self, field: &str, problem: String) -> AssessConfigError {
         AssessConfigError::Field {
             path: self.path.to_owned(),
-            line: file::line_in_toml(self.text, field),
+            line: text_file::line_in_toml(self.text, field),
             field: field.to_owned(),
             problem,
         }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crumple_world::scenario::space::ScenarioSpace;
+use crumple_spaces::ScenarioSpace;
 
 /// The unit cube, with its coordinates in blocks: a number, or a piecewise constant signal, ordered by time.
 ///

@@ -26,7 +26,7 @@ pub struct NetworkController {
     source_file: Option<SourceFile>,
 }
 
-/// What determines the commands.
+/// The network and the mapping, which determine the commands.
 #[derive(Debug, PartialEq)]
 struct MappedNetwork {
     file: NetworkFile,

@@ -261,7 +261,7 @@ impl VehicleInRun<'_> {
     }
 }
 
-/// What a run knows about its vehicles, from which a shield computes its parameters.
+/// Facts of a run about its vehicles, from which a shield computes its parameters.
 pub(crate) trait ShieldAssumptions {
     /// Returns the parameters of a shield of vehicle `vehicle` with these settings.
     fn shield_params(

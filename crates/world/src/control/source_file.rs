@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::scenario::file::line_in_toml;
+use crumple_core::text_file::line_in_toml;
 
 /// Path of a controller's file. A controller file, the only kind with fields, also keeps its text.
 #[derive(Debug, Clone, PartialEq)]

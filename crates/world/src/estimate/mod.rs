@@ -15,5 +15,3 @@ pub use accelerometer::Accelerometer;
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
 pub use filter::{DistanceEstimate, Filter, Innovation, KnownChange, Tuning};
 pub use sensor::Sensor;
-
-pub use crate::observation::BANDWIDTH_RAD_PER_S;

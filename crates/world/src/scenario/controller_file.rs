@@ -11,7 +11,6 @@ use std::sync::Arc;
 use serde::de::{Deserializer, Error, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
-use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
     ControllerSource, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping,
     NameOrigin, NetworkController, OutputMapping, PolicySource, ProcessController, ProcessSetup,
@@ -19,6 +18,7 @@ use crate::control::{
 };
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
+use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
 
 pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 

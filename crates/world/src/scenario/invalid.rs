@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::SCENARIO_VERSION;
 use crate::control::StartRefusal;
+use crumple_core::digits::format_compact;
 
 /// An invalid field of a scenario, with its path and its problem.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -161,16 +162,6 @@ pub enum FieldProblem {
         /// Seed of the file.
         found: u64,
     },
-}
-
-/// Formats a number, with an exponent below 1e-9 and from 1e16 on.
-pub fn format_compact(number: f64) -> String {
-    let size = number.abs();
-    if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
-        format!("{number:e}")
-    } else {
-        number.to_string()
-    }
 }
 
 /// A closed interval, or one open at its lower end.

@@ -42,7 +42,8 @@ impl LaneChange {
         }
     }
 
-    pub(crate) fn value_mut(&mut self) -> &mut f64 {
+    /// Returns the value, for a change.
+    pub fn value_mut(&mut self) -> &mut f64 {
         match self {
             Self::At(value) | Self::Gap(value) | Self::TimeToCollision(value) => value,
         }

@@ -9,12 +9,10 @@ pub mod file;
 mod following_line;
 mod invalid;
 mod lane_change;
-mod named_fields;
 mod paper;
 mod plant;
 mod profile;
 mod sensor_faults;
-pub mod space;
 mod speed_dip;
 mod validate;
 mod vehicle;
@@ -25,10 +23,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::random::NoiseShare;
+use crumple_core::text_file::is_default;
 
 pub use driver::{Driver, FileDriver};
 pub use following_line::{FollowingLine, SpeedOscillation};
-pub use invalid::format_compact;
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
@@ -84,10 +82,6 @@ pub struct ScenarioSpec {
 
 fn paper_step_s() -> f64 {
     PAPER_STEP_S
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 
 /// The road.

@@ -57,7 +57,7 @@ pub struct GhostObject {
 
 impl GhostObject {
     /// A standing object that is never reported: the nominal ghost of spaces whose base has none.
-    pub(super) const NEVER: Self = Self {
+    pub const NEVER: Self = Self {
         onset_s: 0.0,
         duration_s: 0.0,
         gap_m: 50.0,

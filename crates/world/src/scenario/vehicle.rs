@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::driver::Driver;
-use super::is_default;
 use super::lane_change::LaneChange;
 use super::plant::{BodyKind, PlantKind};
+use crumple_core::text_file::is_default;
 
 struct ClassPreset {
     name: &'static str,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::RecordingMapSpec;
 use super::check::{check, is_same_name};
-use crumple_world::scenario::file::{FileError, parse_toml, read_at_most};
+use crumple_core::text_file::{FileError, parse_toml, read_at_most};
 
 const MAX_MAP_BYTES: u64 = 64 << 10;
 

@@ -14,7 +14,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentReport, EVIDENCE_VERSION, ReportPart};
 use crumple_core::digest::sha256;
-use crumple_world::scenario::file::{self, FileError};
+use crumple_core::text_file::{self, FileError};
 
 /// The changes since an earlier assessment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -70,7 +70,7 @@ impl EarlierAssessment {
     /// # Errors
     /// [`FileError`] if it cannot be read, or is no such evidence.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_json(&file::read_at_most(path, MAX_EVIDENCE_BYTES)?, path)
+        Self::from_json(&text_file::read_at_most(path, MAX_EVIDENCE_BYTES)?, path)
     }
 
     fn from_json(text: &str, path: &Path) -> Result<Self, FileError> {

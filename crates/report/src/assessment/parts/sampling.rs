@@ -19,7 +19,7 @@ use crate::assessment::run_ends::{RunEnds, note_unanswered};
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_world::scenario::space::ScenarioSpace;
+use crumple_spaces::ScenarioSpace;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
     NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,

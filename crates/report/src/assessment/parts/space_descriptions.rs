@@ -8,7 +8,7 @@ use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space_summary};
+use crumple_spaces::{ScenarioSpace, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.
 #[derive(Debug, Clone, Serialize)]

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::{CampaignError, SearchObjective};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
+use crumple_spaces::{ScenarioSpace, SpaceSpec};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 use crumple_world::sim::NamedController;
 
 /// Version of the campaign file that this release reads and writes.
@@ -25,7 +25,7 @@ pub const MAX_SEED: u64 = i64::MAX as u64;
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::scenario::space::built_in_space;
+/// use crumple_spaces::built_in_space;
 ///
 /// let campaign = Campaign {
 ///     budget: 50,
@@ -156,8 +156,8 @@ impl Campaign {
         budget: u64,
         seed: u64,
     ) -> Self {
+        use crumple_spaces::built_in_space;
         use crumple_world::control::ControllerSpec;
-        use crumple_world::scenario::space::built_in_space;
         let controller = ControllerSpec::from_name("match-leader").unwrap();
         let campaign = Self::new(controller, built_in_space(space).unwrap());
         Self {

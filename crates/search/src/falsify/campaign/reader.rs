@@ -7,10 +7,10 @@ use super::resolved_config::ResolvedConfig;
 use super::run::{CAMPAIGN_KIND, CONFIGURATION_FILE, SUMMARY_FILE};
 use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, table};
 use crate::falsify::Method;
+use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{self, CompletedRun, RunFolderError, RunState};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::NamedController;
 

@@ -7,9 +7,9 @@ use super::{
     CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective,
 };
 use crate::falsify::{Method, UnitCube};
+use crumple_spaces::ScenarioSpace;
 use crumple_world::measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::ScenarioSpace;
 
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct ResolvedConfig {

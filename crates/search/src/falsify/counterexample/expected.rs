@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{Avoidability, AvoidabilityClass};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord};
+use crumple_core::text_file::{self, FileError};
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::{self, FileError};
+use crumple_world::scenario::file::{self, ScenarioFileError};
 use crumple_world::sim::{NamedController, UnknownController};
 
 pub(crate) const EXPECTED_VERSION: u32 = 1;
@@ -91,7 +92,10 @@ pub struct ReplayResult {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// A file cannot be read.
+    /// The scenario cannot be read.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioFileError),
+    /// The recorded verdicts cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
     /// The controller is unknown.
@@ -151,8 +155,8 @@ impl ExpectedFile {
     /// # Errors
     /// [`FileError`] for a file that cannot be read or parsed.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        let text = file::read(path)?;
-        let read: Self = file::parse_toml(&text, path)?;
+        let text = text_file::read(path)?;
+        let read: Self = text_file::parse_toml(&text, path)?;
         if read.version == EXPECTED_VERSION {
             return Ok(read);
         }
@@ -162,7 +166,7 @@ impl ExpectedFile {
         );
         Err(FileError::Syntax {
             path: path.to_owned(),
-            line: file::line_in_toml(&text, "version"),
+            line: text_file::line_in_toml(&text, "version"),
             message,
         })
     }

@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{ExpectedFile, ExpectedVerdict, ReplayError};
-use crumple_world::scenario::file::{EXPECTED_FILE_NAME, FileError, LEGACY_EXPECTED_FILE_NAME};
+use crumple_core::text_file::FileError;
+use crumple_world::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
 use crumple_world::sim::NamedController;
 
 /// A reader of recorded verdicts, which reads the record of each folder once.

@@ -1,6 +1,6 @@
 //! Shrinking of failures: nearer to nominal, with fewer pieces and rounder values.
 
-use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
+use crumple_spaces::{ScenarioSpace, SpaceParameter};
 
 const MAX_ROUNDS: usize = 2;
 /// Steps towards nominal for each coordinate and round: half of the way, and half as much after each failed step.
@@ -196,7 +196,7 @@ fn equal_runs(parameter: &SpaceParameter, current: &[f64]) -> Vec<std::ops::Rang
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::space::built_in_space;
+    use crumple_spaces::built_in_space;
     use proptest::prelude::*;
 
     #[test]

@@ -1,5 +1,6 @@
 use super::super::{built_in_scenario, built_in_scenario_names};
 use super::*;
+use crumple_core::text_file::{MAX_BYTES, MAX_TOML_BYTES};
 
 fn error_of(text: &str) -> String {
     from_toml(text, Path::new("bad.toml"))

@@ -39,11 +39,11 @@ const MAX_TRACED_SAMPLES: usize = 2_000_000;
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::scenario::space::built_in_space;
+/// use crumple_world::scenario::PaperDistribution;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 ///
-/// let space = built_in_space("paper").unwrap();
-/// let scenarios: Vec<_> = (0..100).map(|index| space.draw(0, index).unwrap()).collect();
+/// let paper = PaperDistribution { seed: 0 };
+/// let scenarios: Vec<_> = (0..100).map(|index| paper.draw(index).unwrap()).collect();
 /// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap());
 /// let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
 /// let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.is_safe());

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{InvalidSpace, reject};
 use super::spec::SpaceSpec;
-use crate::scenario::{format_compact, is_default};
+use crumple_core::digits::format_compact;
+use crumple_core::text_file::is_default;
 
 const MAX_SOURCES: usize = 1000;
 const MAX_EPISODES: usize = 10_000;

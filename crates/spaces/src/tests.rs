@@ -3,10 +3,10 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
-use crate::control::ControllerSpec;
-use crate::measure::UsefulnessMeasures;
-use crate::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
-use crate::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::UsefulnessMeasures;
+use crumple_world::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn space(name: &str) -> ScenarioSpace {
     built_in_space(name).expect("built in")

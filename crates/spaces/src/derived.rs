@@ -1,6 +1,8 @@
 //! Fields that set several numbers of a vehicle consistently.
 
-use crate::scenario::{Driver, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec};
+use crumple_world::scenario::{
+    Driver, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec,
+};
 
 /// Speed range of leaders under `cruise_mps2`, in m/s: 18 km/h to 130 km/h, the limit on most European motorways.
 pub(super) const CRUISE_SPEED_RANGE_MPS: [f64; 2] = [18.0 / 3.6, 130.0 / 3.6];

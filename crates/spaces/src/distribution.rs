@@ -9,7 +9,7 @@ use super::spec::{
     ChoiceSpec, DistributionSpec, HistogramSpec, PointMassSpec, ShapeScaleSpec, UniformSpec,
     ValueKind,
 };
-use crate::scenario::format_compact;
+use crumple_core::digits::format_compact;
 
 /// Smallest probability mass of a distribution within its range.
 const MIN_MASS: f64 = 1e-6;

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{Base, ScenarioSpace, file};
-use crate::control::{ControllerSpec, HumanSettings};
-use crate::scenario::Driver;
-use crate::scenario::file::FileError;
+use crumple_world::control::{ControllerSpec, HumanSettings};
+use crumple_world::scenario::Driver;
+use crumple_world::scenario::file::ScenarioFileError;
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
@@ -90,7 +90,7 @@ pub enum FindSpaceError {
     },
     /// An invalid file.
     #[error(transparent)]
-    File(#[from] FileError),
+    File(#[from] ScenarioFileError),
 }
 
 /// Returns the built-in space `name`, or loads the file `name`, which needs an extension.

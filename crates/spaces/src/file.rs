@@ -3,22 +3,23 @@
 use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
-use crate::scenario::InvalidField;
-use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
+use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
+use crumple_world::scenario::InvalidField;
+use crumple_world::scenario::file::ScenarioFileError;
 
 /// Reads and checks a space file.
 ///
 /// # Errors
-/// [`FileError`] for a file that cannot be read, parsed or accepted.
-pub fn load(path: &Path) -> Result<ScenarioSpace, FileError> {
+/// [`ScenarioFileError`] for a file that cannot be read, parsed or accepted.
+pub fn load(path: &Path) -> Result<ScenarioSpace, ScenarioFileError> {
     from_toml(&read(path)?, path)
 }
 
 /// Reads a space from TOML text. `path` names it in errors; a base scenario in a file is relative to its folder.
 ///
 /// # Errors
-/// [`FileError`] for text that is not a valid space.
-pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, FileError> {
+/// [`ScenarioFileError`] for text that is not a valid space.
+pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, ScenarioFileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     ScenarioSpace::new(spec, folder).map_err(
@@ -33,13 +34,13 @@ pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, FileError> {
                     field,
                     problem: refused.into(),
                 };
-                FileError::Invalid {
+                ScenarioFileError::Invalid {
                     path: path.to_owned(),
                     line,
                     invalid,
                 }
             }
-            None => FileError::from_field(path, text, &field, problem),
+            None => FileError::from_field(path, text, &field, problem).into(),
         },
     )
 }

@@ -7,7 +7,7 @@ use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 use super::SpaceParameter;
 use super::check::{InvalidSpace, reject};
 use super::spec::ValueKind;
-use crate::scenario::format_compact;
+use crumple_core::digits::format_compact;
 
 const MAX_CORRELATED: usize = 50;
 /// Smallest eigenvalue of a correlation matrix; below it, one sample determines the next to all relevant digits.

@@ -8,11 +8,12 @@ use super::marginal::CoordinateMarginal;
 use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
-use crate::control::StartRefusal;
-use crate::scenario::file::FileError;
-use crate::scenario::{
+use crumple_core::digits::format_compact;
+use crumple_world::control::StartRefusal;
+use crumple_world::scenario::file::ScenarioFileError;
+use crumple_world::scenario::{
     FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names,
-    file, format_compact,
+    file,
 };
 
 /// An invalid field of a space, with its path and its problem.
@@ -411,7 +412,7 @@ fn is_overlapping(a: &str, b: &str) -> bool {
 
 /// Returns true for problems that several fields cause jointly.
 fn is_joint_problem(invalid: &InvalidField) -> bool {
-    use crate::scenario::FieldProblem as P;
+    use crumple_world::scenario::FieldProblem as P;
     matches!(
         invalid.problem,
         P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. }
@@ -445,7 +446,7 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
                 )
             }
             None => file::load(&folder.join(name)).map_err(|error| match error {
-                FileError::Invalid {
+                ScenarioFileError::Invalid {
                     path,
                     line,
                     invalid:

@@ -88,13 +88,13 @@ use self::field::FieldTarget;
 use self::marginal::CoordinateMarginal;
 use self::region::LikelihoodRegion;
 use self::spec::ValueKind;
-use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
-use crate::random::{self, Purpose};
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 
 /// A search space in which every point is a valid scenario.
 ///
 /// ```
-/// use crumple_world::scenario::space::built_in_space;
+/// use crumple_spaces::built_in_space;
 ///
 /// let space = built_in_space("high-risk").unwrap();
 /// // The seed and the index determine the sample.
