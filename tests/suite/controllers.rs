@@ -1,8 +1,8 @@
 //! Properties of every built-in controller for any observation.
 
+use crumple_measure::ttc_s;
 use crumple_world::control::AebSettings;
 use crumple_world::control::{Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
-use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
 

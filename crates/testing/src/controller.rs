@@ -2,8 +2,8 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::control::ControllerKind;
-use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crumple_measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{

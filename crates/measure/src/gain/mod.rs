@@ -12,9 +12,9 @@ mod run;
 use serde::{Deserialize, Serialize};
 
 use self::run::LineRuns;
-use crate::control::ControllerKind;
-use crate::scenario::InvalidField;
-use crate::sim::RunError;
+use crumple_world::control::ControllerKind;
+use crumple_world::scenario::InvalidField;
+use crumple_world::sim::RunError;
 
 /// Amplitude of the leader's speed, in m/s.
 pub const OSCILLATION_AMPLITUDE_MPS: f64 = 0.3;
