@@ -21,7 +21,8 @@
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests |
-//! | [`world`] | scenarios, drivers, estimators, engines with identical results, measures |
+//! | [`world`] | scenarios, drivers, estimators, engines with identical results |
+//! | [`measure`] | measures of a run, signal temporal logic |
 //! | [`spaces`] | scenario spaces: parameters with ranges and distributions |
 //! | [`exchange`] | scenarios from recordings and from OpenSCENARIO |
 //! | [`search`] | worst cases, falsification |
@@ -51,6 +52,7 @@ pub use crumple_core as core;
 pub use crumple_evidence as evidence;
 pub use crumple_exchange as exchange;
 pub use crumple_learn as learn;
+pub use crumple_measure as measure;
 pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_spaces as spaces;
@@ -67,6 +69,7 @@ pub use crumple_evidence::{
 pub use crumple_learn::rl::{
     EvaluationSet, Trainer, TrainingConfig, TrainingError, TrainingEvent, train,
 };
+pub use crumple_measure::{Specification, SpecificationError};
 pub use crumple_report::assessment::{
     AssessConfig, AssessConfigError, AssessError, AssessmentPlan, AssessmentReport,
     EarlierAssessment, EvidenceCache, assess,
@@ -87,7 +90,6 @@ pub use crumple_verify::{Certificate, ProvedClaim, Rejection, WorkLimit, check, 
 pub use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
 };
-pub use crumple_world::measure::{Specification, SpecificationError};
 pub use crumple_world::observation::{EstimatorKind, Observation};
 pub use crumple_world::scenario::{InvalidField, Scenario, built_in_scenario};
 pub use crumple_world::sim::{

@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use crumple_world::measure::stl::Formula;
+use crumple_measure::stl::Formula;
 
 use crate::clock::min_cpu_time_s;
 use crate::table::Measurement;

@@ -15,7 +15,7 @@
 
 use std::error::Error;
 
-use crumple_world::measure::stl::{Formula, SampledSignals, SignalsError};
+use crumple_measure::stl::{Formula, SampledSignals, SignalsError};
 
 pub const STEP_S: f64 = 0.01;
 /// Number of steps: 100 s.

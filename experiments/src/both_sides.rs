@@ -20,11 +20,11 @@ use std::path::Path;
 
 use crate::ExperimentError;
 use crumple::evidence::RateInterval;
+use crumple::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::report::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Svg,
 };
 use crumple::spaces::{BUILT_IN_SPACES, built_in_space};
-use crumple::world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple::world::sim::{

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use crumple_evidence::MethodComparison;
+use crumple_measure::Specification;
 use crumple_search::falsify::FailureCriterion;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
 use crate::controller;

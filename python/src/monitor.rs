@@ -1,6 +1,6 @@
 //! Robustness of STL formulas on arrays.
 
-use crumple_world::measure::stl::{Formula, SampledSignals};
+use crumple_measure::stl::{Formula, SampledSignals};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crumple_world::measure::Specification;
+use crumple_measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use super::{CliError, output};
+use crumple_measure::Specification;
 use crumple_spaces::{ScenarioSpace, find_space};
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{

@@ -9,6 +9,7 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
+use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET,
     MAX_SEED, MethodSummary, SearchObjective,
@@ -16,7 +17,6 @@ use crumple_search::falsify::campaign::{
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
 use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_store::disk::StagedFiles;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

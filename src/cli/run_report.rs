@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Serialize;
 
 use crumple_core::quoting::TerminalText;
-use crumple_world::measure::stl::FormulaPart;
-use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasures};
+use crumple_measure::stl::FormulaPart;
+use crumple_measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasures};
 use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
 use crumple_world::sim::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
 

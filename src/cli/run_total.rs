@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use crumple_core::quoting::TerminalText;
-use crumple_world::measure::ContactRole;
+use crumple_measure::ContactRole;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Outcome;
 

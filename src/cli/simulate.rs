@@ -12,12 +12,12 @@ use super::run_report::{
 };
 use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 use super::{CliError, args, feature, value_enums};
+use crumple_measure::{Specification, SpecificationError};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
-use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PlantKind, Scenario, built_in_scenario, file};
 use crumple_world::sim::{

@@ -17,8 +17,8 @@ use crumple_evidence::{
     CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan,
     SampleSizeError, report_json, required_runs, shipped_kernels,
 };
+use crumple_measure::Specification;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
+use crumple_measure::Specification;
 use crumple_report::assessment::{
     AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess,
 };
@@ -13,7 +14,6 @@ use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
     ShieldSettings,
 };
-use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{

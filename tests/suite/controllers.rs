@@ -1,9 +1,9 @@
 //! Properties of every built-in controller for any observation.
 
+use crumple_measure::ttc_s;
 use crumple_world::control::{
     AebSettings, Baseline, BuiltIn, Controller, ControllerSource, ControllerSpec, Ego, Role,
 };
-use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
 

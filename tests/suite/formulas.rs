@@ -1,7 +1,7 @@
 //! Measures of runs, and formulas over them.
 
 use crumple_fuzzing::formula_from_bytes;
-use crumple_world::measure::stl::{
+use crumple_measure::stl::{
     Formula, SampledSignals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
 };
 use crumple_world::sim::{AfterContact, Trace, Track};

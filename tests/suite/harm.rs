@@ -2,11 +2,11 @@
 
 use crumple_core::interval::RateInterval;
 use crumple_core::observer::Quiet;
+use crumple_measure::harm_of_pair;
 use crumple_report::assessment::HarmConfig;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, SearchObjective};
 use crumple_spaces::{HUMAN_SPACES, built_in_space};
-use crumple_world::measure::harm_of_pair;
 use crumple_world::scenario::file;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 

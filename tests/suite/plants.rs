@@ -1,12 +1,12 @@
 //! Plants and sensor faults: proofs refuse them, and replays with the multi-body plant.
 
 use crumple_core::observer::Quiet;
+use crumple_measure::Specification;
 use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
     AvoidOptions, AvoidanceVerdict, SensorFailure, attack_sensors, avoid, covers_scenario,
 };
 use crumple_verify::Assumption;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, LeadProfile, PlantKind, Scenario, ScenarioSpec, SensorFaults, VehicleClass,

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use crumple_learn::rl::TrainingConfig;
+use crumple_measure::UsefulnessMeasures;
 use crumple_spaces::built_in_space;
 use crumple_world::control::{ControllerSpec, IntoSource};
-use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, built_in_scenario};

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
+use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_spaces::{ScenarioSpace, built_in_space};
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PlantKind, file};
 use crumple_world::sim::{NamedController, RunOptions};

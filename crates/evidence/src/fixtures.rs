@@ -1,8 +1,8 @@
 //! Plans and folders for tests.
 
+use crumple_measure::Specification;
 use crumple_spaces::built_in_space;
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

@@ -1,10 +1,10 @@
 //! Runs of a scenario on the page: verdicts, diagrams, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
+use crumple_measure::UnnecessaryBraking;
 use crumple_report::draw::{
     self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
 };
-use crumple_world::measure::UnnecessaryBraking;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use crumple_world::sim::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::TestCase;
-use crumple_world::measure::ContactRole;
+use crumple_measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{SimulationResult, Track};
 

@@ -1,9 +1,7 @@
 //! Generation of STL formulas from bytes.
 
+use crumple_measure::stl::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 use crumple_testing::generator::Choices;
-use crumple_world::measure::stl::{
-    ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow,
-};
 
 const MAX_DEPTH: u32 = 3;
 

@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crumple_measure::ContactRole;
+use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
 use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource, ShieldSettings};
-use crumple_world::measure::ContactRole;
-use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{ScenarioFileError, from_json, from_toml, to_toml};

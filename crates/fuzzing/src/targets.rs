@@ -17,7 +17,7 @@ use crumple_exchange::openscenario::{OpenScenarioSource, ParameterDistributionFi
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
 use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
-use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
+use crumple_measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::scenario::file::{from_toml, to_toml};
@@ -470,7 +470,7 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     };
     let formula: Formula = match text.parse() {
         Ok(formula) => formula,
-        Err(crumple_world::measure::stl::FormulaParseError { column, problem }) => {
+        Err(crumple_measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
             let is_there = columns.contains(&column);
             return ensure(is_there, Invariant::Reading, text, || {

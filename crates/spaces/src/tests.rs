@@ -3,8 +3,8 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
+use crumple_measure::UsefulnessMeasures;
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 

@@ -6,12 +6,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crumple_core::digits::format_rounded;
-use crumple_search::falsify::counterexample::Avoidability;
-use crumple_world::control::IntoSource;
-use crumple_world::measure::{
+use crumple_measure::{
     DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification,
     peak_jerk_mps3,
 };
+use crumple_search::falsify::counterexample::Avoidability;
+use crumple_world::control::IntoSource;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RunError, SimulationResult};
 
@@ -146,7 +146,7 @@ impl Property {
 
     /// No vehicle deviates more from its speed than its leader, from the leader's first change of speed on. Meant for
     /// [`Scenarios::line_of_five`](super::Scenarios::line_of_five). This is a property of one manoeuvre: other
-    /// disturbances may grow where this one shrinks ([`GainSurvey`](crumple_world::measure::GainSurvey)).
+    /// disturbances may grow where this one shrinks ([`GainSurvey`](crumple_measure::GainSurvey)).
     #[must_use]
     pub fn no_amplification() -> Self {
         Self::with_preconditions("no amplification", |controller, scenario| {

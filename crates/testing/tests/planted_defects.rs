@@ -8,7 +8,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crumple_testing::world::measure::SpecificationError;
+use crumple_measure::SpecificationError;
 use crumple_testing::world::observation::{EstimatorKind, Observation};
 use crumple_testing::world::scenario::Scenario;
 use crumple_testing::{

@@ -84,7 +84,8 @@ impl Idm {
     }
 
     /// Returns the deceleration a (s*/s)² because of the leader alone, in m/s², never negative.
-    pub(crate) fn interaction_brake_mps2(&self, speed_mps: f64, ahead: [f64; 2]) -> f64 {
+    #[must_use]
+    pub fn interaction_brake_mps2(&self, speed_mps: f64, ahead: [f64; 2]) -> f64 {
         self.accel_mps2 * self.interaction(speed_mps, ahead)
     }
 }

@@ -1,4 +1,4 @@
-//! Simulation of longitudinal traffic: scenarios, controllers, engines with identical results, and measures.
+//! Simulation of longitudinal traffic: scenarios, controllers, and engines with identical results.
 //!
 //! Each module uses only modules above it:
 //!
@@ -8,7 +8,7 @@
 //! | [`observation`] | observations of controllers |
 //! | `settings` | settings of controllers: numbers with a default, a range and a typical range |
 //! | `idm` | the Intelligent Driver Model: a controller, a base controller and a reference |
-//! | `required_brake` | the deceleration that avoids a braking leader |
+//! | [`required_brake`] | the deceleration that avoids a braking leader |
 //! | [`policy`] | actor networks, their file and their evaluation |
 //! | [`network`] | imported networks: ONNX, Stable-Baselines3 |
 //! | [`process`] | the line protocol of controller processes, and their failures |
@@ -16,18 +16,16 @@
 //! | [`scenario`] | scenarios: vehicles, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | sensors and the Kalman filter |
 //! | [`sim`] | exact steps, collision times, three step loops with identical results, the trace |
-//! | [`measure`] | surrogate safety measures; signal temporal logic and its monitor |
 
 pub mod control;
 pub mod estimate;
 mod idm;
-pub mod measure;
 pub mod network;
 pub mod observation;
 pub mod policy;
 pub mod process;
 pub mod random;
-mod required_brake;
+pub mod required_brake;
 pub mod scenario;
 mod settings;
 pub mod sim;

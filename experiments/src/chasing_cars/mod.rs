@@ -13,8 +13,8 @@ use self::replay::{finer_robustness, replayed_robustness};
 use crate::ExperimentError;
 use crate::falsification::{Problem, print_table};
 use crate::work::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
+use crumple::measure::stl::Formula;
 use crumple::search::falsify::UnitCube;
-use crumple::world::measure::stl::Formula;
 
 /// Minimum violation of a counterexample, in metres.
 const MARGIN_M: f64 = 0.01;

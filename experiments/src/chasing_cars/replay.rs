@@ -2,7 +2,7 @@
 
 use crate::ExperimentError;
 use crate::work::chasing_cars::{ChasingCarsInputs, STEP_S};
-use crumple_world::measure::stl::{Formula, SampledSignals, naive_robustness};
+use crumple_measure::stl::{Formula, SampledSignals, naive_robustness};
 
 /// Ratio of the step to the finer step. Guards are checked per step, so violations may depend on it.
 const FINER_STEP_DIVISOR: usize = 5;

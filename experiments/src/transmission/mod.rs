@@ -11,8 +11,8 @@ mod model;
 use self::model::{DURATION_S, MAX_BRAKE, MAX_THROTTLE, STEP_S, simulate};
 use crate::ExperimentError;
 use crate::falsification::{Problem, print_table};
+use crumple::measure::stl::Formula;
 use crumple::search::falsify::UnitCube;
-use crumple::world::measure::stl::Formula;
 
 /// Duration of a piece of the inputs, in seconds, of each instance.
 const PIECE_S: [usize; 2] = [1, 5];

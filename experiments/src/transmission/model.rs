@@ -16,7 +16,7 @@
 
 use std::f64::consts::PI;
 
-use crumple_world::measure::stl::{SampledSignals, SignalsError};
+use crumple_measure::stl::{SampledSignals, SignalsError};
 
 pub(super) const STEP_S: f64 = 0.01;
 pub(super) const DURATION_S: usize = 30;

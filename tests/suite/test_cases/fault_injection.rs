@@ -13,11 +13,11 @@ use crumple_fuzzing::{
     Crumple, Invariant, ORACLES, ObservationSample, OracleFn, ScenarioFormat, System,
     TEST_CASE_BYTES, TestCase,
 };
+use crumple_measure::ContactRole;
+use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
 use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
-use crumple_world::measure::ContactRole;
-use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::ScenarioFileError;

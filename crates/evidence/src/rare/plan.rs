@@ -8,9 +8,9 @@ use super::{RareEstimate, SplittingConfig, SplittingLevels};
 use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
+use crumple_measure::{Specification, SpecificationError};
 use crumple_spaces::{ScenarioSpace, file};
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{

@@ -3,8 +3,8 @@
 use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
+use crumple_measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
 use crumple_world::control::ControllerFailure;
-use crumple_world::measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
 use crumple_world::observation::{Neighbour, Observation};
 use crumple_world::scenario::{
     Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,

@@ -3,7 +3,7 @@
 use super::engines::result_bits;
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::measure::LeadMeasures;
+use crumple_measure::LeadMeasures;
 use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, SimulationResult, Track};
 

@@ -2,7 +2,7 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
-use crumple_world::measure::ContactRole;
+use crumple_measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{AfterContact, Outcome, VehiclePair};
 

@@ -3,10 +3,9 @@
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
 use crate::formula::formula_from_bytes;
-use crumple_world::measure::stl::naive_robustness;
-use crumple_world::measure::stl::{
+use crumple_measure::stl::{
     ComparisonOp, Formula, FormulaError, LinearPredicate, MonitorError, SampledSignals,
-    SignalsError, TimeWindow,
+    SignalsError, TimeWindow, naive_robustness,
 };
 use crumple_world::sim::Trace;
 

@@ -1,7 +1,7 @@
 //! Driving costs in the reward.
 
 #[cfg(doc)]
-use crumple_world::measure::justified_brake_mps2;
+use crumple_measure::justified_brake_mps2;
 use serde::{Deserialize, Serialize};
 
 const MAX_WEIGHT: f64 = 100.0;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
-use crumple_world::measure::harm;
+use crumple_measure::harm;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
 use crumple_world::sim::{Motion, Run, StepView, Stepper};

@@ -5,7 +5,7 @@
 use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
 use super::source::EGO;
-use crumple_world::measure::{PairState, justified_brake_mps2};
+use crumple_measure::{PairState, justified_brake_mps2};
 use crumple_world::sim::{Motion, StepView, Stepper};
 
 /// Full braking on a dry road, in m/s²: the reference of decelerations.

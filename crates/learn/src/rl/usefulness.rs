@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+use crumple_measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_spaces::built_in_space;
 use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
-use crumple_world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::Rounded;
 use super::commands::controller_arg;
 use super::table::CellMark;
-use crumple_world::measure::{self, ContactRole, Measures};
+use crumple_measure::{ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
@@ -249,7 +249,7 @@ fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
     let pairs = trace.pairs(rear);
     let pair = pairs.last().filter(|pair| pair.span_s[1].is_infinite())?;
     let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
-    measure::ttc_s(pair.gaps_m().last()?.1, closing_mps)
+    crumple_measure::ttc_s(pair.gaps_m().last()?.1, closing_mps)
         .filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 
@@ -320,7 +320,7 @@ pub(super) fn run_cases(
 
 impl PileUp {
     fn from_simulated(simulated: &SimulationResult) -> Option<Self> {
-        let of = |vehicle| measure::max_delta_v_mps(&simulated.impacts, vehicle);
+        let of = |vehicle| crumple_measure::max_delta_v_mps(&simulated.impacts, vehicle);
         (!simulated.impacts.is_empty()).then(|| Self {
             impacts: simulated.impacts.len(),
             vehicles: simulated.vehicles_involved(),
@@ -376,7 +376,7 @@ impl RoundedLeadMeasures {
             .collect();
         // At a collision the required deceleration is infinite, so there is no maximum.
         let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
-        let demand = |of: fn(&measure::LeadMeasures) -> Option<f64>| {
+        let demand = |of: fn(&crumple_measure::LeadMeasures) -> Option<f64>| {
             if touched {
                 None
             } else {

@@ -65,10 +65,10 @@ pub use run_ends::RunEnds;
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
+use crumple_measure::GainError;
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
-use crumple_world::measure::GainError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;

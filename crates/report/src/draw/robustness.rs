@@ -8,7 +8,7 @@ use super::panel::{HEADING_HEIGHT, Panel};
 use super::scale::{extent, pad_interval};
 use super::theme::{Ink, Stroke, TEXT_SIZE};
 use super::{PixelPoint, Svg};
-use crumple_world::measure::stl::FormulaPart;
+use crumple_measure::stl::FormulaPart;
 
 /// Number of parts that are drawn; a figure with all parts of a long formula is unreadable.
 const MAX_PARTS: usize = 12;

@@ -1,7 +1,7 @@
 //! Evaluation of scenarios by a specification, alone or with a partner simulation.
 
 use super::failure_criterion::FailureCriterion;
-use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
+use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::measure::RunVerdict;
+use crumple_measure::RunVerdict;
 use crumple_world::sim::{NamedController, UnknownController};
 
 /// A condition that a partner simulation must satisfy for a failure to count.

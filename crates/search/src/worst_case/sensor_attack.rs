@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::attack::{AttackError, check_size};
 use crumple_core::observer::{Observer, RunProgress};
-use crumple_world::measure::UnnecessaryBraking;
+use crumple_measure::UnnecessaryBraking;
 use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 

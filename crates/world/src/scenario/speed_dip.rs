@@ -62,12 +62,11 @@ pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidF
 mod tests {
     use super::*;
     use crate::control::ControllerSpec;
-    use crate::measure::SpeedAmplification;
     use crate::observation::EstimatorKind;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
-    fn the_dip_takes_four_metres_a_second_off_and_a_line_of_cruise_controls_carries_it_back() {
+    fn the_dip_takes_four_metres_a_second_off() {
         let scenario = speed_dip(5, 1.5).unwrap();
         assert!(
             (1..=5).all(|index| scenario.is_under_test(index)
@@ -83,8 +82,6 @@ mod tests {
         let leader = &trace.vehicles[0].speed_mps;
         let slowest_mps = leader.iter().copied().fold(f64::INFINITY, f64::min);
         assert!((slowest_mps - 16.0).abs() < 1e-9 && (leader.last().unwrap() - 20.0).abs() < 1e-9);
-        let found = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
-        assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
         assert!(
             speed_dip(0, 1.5).is_err()
                 && speed_dip(5, 0.0).is_err()

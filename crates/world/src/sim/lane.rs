@@ -5,7 +5,7 @@ use super::trace::Track;
 use crate::scenario::{LaneChange, VehicleSpec};
 
 /// Tolerance around the end of a step, in seconds: sums of steps are rounded.
-pub(crate) const TIME_TOLERANCE_S: f64 = 1e-9;
+pub const TIME_TOLERANCE_S: f64 = 1e-9;
 
 #[derive(Debug, Clone)]
 pub(super) struct LaneState {

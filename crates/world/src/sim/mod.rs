@@ -20,17 +20,15 @@ mod stepper;
 mod trace;
 
 pub use crate::control::ShieldRefusal;
-pub(crate) use lane::TIME_TOLERANCE_S;
+pub use lane::TIME_TOLERANCE_S;
 pub use lockstep::simulate_batch;
-pub use motion::Motion;
-pub(crate) use motion::closest_gap_m;
+pub use motion::{Motion, closest_gap_m};
 pub use named::{NamedController, RefusedController, UnknownController};
 pub use outcome::{
     AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome,
     SimulationResult, VehicleSummary,
 };
-pub use recorder::RecordingLevel;
-pub(crate) use recorder::ttc_s;
+pub use recorder::{RecordingLevel, ttc_s};
 pub use run::{OpenLoopController, Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::Intervention;

@@ -134,7 +134,8 @@ pub(super) fn first_zero(
 }
 
 /// Returns the minimum gap between two vehicles at any instant after now and up to `dt_s`, in metres.
-pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
+#[must_use]
+pub fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
     closest_gap_given_ends_m(
         [front, rear],
         [front.after(dt_s), rear.after(dt_s)],

@@ -12,7 +12,6 @@ use crate::control::{
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{self, ControllerFileError, is_regular_file};
-use crumple_core::text_file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller under test and its name.
 ///

@@ -33,7 +33,8 @@ pub(super) fn raise_max_brake(so_far_mps2: f64, acceleration_mps2: f64) -> f64 {
 
 /// Returns the time to collision in seconds; infinite for a gap that does not close, 0 for a negative gap.
 #[inline]
-pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
+#[must_use]
+pub fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
     if closing_mps > 0.0 {
         gap_m.max(0.0) / closing_mps
     } else {

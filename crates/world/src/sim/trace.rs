@@ -50,7 +50,9 @@ impl Track {
         from_s - TIME_TOLERANCE_S <= time_s && time_s < to_s - TIME_TOLERANCE_S
     }
 
-    pub(crate) fn motion(&self, sample: usize) -> Option<Motion> {
+    /// Returns the motion at a sample; `None` beyond the last one.
+    #[must_use]
+    pub fn motion(&self, sample: usize) -> Option<Motion> {
         Some(Motion {
             position_m: *self.position_m.get(sample)?,
             speed_mps: *self.speed_mps.get(sample)?,
@@ -187,7 +189,8 @@ impl<'a> VehiclePair<'a> {
     }
 
     /// Returns the samples within `span_s`, including both ends.
-    pub(crate) fn samples(&self) -> Range<usize> {
+    #[must_use]
+    pub fn samples(&self) -> Range<usize> {
         let [from_s, to_s] = self.span_s;
         let first = self
             .time_s
@@ -199,7 +202,8 @@ impl<'a> VehiclePair<'a> {
     }
 
     /// Returns the motions of front and rear vehicle at a time in seconds.
-    pub(crate) fn motion_at(&self, time_s: f64) -> Option<[Motion; 2]> {
+    #[must_use]
+    pub fn motion_at(&self, time_s: f64) -> Option<[Motion; 2]> {
         Some([
             self.front.motion_at(self.time_s, time_s)?,
             self.rear.motion_at(self.time_s, time_s)?,

@@ -9,7 +9,7 @@ use crate::assessment::case::CaseVerdict;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::{AssessError, Rounded};
 use crumple_evidence::exposure::IntervalEstimate;
-use crumple_world::measure::{self, FollowingMeasures};
+use crumple_measure::FollowingMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
 use crumple_world::sim::{NamedController, RecordingLevel, RunOptions, SimulationResult};
@@ -58,7 +58,7 @@ fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
 
 pub(super) struct EverydayDrive {
     verdict: CaseVerdict,
-    usefulness: Option<measure::UsefulnessMeasures>,
+    usefulness: Option<crumple_measure::UsefulnessMeasures>,
     /// Duration until the end or a collision, in seconds.
     duration_s: f64,
 }
@@ -113,7 +113,7 @@ impl EverydayDrive {
     pub(super) fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego).and_then(|(trace, ego)| {
-            measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
+            crumple_measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
         });
         let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
         let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
@@ -140,10 +140,10 @@ impl ControllerUsefulness {
             .filter(answered)
             .filter_map(|drive| drive.usefulness)
             .collect();
-        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| {
+        let count = |is: &dyn Fn(&crumple_measure::UsefulnessMeasures) -> bool| {
             all.iter().filter(|one| is(one)).count() as u64
         };
-        let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
+        let mean = |of: &dyn Fn(&crumple_measure::UsefulnessMeasures) -> Option<f64>| {
             let (sum, n) = all
                 .iter()
                 .filter_map(of)

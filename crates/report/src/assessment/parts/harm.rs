@@ -19,8 +19,8 @@ use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, ReportPart, Rounded};
+use crumple_measure::harm;
 use crumple_search::falsify::counterexample::Avoidability;
-use crumple_world::measure::harm;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult,

@@ -10,7 +10,7 @@ use crate::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg,
     draw_legend,
 };
-use crumple_world::measure::{
+use crumple_measure::{
     GAIN_FREQUENCIES_RAD_PER_S, GAIN_SPEEDS_MPS, GainSurvey, NoGain, OSCILLATION_AMPLITUDE_MPS,
     OperatingPoint,
 };
@@ -391,7 +391,7 @@ fn gain_panel(one: &ControllerUsefulness, frame: PixelRect) -> Panel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::measure::MeasuredGain;
+    use crumple_measure::MeasuredGain;
 
     fn measured(gains: Vec<Result<f64, NoGain>>) -> OscillationGain {
         let at = OperatingPoint {

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::{CampaignError, SearchObjective};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
+use crumple_measure::Specification;
 use crumple_spaces::{ScenarioSpace, SpaceSpec};
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

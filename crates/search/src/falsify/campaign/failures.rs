@@ -2,7 +2,7 @@
 
 use super::EvaluatedPoint;
 use crate::falsify::Method;
-use crumple_world::measure::{BrakingLevel, RunVerdict, Specification};
+use crumple_measure::{BrakingLevel, RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, VehicleClass};
 
 /// Kind of a failure, which distinguishes the colliding vehicles, the ego vehicle's braking and the rear class.

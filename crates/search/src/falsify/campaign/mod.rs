@@ -51,9 +51,9 @@ use std::ops::RangeInclusive;
 
 use super::InvalidPoints;
 use crumple_core::observer::Stopped;
+use crumple_measure::{RunVerdict, SpecificationError};
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::measure::{RunVerdict, SpecificationError};
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 

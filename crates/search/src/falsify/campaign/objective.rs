@@ -90,7 +90,7 @@ impl FromStr for SearchObjective {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::measure::RunVerdict;
+    use crumple_measure::RunVerdict;
     use proptest::prelude::*;
 
     fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> EvaluatedPoint {

@@ -7,8 +7,8 @@ use super::{
     CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective,
 };
 use crate::falsify::{Method, UnitCube};
+use crumple_measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_world::scenario::Scenario;
 
 #[derive(Debug, Clone)]

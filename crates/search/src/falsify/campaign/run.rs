@@ -11,9 +11,9 @@ use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog, MAX_BUDGET,
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
+use crumple_measure::RunVerdict;
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
-use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::NamedController;
 

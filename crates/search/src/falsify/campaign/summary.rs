@@ -9,7 +9,7 @@ use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
-use crumple_world::measure::Specification;
+use crumple_measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::FailedControllerRuns;
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::confirmation::escape_survives;
 use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
-use crumple_world::measure::{RunVerdict, Specification};
+use crumple_measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
 /// Answer to the question whether any controller could have avoided a failure. [`avoid`] defines the classes.

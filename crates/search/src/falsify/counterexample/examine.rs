@@ -13,7 +13,7 @@ use crate::confirmation::CONFIRMING_PLANT;
 use crate::falsify::campaign::{
     Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig,
 };
-use crumple_world::measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
+use crumple_measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
 

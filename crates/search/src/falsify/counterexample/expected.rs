@@ -8,7 +8,7 @@ use super::{Avoidability, AvoidabilityClass};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord};
 use crumple_core::text_file::{self, FileError};
-use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
+use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, ScenarioFileError};
 use crumple_world::sim::{NamedController, UnknownController};

@@ -71,7 +71,7 @@ settings! {
 /// Share of the available braking. If avoiding the leader requires more than that, the ego vehicle brakes as required;
 /// before that it may brake less.
 const LATEST_BRAKE_SHARE: f64 = 0.97;
-/// Braking harder than this counts as hard ([`crate::measure`]: 4 m/s², less errors of the estimate), in m/s².
+/// Braking harder than this counts as hard (`crumple_measure`: 4 m/s², less errors of the estimate), in m/s².
 const HARD_BRAKE_MPS2: f64 = 3.8;
 /// Justified deceleration below which hard braking counts as unnecessary, in m/s² (3 m/s², plus errors of the
 /// estimate).
@@ -274,7 +274,7 @@ impl State {
     }
 
     /// Limits braking to a little more than the motion of the leader justifies, by the definition of
-    /// [`UnnecessaryBraking`](crate::measure::UnnecessaryBraking), unless the leader brakes hard.
+    /// `crumple_measure::UnnecessaryBraking`, unless the leader brakes hard.
     fn limited(&self, wanted_mps2: f64, required_mps2: f64, outlook: &Outlook) -> f64 {
         if self.leader.brakes_hard() {
             return wanted_mps2;

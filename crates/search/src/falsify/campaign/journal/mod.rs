@@ -17,9 +17,9 @@ use std::time::{Duration, Instant};
 
 use crumple_core::digest::Sha256;
 use crumple_core::regular_file;
+use crumple_measure::RunVerdict;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::run_folder::{Prefix, RunFolder, RunFolderError};
-use crumple_world::measure::RunVerdict;
 use record::{JournalEntry, RECORD_BYTES, is_all_zero, read_record, record_checksum};
 pub(super) use record::{decode, encode};
 
@@ -192,7 +192,7 @@ fn header_line(identity: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::measure::{BrakingLevel, FirstContact};
+    use crumple_measure::{BrakingLevel, FirstContact};
     use crumple_world::scenario::VehicleClass;
 
     fn identity() -> String {

@@ -4,9 +4,9 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use crumple_core::digest::Sha256;
+use crumple_measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 
 /// Robustness, time and impact speed (doubles), two vehicles (32 bits), braking level or a code, and class (bytes).

@@ -2,12 +2,12 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::*;
-use crate::control::{
+use crumple_world::control::{
     Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings, IntoSource,
 };
-use crate::observation::{EstimatorKind, Observation};
-use crate::scenario::{FollowingLine, SpeedOscillation};
-use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::scenario::{FollowingLine, SpeedOscillation};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 /// A linear law for gap, speed and closing speed: a = `stiffness` (gap - `time_gap` v) + `damping` (v_leader - v).
 #[derive(Clone, Copy)]

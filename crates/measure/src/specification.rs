@@ -8,8 +8,8 @@ use super::stl::{
     motion_signal_names, motion_signals, signal_column,
 };
 use super::{ContactRole, DrivingRule};
-use crate::scenario::{Scenario, VehicleClass};
-use crate::sim::{
+use crumple_world::scenario::{Scenario, VehicleClass};
+use crumple_world::sim::{
     AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
 };
 
@@ -17,7 +17,7 @@ use crate::sim::{
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::measure::Specification;
+/// use crumple_measure::Specification;
 /// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::RunOptions;
 ///

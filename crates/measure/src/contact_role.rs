@@ -1,7 +1,7 @@
 //! Roles of the vehicles under test in a contact.
 
-use crate::scenario::Scenario;
-use crate::sim::Contact;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::Contact;
 
 /// Role of the vehicles under test in a contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

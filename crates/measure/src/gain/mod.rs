@@ -14,9 +14,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use self::run::LineRuns;
-use crate::control::ControllerSource;
-use crate::scenario::InvalidField;
-use crate::sim::RunError;
+use crumple_world::control::ControllerSource;
+use crumple_world::scenario::InvalidField;
+use crumple_world::sim::RunError;
 
 /// Amplitude of the leader's speed, in m/s.
 pub const OSCILLATION_AMPLITUDE_MPS: f64 = 0.3;

@@ -1,7 +1,7 @@
 //! Proximity: time to collision, time headway and time gap.
 
 use super::approach::{Approach, PairState};
-use crate::sim;
+use crumple_world::sim;
 
 /// Returns the time to collision in seconds at constant speeds, `TTC = gap / closing speed`.
 ///
@@ -71,7 +71,7 @@ impl Approach {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::testing::pair_trace;
+    use crate::testing::pair_trace;
 
     #[test]
     fn time_to_collision_by_hand() {

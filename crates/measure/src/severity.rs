@@ -1,6 +1,6 @@
 //! Severity: impact speeds, changes of speed, and involved vehicles.
 
-use crate::sim::Impact;
+use crumple_world::sim::Impact;
 
 /// Returns the impacts that involve vehicle `index`: those in which it is among the vehicles that stick together.
 pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Impact> {
@@ -37,8 +37,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::impact;
-    use crate::sim::Contact;
+    use crate::testing::impact;
+    use crumple_world::sim::Contact;
 
     #[test]
     fn a_truck_into_a_car_by_hand() {

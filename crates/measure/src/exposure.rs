@@ -78,8 +78,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
-    use crate::sim::Trace;
+    use crate::testing::{driven_track, impact, pair_trace, trace};
+    use crumple_world::sim::Trace;
 
     #[test]
     fn a_steady_approach_by_hand() {

@@ -10,7 +10,7 @@
 //! (rear-end), which overstates the harm of touching at walking speed. No curve for lorries could be read, so that they
 //! use the same curves. The mass of a lorry makes its Δv against a car small.
 
-use crate::sim::Impact;
+use crumple_world::sim::Impact;
 
 const MPH_PER_MPS: f64 = 3600.0 / 1609.344;
 
@@ -63,7 +63,7 @@ pub fn harm_of_pair(impact_speed_mps: f64, [front_kg, rear_kg]: [f64; 2]) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::testing::impact;
+    use crate::testing::impact;
 
     #[test]
     fn a_car_behind_a_car_by_hand() {

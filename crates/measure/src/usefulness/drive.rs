@@ -1,8 +1,8 @@
 //! Steps of a vehicle until its first impact.
 
-use crate::measure::approach::PairState;
-use crate::measure::severity::impacts_of;
-use crate::sim::{Impact, TIME_TOLERANCE_S, Trace};
+use crate::approach::PairState;
+use crate::severity::impacts_of;
+use crumple_world::sim::{Impact, TIME_TOLERANCE_S, Trace};
 
 /// A step of a drive.
 #[derive(Debug, Clone, Copy)]

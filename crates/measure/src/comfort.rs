@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::sim::Track;
+use crumple_world::sim::Track;
 
 /// Time window of [`peak_jerk_mps3`], in seconds.
 ///
@@ -95,7 +95,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, trace};
+    use crate::testing::{driven_track, trace};
 
     fn jerk_of(pieces: &[(f64, f64)], step_s: f64, window_s: f64) -> f64 {
         let trace = trace(vec![driven_track(4.0, 0.0, 100.0, pieces, step_s)], step_s);

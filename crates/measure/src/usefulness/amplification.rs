@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::sim::Trace;
+use crumple_world::sim::Trace;
 
 /// Largest deviation from the leader's speed at which vehicles count as driving at one speed, in m/s.
 pub const SETTLED_TOLERANCE_MPS: f64 = 0.5;
@@ -14,7 +14,7 @@ pub const MIN_DEVIATION_MPS: f64 = 0.1;
 /// speeds.
 ///
 /// The ratio of peaks is `max_t |v_i - v_i(t_0)| / max_t |v_(i-1) - v_(i-1)(t_0)|`. Above 1 a disturbance grows. This
-/// describes one disturbance: others may grow where this one shrinks. [`GainSurvey`](crate::measure::GainSurvey)
+/// describes one disturbance: others may grow where this one shrinks. [`GainSurvey`](crate::GainSurvey)
 /// measures oscillations of many frequencies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -75,7 +75,11 @@ impl SpeedAmplification {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::testing::{driven_track, trace};
+    use crate::testing::{driven_track, trace};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::observation::EstimatorKind;
+    use crumple_world::scenario::{SPEED_DIP_ONSET_S, speed_dip};
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     /// Creates a trace in which each vehicle brakes after a second at 20 m/s for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {
@@ -138,5 +142,16 @@ mod tests {
             ),
             None
         );
+    }
+
+    #[test]
+    fn a_line_of_cruise_controls_carries_a_speed_dip_back() {
+        let scenario = speed_dip(5, 1.5).unwrap();
+        let acc = ControllerSpec::from_name("acc-aeb").unwrap();
+        let options = RunOptions::new(acc).with_estimator(EstimatorKind::Truth);
+        let run = Run::new(&scenario, options).unwrap();
+        let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
+        let found = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
+        assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
     }
 }

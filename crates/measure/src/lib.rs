@@ -16,6 +16,8 @@ mod driving_rule;
 mod exposure;
 mod gain;
 mod harm;
+#[cfg(test)]
+mod lane_tests;
 mod proximity;
 mod severity;
 mod specification;
@@ -49,7 +51,7 @@ pub use usefulness::{
     UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
 };
 
-use crate::sim::{Impact, Trace};
+use crumple_world::sim::{Impact, Trace};
 
 /// Measures of a run for one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -150,7 +152,7 @@ mod tests {
 
     use super::testing::{driven_track, impact, pair_trace, trace};
     use super::*;
-    use crate::sim::Track;
+    use crumple_world::sim::Track;
 
     fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
         (0..trace.vehicles.len())

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::measure::testing::{driven_track, impact, trace};
+use crate::testing::{driven_track, impact, trace};
 
 /// Creates a trace of a vehicle at 20 m/s, 200 m behind a leader of that speed.
 fn steady_leader_trace(pieces: &[(f64, f64)]) -> Trace {

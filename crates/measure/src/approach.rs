@@ -1,6 +1,6 @@
 //! The approach of a vehicle to its leader, from which measures of a pair are computed.
 
-use crate::sim::{
+use crumple_world::sim::{
     Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m,
 };
 
@@ -251,7 +251,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
+    use crate::testing::{driven_track, impact, pair_trace, trace};
 
     #[test]
     fn the_smallest_gap_between_samples_is_found() {

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use super::amplitude::Wave;
 use super::{GainError, MeasuredGain, NoGain, OSCILLATION_AMPLITUDE_MPS, OperatingPoint};
-use crate::control::ControllerSource;
-use crate::observation::EstimatorKind;
-use crate::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
-use crate::sim::{
+use crumple_world::control::ControllerSource;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
+use crumple_world::sim::{
     Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, Track,
     simulate_batch,
 };

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::drive::{DriveStep, drive_steps};
-use crate::control::{Idm, IdmSettings};
-use crate::measure::approach::PairState;
-use crate::measure::comfort::SlidingExtreme;
-use crate::measure::demand::required_brake_mps2;
-use crate::measure::proximity::time_gap_s;
-use crate::sim::{Impact, Trace};
+use crate::approach::PairState;
+use crate::comfort::SlidingExtreme;
+use crate::demand::required_brake_mps2;
+use crate::proximity::time_gap_s;
+use crumple_world::control::{Idm, IdmSettings};
+use crumple_world::sim::{Impact, Trace};
 
 /// Deceleration beyond the justified one that makes braking unnecessary, in m/s².
 ///
@@ -135,11 +135,7 @@ impl UnnecessaryBraking {
     /// Returns the margin of vehicle `index` to unnecessary braking, in m/s². Without unnecessary braking it is the
     /// smallest margin of the drive. With unnecessary braking it is negative: minus the largest excess. `None` if there
     /// is no such vehicle, or it never reaches [`MIN_BRAKING_SPEED_MPS`].
-    pub(in crate::measure) fn margin_mps2(
-        trace: &Trace,
-        impacts: &[Impact],
-        index: usize,
-    ) -> Option<f64> {
+    pub(crate) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
         let margin =
             |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
         if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {

@@ -1,9 +1,9 @@
 //! Signals of a simulated run.
 
 use super::{SampledSignals, SignalsError};
-use crate::measure::approach::PairState;
-use crate::measure::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
-use crate::sim::Trace;
+use crate::approach::PairState;
+use crate::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
+use crumple_world::sim::Trace;
 
 const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
 /// Signals of every vehicle but the first, towards its leader.
@@ -139,11 +139,11 @@ fn lead_quantity(quantity: &str) -> Option<LeadQuantity> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::ControllerSpec;
-    use crate::measure::LeadMeasures;
-    use crate::measure::stl::Formula;
-    use crate::scenario::built_in_scenario;
-    use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crate::LeadMeasures;
+    use crate::stl::Formula;
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::built_in_scenario;
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {

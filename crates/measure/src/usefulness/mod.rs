@@ -21,7 +21,7 @@ pub use unnecessary::{
 use super::comfort::JERK_WINDOW_S;
 use super::demand::InducedBraking;
 use super::proximity::time_gap_s;
-use crate::sim::{Impact, Trace};
+use crumple_world::sim::{Impact, Trace};
 
 /// Speed above which a vehicle moves, in m/s. Below it a time gap has no meaning, and falling behind a leader does not
 /// count.
@@ -155,10 +155,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::control::ControllerSpec;
-    use crate::measure::testing::{driven_track, trace};
-    use crate::scenario::PaperDistribution;
-    use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crate::testing::{driven_track, trace};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::PaperDistribution;
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn how_a_vehicle_follows_by_hand() {

@@ -5,8 +5,8 @@ use std::str::FromStr;
 
 use super::demand::InducedBraking;
 use super::usefulness::{SpeedAmplification, UnnecessaryBraking};
-use crate::scenario::Scenario;
-use crate::sim::SimulationResult;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::SimulationResult;
 
 /// A rule that every vehicle under test must obey until its first impact, based on the measures of an assessment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,9 +126,9 @@ impl FromStr for DrivingRule {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::ControllerSpec;
-    use crate::scenario::PaperDistribution;
-    use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::PaperDistribution;
+    use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::prelude::*;
 
     #[test]

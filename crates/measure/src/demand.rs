@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::approach::Approach;
-pub use crate::required_brake::required_brake_mps2;
-use crate::sim::{Impact, Trace};
+pub use crumple_world::required_brake::required_brake_mps2;
+use crumple_world::sim::{Impact, Trace};
 
 /// Returns the deceleration rate to avoid a crash in m/s²: the constant deceleration of the follower that just avoids
 /// contact with a leader of constant speed, `DRAC = (closing speed)² / (2 gap)`.
@@ -89,7 +89,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
+    use crate::testing::{driven_track, impact, pair_trace, trace};
 
     #[test]
     fn deceleration_rate_to_avoid_a_crash_by_hand() {
