@@ -122,8 +122,8 @@ pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState,
-    ViabilityKernel, distance_and_speed_after, max_closing_m,
+    ErrorBounds, InvalidShieldSetting, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams,
+    ShieldSettings, ShieldState, ViabilityKernel, distance_and_speed_after, max_closing_m,
 };
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds, Override, ShieldedController};
 pub(crate) use source::ZeroOrderHold;
