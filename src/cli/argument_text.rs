@@ -31,7 +31,7 @@ pub(super) fn describe_first(arguments: &[OsString]) -> String {
         _ if takes_value(&before, arguments) => (&*before, &*argument),
         _ => ("argument", &*argument),
     };
-    format!("{option}: `{value}` is not UTF-8; use a name of UTF-8 characters here")
+    format!("{option}: `{value}` must be UTF-8; if it is the name of a file, rename the file")
 }
 
 /// Returns true if a word is an option of the subcommand, and needs a value.
@@ -40,9 +40,8 @@ fn takes_value(word: &str, arguments: &[OsString]) -> bool {
         return false;
     };
     let mut command = &build_command();
-    let mut words = arguments.iter().skip(1).filter_map(|word| word.to_str());
-    while let Some(below) = words.next().and_then(|word| command.find_subcommand(word)) {
-        command = below;
+    for word in arguments.iter().skip(1) {
+        command = command.find_subcommand(word).unwrap_or(command);
     }
     command
         .get_arguments()

@@ -308,7 +308,7 @@ fn an_argument_that_must_be_utf_8_is_named() {
     use std::os::unix::ffi::OsStrExt;
 
     let folder = temp_folder();
-    let name = "is not UTF-8; use a name of UTF-8 characters here";
+    let name = "must be UTF-8; if it is the name of a file, rename the file";
     for (before, argument, after, expected) in [
         (
             "simulate paper-1 --controller",
@@ -362,7 +362,7 @@ fn an_argument_that_must_be_utf_8_is_named() {
         .output();
     assert_refused(
         &output.expect("starts"),
-        "--controller: `\u{fffd}.onnx` is not UTF-8",
+        "--controller: `\u{fffd}.onnx` must be UTF-8",
     );
 }
 

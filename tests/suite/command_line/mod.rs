@@ -697,7 +697,7 @@ fn a_full_disk_under_standard_output_is_reported() {
         "completions bash",
         "list",
         "list controllers",
-        "show paper-1",
+        "show un-r152",
         "suite list",
         "doctor",
     ] {

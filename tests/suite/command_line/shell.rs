@@ -95,7 +95,7 @@ fn completions_have_the_built_in_names() {
         ("show hea", "heavy"),
         ("import a.csv --map openacc", "openacc"),
         ("replay a.csv --map ngs", "ngsim"),
-        ("train --preset paper", "paper-net paper"),
+        ("train --preset paper", "paper paper-net"),
         ("retrain --preset r", "retrain road"),
         ("retrain --policy r", "retrained road"),
         ("suite run fmvss", "fmvss-127"),
@@ -130,7 +130,7 @@ fn completions_have_the_built_in_names() {
             [
                 ":{compadd -- baseline baseline-unlatched ",
                 " paper-3; _files}",
-                " shield:road; _files}",
+                " shield:random-actions; _files}",
                 ":{compadd -- fmvss-127 ",
             ],
         ),
@@ -140,7 +140,7 @@ fn completions_have_the_built_in_names() {
                 " -r -F -a \"baseline\\t''\nbaseline-unlatched\\t''",
                 "-n \"__fish_crumple_using_subcommand simulate\" -a \"paper-1 paper-2 paper-3\"\n",
                 "-n \"__fish_crumple_using_subcommand suite; and __fish_seen_subcommand_from run\" -a \"fmvss-127 ",
-                "\nshield:road\t''\"",
+                "\nshield:random-actions\t''\"",
             ],
         ),
     ] {
@@ -150,7 +150,7 @@ fn completions_have_the_built_in_names() {
             " -r -f -a \"baseline",
             " -r -f -a \"paper",
             ":(baseline ",
-            ":(paper-1",
+            ":(paper-1 paper-2 paper-3)",
         ] {
             assert!(
                 !stdout(&script).contains(without_files),
