@@ -140,7 +140,7 @@ fn completions_have_the_built_in_names() {
                 " -r -F -a \"baseline\\t''\nbaseline-unlatched\\t''",
                 "-n \"__fish_crumple_using_subcommand simulate\" -a \"paper-1 paper-2 paper-3\"\n",
                 "-n \"__fish_crumple_using_subcommand suite; and __fish_seen_subcommand_from run\" -a \"fmvss-127 ",
-                "\nshield:random-actions\t''\"",
+                "\nshield:random-actions\\t''\"",
             ],
         ),
     ] {
