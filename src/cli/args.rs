@@ -15,19 +15,24 @@ use crumple_world::sim::{
     NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 
-/// Returns a built-in scenario, or loads one from a file.
-pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
-    if let Some(scenario) = built_in_scenario(name_or_path) {
+/// Returns the built-in scenario that an argument names.
+pub(super) fn find_built_in_scenario(name: &Path) -> Option<Scenario> {
+    built_in_scenario(name.to_str()?)
+}
+
+/// Returns a built-in scenario, or loads one from a file, whose name may be any bytes.
+pub(super) fn load_scenario(path: &Path) -> Result<Scenario, CliError> {
+    if let Some(scenario) = find_built_in_scenario(path) {
         return Ok(scenario);
     }
-    let path = Path::new(name_or_path);
     if path.extension().is_none() && !path.exists() {
         let known: Vec<_> = built_in_scenario_names()
             .iter()
             .map(|(name, _)| *name)
             .collect();
         return Err(CliError::Input(format!(
-            "`{name_or_path}` is neither a built-in scenario ({}) nor a file",
+            "`{}` is neither a built-in scenario ({}) nor a file",
+            path.display(),
             known.join(", ")
         )));
     }

@@ -52,7 +52,7 @@ A file configures more:
 A folder of scenarios may contain 10 000 files and 64 MiB. The limit is 64 MiB for a certificate, that of `import` \
 for a recording, and 3 MiB of TOML for any other file.
 
-Other gates for a controller: no-contact-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and \
+Other gates for a controller: no-collision-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and \
 `recordings`), no-collision-in-space (random scenarios of a space, one of `distributions` or `traffic` or \
 `high-risk`) and no-avoidable-failure (with a space), needless-braking-at-most and left-behind-at-most (with \
 percent), string-stable (no speed oscillation of 0.05 to 2 rad/s around 4 to 30 m/s grows from vehicle to \

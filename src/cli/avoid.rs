@@ -43,7 +43,7 @@ Examples:
 pub(super) struct Avoid {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
-    scenario: String,
+    scenario: PathBuf,
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = args::number)]
     grid: Option<f64>,
@@ -96,10 +96,10 @@ impl Avoid {
         };
         let avoidance = avoid(&scenario, options).map_err(|error| match error {
             AvoidError::Grid { .. } => CliError::Input(format!("--grid: {error}")),
-            other => CliError::Input(format!("{}: {other}", self.scenario)),
+            other => CliError::at(&self.scenario, other),
         })?;
         if let AvoidanceVerdict::Undecided(reason @ UndecidedReason::Plant) = &avoidance.verdict {
-            return Err(CliError::Input(format!("{}: {reason}", self.scenario)));
+            return Err(CliError::at(&self.scenario, reason));
         }
         let mut files = StagedFiles::default();
         self.stage_certificates(&scenario, &avoidance, &mut files)?;

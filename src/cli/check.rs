@@ -46,7 +46,7 @@ pub(super) struct Check {
     certificates: Vec<PathBuf>,
     /// Also check that the certificates are about this scenario
     #[arg(long, value_name = "S")]
-    scenario: Option<String>,
+    scenario: Option<PathBuf>,
     /// Policy file of certificates about a policy [default: the one next to the certificate]; for certificates about a
     /// network, its source to read again (F.onnx, F.zip, or the controller file F.toml)
     #[arg(long, value_name = "F")]
@@ -112,7 +112,10 @@ impl Check {
                 OutputFormat::Json => {
                     report_json(&all).map_err(CliError::input)? + &unchecked_to_json(&others)?
                 }
-                OutputFormat::Text => report_text(&all, self.scenario.as_deref()),
+                OutputFormat::Text => {
+                    let scenario = self.scenario.as_deref().map(Path::to_string_lossy);
+                    report_text(&all, scenario.as_deref())
+                }
             },
         );
         let gate = match refusal_message(&all) {

@@ -1,6 +1,6 @@
 //! `crumple explore`: scenarios and campaigns in the browser.
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use clap::Args;
 use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
@@ -26,7 +26,7 @@ pub(super) struct Explore {
     /// Initial scenarios, built-in or files, and folders of complete campaigns (`crumple falsify --out`).
     /// The browser shows the first one
     #[arg(value_name = "SCENARIO|CAMPAIGN")]
-    what: Vec<String>,
+    what: Vec<PathBuf>,
     /// Port; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u16>(0..=65_535))]
     port: u16,
@@ -55,21 +55,18 @@ impl Explore {
             estimator: self.estimator,
             ..ExploreConfig::default()
         };
-        let page = if self
-            .what
-            .first()
-            .is_some_and(|first| Path::new(first).is_dir())
-        {
+        let page = if self.what.first().is_some_and(|first| first.is_dir()) {
             "campaigns"
         } else {
             ""
         };
-        for name in self.what {
-            if Path::new(&name).is_dir() {
-                offer.campaigns.push(name.into());
+        for path in self.what {
+            if path.is_dir() {
+                offer.campaigns.push(path);
                 continue;
             }
-            let scenario = args::load_scenario(&name)?;
+            let scenario = args::load_scenario(&path)?;
+            let name = path.display().to_string();
             offer.scenarios.push(CatalogScenario { name, scenario });
         }
         let server = Server::bind(self.port, offer)?;

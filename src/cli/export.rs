@@ -7,16 +7,15 @@ use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
+use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, output, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{
-    AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate,
-};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]
@@ -42,7 +41,7 @@ Examples:
 pub(super) struct Export {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
-    scenarios: Vec<String>,
+    scenarios: Vec<PathBuf>,
     /// Format
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: ExportFormat,
@@ -62,15 +61,8 @@ pub(super) struct Export {
     /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
     #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::estimator())]
     estimator: Option<EstimatorKind>,
-    /// Behaviour after a collision
-    #[arg(
-        long,
-        alias = "after-contact",
-        value_name = "AFTER_COLLISION",
-        default_value = "stop",
-        value_parser = value_enums::after_collision()
-    )]
-    after_collision: AfterContact,
+    #[command(flatten)]
+    after_collision: AfterCollisionArgs,
     /// Folder for the files, created if missing; `exported.sha256` lists them. crumple replaces only files that it
     /// wrote there and that have not changed
     #[arg(long, value_name = "FOLDER")]
@@ -129,7 +121,7 @@ impl Export {
             if names.contains(&name) {
                 let problem = "would overwrite the file of another scenario of this command: use a separate --out for \
                                each";
-                return Err(CliError::Input(format!("{given}: {name}.xosc {problem}")));
+                return Err(CliError::at(given, format!("{name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
             let driven = self.controller_setup(given, &scenario)?;
@@ -174,7 +166,7 @@ impl Export {
     /// counterexample. `None` if no vehicle is under test, or the user supplies the controller in the other simulator.
     fn controller_setup(
         &self,
-        given: &str,
+        given: &Path,
         scenario: &Scenario,
     ) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
@@ -189,17 +181,17 @@ impl Export {
         if let Some(controller) = &self.controller {
             return driven(controller.clone(), None);
         }
-        if built_in_scenario(given).is_some() {
+        if args::find_built_in_scenario(given).is_some() {
             return driven(
                 NamedController::find("baseline", Path::new("")).map_err(CliError::from_cause)?,
                 None,
             );
         }
         let mut records = VerdictRecordReader::default();
-        let Some(recorded) = records.find(Path::new(given))? else {
+        let Some(recorded) = records.find(given)? else {
             let problem =
                 "no record states the controller of this scenario: choose one with --controller";
-            return Err(CliError::Input(format!("{given}: {problem}")));
+            return Err(CliError::at(given, problem));
         };
         let [verdict] = recorded.by_controller()[..] else {
             let names: Vec<_> = recorded
@@ -211,16 +203,17 @@ impl Export {
                 "the scenario is recorded with several controllers ({}): choose one with --controller",
                 names.join(" and ")
             );
-            return Err(CliError::Input(format!("{given}: {problem}")));
+            return Err(CliError::at(given, problem));
         };
         let controller = recorded.find_controller(verdict).map_err(|error| {
             let problem = format!(
                 "the record names the controller `{}`: {error}",
                 verdict.controller
             );
-            CliError::Input(format!(
-                "{given}: {problem}; choose another one with --controller"
-            ))
+            CliError::at(
+                given,
+                format!("{problem}; choose another one with --controller"),
+            )
         })?;
         driven(controller, Some(verdict.estimator))
     }
@@ -246,7 +239,7 @@ impl Export {
         };
         let options = RunOptions::new(kind)
             .with_estimator(estimator)
-            .with_after_contact(self.after_collision);
+            .with_after_contact(self.after_collision.behaviour);
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {

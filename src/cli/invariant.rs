@@ -51,7 +51,7 @@ pub(super) struct InvariantCommand {
     controller: NamedController,
     /// Scenario with the limits of the vehicle under test, the time step and the plant
     #[arg(long, value_name = "S", default_value = "paper-1")]
-    scenario: String,
+    scenario: PathBuf,
     /// Model of motion
     #[arg(long, value_enum, default_value = "absolute")]
     plant: InvariantPlant,

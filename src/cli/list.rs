@@ -77,7 +77,10 @@ impl Catalogue {
                 let own = built_in.iter().map(|spec| {
                     let settings: Vec<_> = spec
                         .values()
-                        .map(|(field, value)| format!("{}={value}", field.name))
+                        .map(|(field, value)| match field.none_value {
+                            Some(none) if none == value => format!("{}={value} (none)", field.name),
+                            _ => format!("{}={value}", field.name),
+                        })
                         .collect();
                     let settings = if settings.is_empty() {
                         String::new()

@@ -1,6 +1,7 @@
 //! The command line, with one file per subcommand.
 
 mod args;
+mod argument_text;
 mod artifacts;
 mod assess;
 mod avoid;
@@ -54,6 +55,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use crumple_core::regular_file;
 use crumple_world::control::allow_external;
@@ -136,29 +138,15 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     if allows_external(&arguments) {
         allow_external();
     }
-    let arguments = match build_command()
-        .try_get_matches_from(arguments)
+    let parsed = match build_command()
+        .try_get_matches_from(&arguments)
         .and_then(|found| Cli::from_arg_matches(&found))
     {
-        Ok(arguments) => arguments,
-        Err(usage) => {
-            let code = match usage.use_stderr() {
-                true if error::is_caused_by_environment(&usage) => 3,
-                true if error::states_disk_failure(&usage.to_string()) => 3,
-                true => 2,
-                false => 0,
-            };
-            match usage.use_stderr() {
-                // Without colours: the message quotes arguments, which may contain escape sequences.
-                true => output::warn(usage.render().to_string().trim_end()),
-                // Ignore a closed standard stream.
-                false => drop(usage.print()),
-            }
-            return ExitCode::from(code);
-        }
+        Ok(parsed) => parsed,
+        Err(usage) => return report_usage(&usage, &arguments),
     };
-    let quiet = arguments.quiet;
-    let done = args::try_controllers(quiet).and_then(|()| match arguments.command {
+    let quiet = parsed.quiet;
+    let done = args::try_controllers(quiet).and_then(|()| match parsed.command {
         CliCommand::Assess(command) => command.run(quiet),
         CliCommand::Simulate(command) => command.run(quiet),
         CliCommand::Import(command) => command.run(quiet),
@@ -194,6 +182,28 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             failure.exit_code()
         }
     }
+}
+
+/// Prints the help or the version that the user asked for, or an error of the arguments. Returns the exit code.
+fn report_usage(usage: &clap::Error, arguments: &[OsString]) -> ExitCode {
+    if !usage.use_stderr() {
+        return match output::print_help(usage) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(failure) => {
+                failure.print();
+                failure.exit_code()
+            }
+        };
+    }
+    let text = match usage.kind() {
+        ErrorKind::InvalidUtf8 => format!("error: {}", argument_text::describe_first(arguments)),
+        // Without colours: the message quotes arguments, which may contain escape sequences.
+        _ => usage.render().to_string(),
+    };
+    let is_of_environment =
+        error::is_caused_by_environment(usage) || error::states_disk_failure(&text);
+    output::warn(text.trim_end());
+    ExitCode::from(if is_of_environment { 3 } else { 2 })
 }
 
 /// Returns true if the arguments contain `--allow-external`. Evaluated before clap parses values, since that reads

@@ -23,7 +23,17 @@ pub(super) fn print(text: &str) -> Result<(), CliError> {
 
 fn emit(text: &str) -> Result<(), CliError> {
     let mut out = io::BufWriter::new(io::stdout().lock());
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+    check_written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
+}
+
+/// Prints the help or the version, with colours on a terminal. Ignores a closed pipe.
+pub(super) fn print_help(help: &clap::Error) -> Result<(), CliError> {
+    check_written(help.print().and_then(|()| io::stdout().flush()))
+}
+
+/// Converts an error of standard output. A closed pipe is none.
+fn check_written(result: io::Result<()>) -> Result<(), CliError> {
+    match result {
         Ok(()) => Ok(()),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(source) => Err(DiskError::at(Path::new("standard output"))(source).into()),

@@ -14,10 +14,11 @@ pub(super) struct TrainingPreset {
 }
 
 impl TrainingPreset {
-    pub(super) fn find(name: &str) -> Result<Self, CliError> {
+    pub(super) fn find(name: &Path) -> Result<Self, CliError> {
         if let Some(preset) = Self::from_file(name)? {
             return Ok(preset);
         }
+        let name = &*name.to_string_lossy();
         let text = TrainingConfig::preset_text(name)
             .map_err(|_| unknown_preset_error(name, None))?
             .to_owned();
@@ -30,11 +31,11 @@ impl TrainingPreset {
 
     /// Finds a preset as [`Self::find`] does, for a command with a special preset `own`, which is not found by that
     /// name.
-    pub(super) fn find_with_own(own: &str, name: &str) -> Result<Self, CliError> {
+    pub(super) fn find_with_own(own: &str, name: &Path) -> Result<Self, CliError> {
         match Self::from_file(name)? {
             Some(preset) => Ok(preset),
-            None if TrainingConfig::preset_text(name).is_ok() => Self::find(name),
-            None => Err(unknown_preset_error(name, Some(own))),
+            None if is_built_in(name) => Self::find(name),
+            None => Err(unknown_preset_error(&name.to_string_lossy(), Some(own))),
         }
     }
 
@@ -47,12 +48,9 @@ impl TrainingPreset {
     }
 
     /// Loads the preset from a file; `None` if the name can only be that of a built-in preset.
-    pub(super) fn from_file(name: &str) -> Result<Option<Self>, CliError> {
-        let path = Path::new(name);
+    pub(super) fn from_file(path: &Path) -> Result<Option<Self>, CliError> {
         // A built-in name takes precedence over a file.
-        if path.extension().is_none()
-            && (TrainingConfig::preset_text(name).is_ok() || !path.exists())
-        {
+        if path.extension().is_none() && (is_built_in(path) || !path.exists()) {
             return Ok(None);
         }
         if let Some(what) = file_kind::detect(path) {
@@ -70,6 +68,11 @@ impl TrainingPreset {
     pub(super) fn error_at_line(&self, error: TrainingConfigError) -> CliError {
         CliError::input(error.with_location(&self.text, &self.path))
     }
+}
+
+fn is_built_in(name: &Path) -> bool {
+    name.to_str()
+        .is_some_and(|name| TrainingConfig::preset_text(name).is_ok())
 }
 
 fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {

@@ -1,6 +1,6 @@
 //! `crumple retrain`: retrains a policy on counterexamples of a search.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
@@ -64,11 +64,11 @@ pub(super) struct Retrain {
     /// a file, or a folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
     /// [default: paper-1 and paper-2 with an imitation, otherwise none]
     #[arg(long, value_name = "F")]
-    scenario: Vec<String>,
+    scenario: Vec<PathBuf>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
     /// [default: `road` for a policy made by imitation, otherwise `retrain`]
     #[arg(long, value_name = "PRESET")]
-    preset: Option<String>,
+    preset: Option<PathBuf>,
     /// Maximum number of rounds: 1 to 99
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.rounds, value_parser = args::whole_number::<u64>(1..=99))]
     rounds: u64,
@@ -129,16 +129,17 @@ impl Retrain {
             .policy()
             .ok_or_else(|| CliError::Input(format!("--policy: `{name}` is no policy")))?;
         let imitates = first.header().training.get("imitation").is_some();
-        let preset = self.preset.as_deref().unwrap_or(if imitates {
+        let preset = self.preset.as_deref().unwrap_or(Path::new(if imitates {
             "road"
         } else {
             RETRAIN_PRESET_NAMES[0]
-        });
+        }));
         let training = load_training_config(preset)?;
         let mut settings = DEFAULTS;
         if self.episodes == Some(0) && training.imitation.is_none() {
             return Err(CliError::Input(format!(
-                "--episodes: the preset `{preset}` has no imitation and needs at least 1"
+                "--episodes: the preset `{}` has no imitation and needs at least 1",
+                preset.display()
             )));
         }
         settings.episodes = self.episodes.unwrap_or(if training.imitation.is_some() {
@@ -214,11 +215,11 @@ impl Retrain {
 }
 
 /// Returns an error about the preset under the given name: its file still contains the former name.
-fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
+fn with_preset_name(error: RetrainError, preset: &Path) -> RetrainError {
     match error {
         RetrainError::PolicyMismatch { policy, what, .. } => RetrainError::PolicyMismatch {
             policy,
-            preset: preset.to_owned(),
+            preset: preset.display().to_string(),
             what,
         },
         other => other,
@@ -243,8 +244,8 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     )))
 }
 
-fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
-    if RETRAIN_PRESET_NAMES.contains(&name) {
+fn load_training_config(name: &Path) -> Result<TrainingConfig, CliError> {
+    if RETRAIN_PRESET_NAMES.map(Path::new).contains(&name) {
         return training_preset().map_err(CliError::input);
     }
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()

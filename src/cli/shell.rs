@@ -1,17 +1,24 @@
 //! `crumple completions` and `crumple man`: shell completions and manual pages.
 
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, Args, Command};
 use clap_complete::Shell;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::{CliError, output};
+use super::preset::RETRAIN_PRESET_NAMES;
+use super::reach::BUILT_IN_BOXES;
+use super::{CliError, output, show};
+use crumple_exchange::recording::map::BUILT_IN_MAPS;
+use crumple_learn::rl::PRESETS;
 use crumple_search::falsify::Method;
+use crumple_suites::SHIPPED_SUITES;
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
+use crumple_spaces::built_in_space_names;
 
 /// Print a completion script for a shell
 #[derive(Args)]
@@ -41,50 +48,97 @@ impl Completions {
     }
 }
 
-/// Built-in items that arguments name. These arguments also take files.
+/// Built-in items that arguments name.
 #[derive(Clone, Copy)]
 enum NamedItems {
     Controllers,
     Scenarios,
     Spaces,
     Methods,
+    Policies,
+    Suites,
+    Maps,
+    Boxes,
+    TrainPresets,
+    RetrainPresets,
+    /// Names that `crumple show` prints as files.
+    ShownFiles,
+}
+
+/// Names of built-in controllers behind a shield.
+static SHIELDED: LazyLock<Vec<String>> = LazyLock::new(|| {
+    let specs = ControllerSpec::all();
+    let shielded = specs.iter().map(|spec| format!("shield:{}", spec.name()));
+    shielded.collect()
+});
+
+fn names_of<T>(items: &[(&'static str, T)]) -> Vec<&'static str> {
+    items.iter().map(|(name, _)| *name).collect()
 }
 
 impl NamedItems {
-    const ALL: [Self; 4] = [
+    const ALL: [Self; 11] = [
         Self::Controllers,
         Self::Scenarios,
         Self::Spaces,
         Self::Methods,
+        Self::Policies,
+        Self::Suites,
+        Self::Maps,
+        Self::Boxes,
+        Self::TrainPresets,
+        Self::RetrainPresets,
+        Self::ShownFiles,
     ];
 
     fn of_argument(command: &str, argument: &Arg) -> Option<Self> {
         match (command, argument.get_id().as_str()) {
             ("assess", _) => None,
+            ("show", "name") => Some(Self::ShownFiles),
+            ("run", "suite") => Some(Self::Suites),
+            ("retrain", "policy") => Some(Self::Policies),
+            ("retrain", "preset") => Some(Self::RetrainPresets),
+            ("train", "preset") => Some(Self::TrainPresets),
             (_, "controller" | "controllers" | "against") => Some(Self::Controllers),
             (_, "scenario" | "scenarios") | ("explore", "what") => Some(Self::Scenarios),
             (_, "space" | "regression") => Some(Self::Spaces),
             (_, "method" | "compare") => Some(Self::Methods),
+            (_, "map") => Some(Self::Maps),
+            _ if argument.get_long() == Some("box") => Some(Self::Boxes),
             _ => None,
         }
     }
 
+    /// True if the arguments also take files.
+    fn may_be_files(self) -> bool {
+        !matches!(self, Self::Methods | Self::ShownFiles)
+    }
+
     fn names(self) -> Vec<&'static str> {
         match self {
-            Self::Controllers => ControllerSpec::all()
-                .iter()
-                .map(ControllerSpec::name)
-                .collect(),
-            Self::Scenarios => built_in_scenario_names()
-                .iter()
-                .map(|(name, _)| *name)
-                .collect(),
-            Self::Spaces => BUILT_IN_SPACES
-                .iter()
-                .chain(&HUMAN_SPACES)
-                .map(|(name, ..)| *name)
-                .collect(),
+            Self::Controllers => {
+                let specs = ControllerSpec::all();
+                let shielded = SHIELDED.iter().map(String::as_str);
+                specs
+                    .iter()
+                    .map(ControllerSpec::name)
+                    .chain(shielded)
+                    .collect()
+            }
+            Self::Policies => {
+                let specs = ControllerSpec::all();
+                let policies = specs.iter().filter(|spec| spec.policy().is_some());
+                policies.map(ControllerSpec::name).collect()
+            }
+            Self::Scenarios => names_of(&built_in_scenario_names()),
+            Self::Spaces => built_in_space_names().collect(),
             Self::Methods => Method::ALL.iter().map(Method::name).collect(),
+            Self::Suites => names_of(&SHIPPED_SUITES),
+            Self::Maps => names_of(&BUILT_IN_MAPS),
+            Self::Boxes => names_of(&BUILT_IN_BOXES),
+            Self::TrainPresets => names_of(&PRESETS),
+            Self::RetrainPresets => [&RETRAIN_PRESET_NAMES[..1], &names_of(&PRESETS)].concat(),
+            Self::ShownFiles => show::built_in_file_names(),
         }
     }
 }
@@ -101,14 +155,41 @@ fn with_built_in_names(command: Command) -> Command {
         .mut_subcommands(with_built_in_names)
 }
 
+/// Part of the script for bash: bash splits words at colons, so that `shield:idm` is three words. Joins them before the
+/// completion, and removes the part up to the colon from the replies, which bash keeps.
+const BASH_COLONS: &str = r#"
+_crumple_with_colons() {
+    local line="${COMP_LINE:0:COMP_POINT}" before
+    if [[ "${COMP_WORDBREAKS}" != *:* || ! "${line}" =~ [[:space:]][^[:space:]]*:[^[:space:]]*$ ]]; then
+        _crumple "$@"
+        return
+    fi
+    read -ra COMP_WORDS <<< "${line}"
+    COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
+    _crumple "$1" "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"
+    before="${COMP_WORDS[COMP_CWORD]%"${COMP_WORDS[COMP_CWORD]##*:}"}"
+    COMPREPLY=("${COMPREPLY[@]#"${before}"}")
+}
+"#;
+
 /// Returns the script with files beside the built-in names. The script for bash offers them if no name fits.
 fn with_files(shell: Shell, script: &str, commands: &Command) -> String {
-    let lists = NamedItems::ALL.map(NamedItems::names);
+    let lists = NamedItems::ALL
+        .into_iter()
+        .filter(|items| items.may_be_files());
+    let lists: Vec<_> = lists.map(NamedItems::names).collect();
     match shell {
+        Shell::Bash => match script.rsplit_once("\nif [[ ") {
+            Some((function, registration)) => format!(
+                "{function}{BASH_COLONS}\nif [[ {}",
+                registration.replace("-F _crumple ", "-F _crumple_with_colons ")
+            ),
+            None => script.to_owned(),
+        },
         Shell::Zsh => lists.iter().fold(script.to_owned(), |script, names| {
             let names = names.join(" ");
             script.replace(
-                &format!(":({names})"),
+                &format!(":({})", names.replace(':', "\\:")),
                 &format!(":{{compadd -- {names}; _files}}"),
             )
         }),
@@ -127,18 +208,29 @@ fn with_files(shell: Shell, script: &str, commands: &Command) -> String {
 fn fish_positionals(commands: &Command) -> String {
     let mut text = String::new();
     for command in commands.get_subcommands() {
-        let name = command.get_name();
-        let items = command
-            .get_positionals()
-            .filter_map(|argument| NamedItems::of_argument(name, argument));
-        for items in items {
-            let names = items.names().join(" ");
-            text += &format!(
-                "complete -c crumple -n \"__fish_crumple_using_subcommand {name}\" -a \"{names}\"\n"
+        let condition = format!("__fish_crumple_using_subcommand {}", command.get_name());
+        text += &fish_names(command, &condition);
+        for below in command.get_subcommands() {
+            let condition = format!(
+                "{condition}; and __fish_seen_subcommand_from {}",
+                below.get_name()
             );
+            text += &fish_names(below, &condition);
         }
     }
     text
+}
+
+/// Returns the names for the positional arguments of one subcommand.
+fn fish_names(command: &Command, condition: &str) -> String {
+    let items = command
+        .get_positionals()
+        .filter_map(|argument| NamedItems::of_argument(command.get_name(), argument));
+    let lines = items.map(|items| {
+        let names = items.names().join(" ");
+        format!("complete -c crumple -n \"{condition}\" -a \"{names}\"\n")
+    });
+    lines.collect()
 }
 
 /// Write manual pages: `man -l DIR/crumple.1`

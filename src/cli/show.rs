@@ -107,6 +107,20 @@ impl BuiltInKind {
     }
 }
 
+/// Returns the names of all built-in files, each once.
+pub(super) fn built_in_file_names() -> Vec<&'static str> {
+    let mut names: Vec<&str> = Vec::new();
+    let files = BuiltInKind::value_variants()
+        .iter()
+        .filter_map(|kind| kind.files().ok());
+    for (name, _) in files.flatten() {
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names
+}
+
 fn vehicle_class_toml(class: VehicleClass) -> String {
     format!(
         "# Default values of a vehicle of class `{name}`; a scenario file may state others.\n[[vehicles]]\nclass = \

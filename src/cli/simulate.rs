@@ -11,6 +11,7 @@ use super::run_report::{
     lane_changes, unnecessary_braking,
 };
 use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
+use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, feature, value_enums};
 use crumple_measure::{Specification, SpecificationError};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
@@ -19,10 +20,10 @@ use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PlantKind, Scenario, built_in_scenario, file};
+use crumple_world::scenario::{PlantKind, Scenario, file};
 use crumple_world::sim::{
-    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult,
-    Trace, simulate, simulate_batch,
+    Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
+    simulate_batch,
 };
 
 /// Run scenarios and print their outcomes
@@ -55,7 +56,7 @@ Examples:
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`), scenario files, or folders of scenario files
     #[arg(required = true, value_name = "SCENARIO")]
-    scenarios: Vec<String>,
+    scenarios: Vec<PathBuf>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
     /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
     /// `exec:`
@@ -72,15 +73,8 @@ pub(super) struct Simulate {
     /// scenario's
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
-    /// Behaviour after a collision
-    #[arg(
-        long,
-        alias = "after-contact",
-        value_name = "AFTER_COLLISION",
-        default_value = "stop",
-        value_parser = value_enums::after_collision()
-    )]
-    after_collision: AfterContact,
+    #[command(flatten)]
+    after_collision: AfterCollisionArgs,
     /// Plant of all vehicles that a controller drives, instead of the scenario's; scripted vehicles keep their motion
     #[arg(long, value_name = "PLANT", value_parser = value_enums::one_of(value_enums::PLANTS))]
     plant: Option<PlantKind>,
@@ -180,7 +174,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 impl Simulate {
     pub(super) fn run(mut self, quiet: bool) -> Result<(), CliError> {
-        let has_folder = self.scenarios.iter().any(|name| is_folder(name));
+        let has_folder = self.scenarios.iter().any(|path| is_folder(path));
         self.scenarios = list_scenario_files(self.scenarios)?;
         if self.spec.is_empty()
             && matches!(
@@ -193,16 +187,15 @@ impl Simulate {
             ));
         }
         // `*.toml` matches the recorded verdicts in folders of version 0.1.0.
-        let is_verdicts = |name: &str| {
-            Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME)
-                && ExpectedFile::load(Path::new(name)).is_ok()
+        let is_verdicts = |path: &Path| {
+            path.ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(path).is_ok()
         };
-        let names = self
+        let paths = self
             .scenarios
             .iter()
-            .filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
-        let scenarios = names
-            .map(|name| self.load_scenario(name))
+            .filter(|path| self.scenarios.len() == 1 || !is_verdicts(path));
+        let scenarios = paths
+            .map(|path| self.load_scenario(path))
             .collect::<Result<Vec<_>, _>>()?;
         if let Some(scenario) = scenarios.first() {
             self.spec
@@ -330,13 +323,13 @@ impl Simulate {
     /// Notes which scenario files are recorded with other controllers than the present one.
     fn note_other_controllers(&self, quiet: bool) {
         let mut records = VerdictRecordReader::default();
-        for name in self
+        for path in self
             .scenarios
             .iter()
-            .filter(|name| built_in_scenario(name).is_none())
+            .filter(|path| args::find_built_in_scenario(path).is_none())
         {
             // Ignore records that cannot be read.
-            let Ok(Some(recorded)) = records.find(Path::new(name)) else {
+            let Ok(Some(recorded)) = records.find(path) else {
                 continue;
             };
             let others: Vec<_> = recorded
@@ -348,7 +341,8 @@ impl Simulate {
                 let (own, others) = (&self.controller.name, others.join("` and `"));
                 output::note(
                     &format!(
-                        "note: {name} was recorded with `{others}`, but is simulated with `{own}`"
+                        "note: {} was recorded with `{others}`, but is simulated with `{own}`",
+                        path.display()
                     ),
                     quiet,
                 );
@@ -356,8 +350,8 @@ impl Simulate {
         }
     }
 
-    fn load_scenario(&self, name: &str) -> Result<Scenario, CliError> {
-        let scenario = args::load_scenario(name)?;
+    fn load_scenario(&self, path: &Path) -> Result<Scenario, CliError> {
+        let scenario = args::load_scenario(path)?;
         let scenario = match self.seed {
             None => scenario,
             Some(seed) => scenario
@@ -375,7 +369,7 @@ impl Simulate {
     fn run_options(&self) -> RunOptions {
         let options = RunOptions::new(self.controller.source.clone())
             .with_estimator(self.estimator)
-            .with_after_contact(self.after_collision);
+            .with_after_contact(self.after_collision.behaviour);
         match self.dt {
             None => options,
             Some(dt_s) => options.with_dt_s(dt_s),
@@ -479,29 +473,23 @@ impl Simulate {
     }
 }
 
-fn is_folder(name: &str) -> bool {
-    built_in_scenario(name).is_none() && Path::new(name).is_dir()
+fn is_folder(path: &Path) -> bool {
+    args::find_built_in_scenario(path).is_none() && path.is_dir()
 }
 
 /// Replaces each folder by its scenario files, in order of their names.
-fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
+fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
     let mut files = Vec::new();
-    for name in names {
-        if !is_folder(&name) {
-            files.push(name);
+    for path in paths {
+        if !is_folder(&path) {
+            files.push(path);
             continue;
         }
-        let found = file::load_all(Path::new(&name))?;
+        let found = file::load_all(&path)?;
         if found.is_empty() {
-            return Err(CliError::Input(format!(
-                "{name}: the folder has no scenario file"
-            )));
+            return Err(CliError::at(&path, "the folder has no scenario file"));
         }
-        files.extend(
-            found
-                .into_iter()
-                .map(|(path, _)| path.to_string_lossy().into_owned()),
-        );
+        files.extend(found.into_iter().map(|(path, _)| path));
     }
     Ok(files)
 }

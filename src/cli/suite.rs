@@ -58,7 +58,7 @@ Examples:
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// Built-in suite (see `crumple suite list`), or a file
-    suite: String,
+    suite: PathBuf,
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
     #[arg(long = "controller", value_name = "C", required = true, value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
@@ -104,7 +104,8 @@ impl SuiteTable {
         };
         check_unique_names(&controllers)?;
         let run = |(name, _): &(&str, &str)| {
-            run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input)
+            run(&find_suite(Path::new(name))?, &controllers, self.estimator)
+                .map_err(CliError::input)
         };
         let results = SHIPPED_SUITES
             .iter()
@@ -177,15 +178,15 @@ impl SuiteCommand {
     }
 }
 
-fn find_suite(name: &str) -> Result<TestSuite, CliError> {
-    if let Some(suite) = TestSuite::shipped(name) {
+fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
+    if let Some(suite) = path.to_str().and_then(TestSuite::shipped) {
         return Ok(suite?);
     }
-    let path = Path::new(name);
     if path.extension().is_none() && !path.exists() {
         let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
         return Err(CliError::Input(format!(
-            "`{name}` is neither a suite ({}) nor a file",
+            "`{}` is neither a suite ({}) nor a file",
+            path.display(),
             known.join(", ")
         )));
     }
@@ -196,7 +197,7 @@ fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
     let mut suites = Vec::new();
     let mut text = String::new();
     for (name, _) in SHIPPED_SUITES {
-        let suite = find_suite(name)?;
+        let suite = find_suite(Path::new(name))?;
         let spec = suite.spec();
         let document = format!("{}, {}", spec.document, spec.edition);
         let _ = writeln!(text, "  {name:<20}{} {document}", spec.about);

@@ -58,7 +58,7 @@ Examples:
 pub(super) struct Train {
     /// Training preset: fast, paper-net, paper or road, or a TOML file like theirs
     #[arg(long, value_name = "PRESET", default_value = "fast")]
-    preset: String,
+    preset: PathBuf,
     /// Draw episodes from this scenario space, built-in or a file, with a weight relative to others (1 by default); may
     /// be repeated, each space once; replaces the preset's spaces, with all costs counted once
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]

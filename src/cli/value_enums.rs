@@ -1,5 +1,6 @@
 //! Arguments with a few named values.
 
+use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_exchange::recording::LeaderSelection;
 use crumple_search::falsify::campaign::EvaluationLog;
@@ -92,9 +93,18 @@ pub(super) fn estimator() -> impl TypedValueParser<Value = EstimatorKind> {
     one_of(ESTIMATORS)
 }
 
-/// Returns the clap parser of the option `--after-collision`.
-pub(super) fn after_collision() -> impl TypedValueParser<Value = AfterContact> {
-    one_of(AFTER_COLLISION)
+/// The option `--after-collision`.
+#[derive(Args)]
+pub(super) struct AfterCollisionArgs {
+    /// Behaviour after a collision
+    #[arg(
+        long = "after-collision",
+        alias = "after-contact",
+        value_name = "AFTER_COLLISION",
+        default_value = "stop",
+        value_parser = one_of(AFTER_COLLISION)
+    )]
+    pub(super) behaviour: AfterContact,
 }
 
 /// Returns a clap parser that selects one of `choices` by its name.

@@ -2,6 +2,7 @@
 //! fail.
 
 use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -50,7 +51,7 @@ Examples:
 pub(super) struct WorstCase {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
-    scenario: String,
+    scenario: PathBuf,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
     /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
     /// `exec:`
@@ -117,10 +118,7 @@ impl WorstCase {
         }
         let scenario = args::load_scenario(&self.scenario)?;
         if !scenario.has_vehicle_under_test() {
-            return Err(CliError::Input(format!(
-                "{}: no vehicle is under test",
-                self.scenario
-            )));
+            return Err(CliError::at(&self.scenario, "no vehicle is under test"));
         }
         let options =
             RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
@@ -128,7 +126,7 @@ impl WorstCase {
         let result = progress::show(&bar, |observer| {
             attack_sensors(&scenario, &options, observer)
         })
-        .map_err(|error| CliError::Input(format!("{}: {error}", self.scenario)))?;
+        .map_err(|error| CliError::at(&self.scenario, error))?;
         self.controller.ensure_trusted()?;
         let report = SensorAttackReport {
             scenario: &scenario.spec().name,
@@ -189,11 +187,11 @@ impl WorstCase {
         let result = attack(&scenario, &options, aim, envelope, budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
-                AttackError::EmptyEnvelope { .. } => "--max-brake",
-                AttackError::TooManySimulations { .. } => "--budget",
+                AttackError::EmptyEnvelope { .. } => Path::new("--max-brake"),
+                AttackError::TooManySimulations { .. } => Path::new("--budget"),
                 _ => &self.scenario,
             };
-            CliError::Input(format!("{place}: {error}"))
+            CliError::at(place, error)
         })?;
         self.controller.ensure_trusted()?;
         let mut files = StagedFiles::default();

@@ -12,6 +12,8 @@ pub struct SettingField {
     pub range: [f64; 2],
     /// Realistic minimum and maximum, for searches and fuzzers.
     pub typical_range: [f64; 2],
+    /// Value that switches the setting off, for example a set speed that is none.
+    pub none_value: Option<f64>,
 }
 
 impl SettingField {
@@ -45,10 +47,12 @@ pub trait ControllerSettings: Clone + PartialEq + Default + Serialize + Deserial
     fn get_mut(&mut self, index: usize) -> Option<&mut f64>;
 }
 
-/// Declares settings: one `name: default, range, typical range;` per number, after its documentation.
+/// Declares settings: one `name: default, range, typical range;` per number, after its documentation. `none VALUE` may
+/// follow the typical range: a value that switches the setting off.
 macro_rules! settings {
     ($(#[$about:meta])* $name:ident {
-        $($(#[$doc:meta])* $field:ident: $default:expr, $low:literal..=$high:literal, $from:literal..=$to:literal;)*
+        $($(#[$doc:meta])* $field:ident: $default:expr, $low:literal..=$high:literal, $from:literal..=$to:literal
+          $(, none $none:expr)?;)*
     }) => {
         #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
         #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -68,6 +72,7 @@ macro_rules! settings {
             const FIELDS: &'static [$crate::settings::SettingField] = &[
                 $($crate::settings::SettingField {
                     name: stringify!($field), range: [$low, $high], typical_range: [$from, $to],
+                    none_value: [$(Some($none),)? None][0],
                 },)*
             ];
 

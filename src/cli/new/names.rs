@@ -69,10 +69,15 @@ const PYTHON: &[ReservedNames] = &[
                 weakref webbrowser winreg winsound wsgiref xdrlib xml xmlrpc zipapp zipfile zipimport zlib zoneinfo",
     },
     ReservedNames {
-        role: "a module that pip, the tests or crumple import",
-        names: "attr attrs colorama conftest exceptiongroup execnet gymnasium hypothesis iniconfig numpy packaging pip \
-                pkg_resources pluggy py pygments pytest setup setuptools sitecustomize sortedcontainers tomli \
-                typing_extensions usercustomize wheel xdist",
+        // Python finds the project's module before the installed one, so that the importing program fails.
+        role: "a module that pip, pytest, its plugins or crumple import",
+        names: "annotated_types anyio argcomplete attr attrs black click cloudpickle colorama conftest coverage \
+                cython dateutil django eventlet exceptiongroup execnet farama_notifications gevent greenlet \
+                gymnasium hypothesis importlib_metadata iniconfig jax libcst matplotlib maturin mock mypy numpy \
+                optuna packaging pandas pexpect pip pkg_resources platformdirs pluggy polars psutil py pyarrow \
+                pydantic pygments pytest regex rich rtamt scipy setproctitle setup setuptools sitecustomize six \
+                sniffio sortedcontainers stable_baselines3 tomli torch twisted typing_extensions usercustomize \
+                watchdog wheel xdist yaml zope",
     },
 ];
 
@@ -102,6 +107,9 @@ pub(super) fn check_name(name: &str, template: Template) -> Result<(), String> {
     }
     if name == "crumple" || name.starts_with("crumple-") {
         return Err("names that begin with crumple are those of its own packages".to_owned());
+    }
+    if name.starts_with("pytest-") && matches!(template, Template::Python) {
+        return Err("names that begin with pytest- are those of its plugins".to_owned());
     }
     let of_template = match template {
         Template::Rust => RUST,

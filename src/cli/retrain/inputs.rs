@@ -1,6 +1,7 @@
 //! Scenarios and spaces that the options of `crumple retrain` name.
 
-use std::path::Path;
+use std::ffi::OsStr;
+use std::path::PathBuf;
 
 use super::super::{CliError, args, output};
 use crumple_learn::rl::unsuitability;
@@ -10,7 +11,7 @@ use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_nam
 /// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out
 /// scenarios of a folder that no policy can be trained on.
 pub(super) fn load_attacked(
-    names: &[String],
+    names: &[PathBuf],
     imitates: bool,
     quiet: bool,
 ) -> Result<Vec<Scenario>, CliError> {
@@ -30,11 +31,12 @@ pub(super) fn load_attacked(
     }
     let mut scenarios = Vec::new();
     for name in names {
-        if Path::new(name).is_dir() {
-            let all = file::load_all(Path::new(name))?;
+        if name.is_dir() {
+            let all = file::load_all(name)?;
             if all.is_empty() {
                 return Err(CliError::Input(format!(
-                    "--scenario: {name}: the folder contains no scenario file"
+                    "--scenario: {}: the folder contains no scenario file",
+                    name.display()
                 )));
             }
             let before = scenarios.len();
@@ -52,7 +54,11 @@ pub(super) fn load_attacked(
                     format!(": {}: {reason}", path.display())
                 });
                 output::note(
-                    &format!("{name}: uses {used} of {} scenarios{reason}", all.len()),
+                    &format!(
+                        "{}: uses {used} of {} scenarios{reason}",
+                        name.display(),
+                        all.len()
+                    ),
                     quiet,
                 );
             }
@@ -60,7 +66,8 @@ pub(super) fn load_attacked(
             let scenario = args::load_scenario(name)?;
             if let Some(reason) = unsuitability(&scenario) {
                 return Err(CliError::Input(format!(
-                    "--scenario: `{name}` cannot be trained on: {reason}"
+                    "--scenario: `{}` cannot be trained on: {reason}",
+                    name.display()
                 )));
             }
             scenarios.push(scenario);
@@ -83,8 +90,12 @@ pub(super) fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpa
 }
 
 /// Returns true if the only value of a repeated option is `none`.
-fn is_none(option: &str, values: &str, names: &[String]) -> Result<bool, CliError> {
-    let has_none = names.iter().any(|name| name == "none");
+fn is_none<Name: AsRef<OsStr>>(
+    option: &str,
+    values: &str,
+    names: &[Name],
+) -> Result<bool, CliError> {
+    let has_none = names.iter().any(|name| name.as_ref() == "none");
     if has_none && names.len() > 1 {
         return Err(CliError::Input(format!(
             "{option}: `none` cannot be combined with {values}"

@@ -247,6 +247,125 @@ fn names_of_files_need_not_be_utf_8() {
     }
 }
 
+/// Scenarios, folders of scenarios, suites and presets may have any names.
+#[cfg(target_os = "linux")]
+#[test]
+fn names_of_scenarios_suites_and_presets_need_not_be_utf_8() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = temp_folder();
+    let [scenario, suite, preset, inner] = [
+        &b"Stra\xdfe.toml"[..],
+        b"Pr\xfcfung.toml",
+        b"K\xfcrze.toml",
+        b"\xe4",
+    ]
+    .map(OsStr::from_bytes);
+    let write = |arguments: &str, name: &OsStr| {
+        let shown = run_ok(folder.path(), arguments);
+        fs::write(folder.path().join(name), stdout(&shown)).unwrap();
+    };
+    write("show paper-1", scenario);
+    write("show un-r152", suite);
+    write("show fast", preset);
+    fs::create_dir(folder.path().join(inner)).unwrap();
+    fs::copy(
+        folder.path().join(scenario),
+        folder.path().join(inner).join(scenario),
+    )
+    .unwrap();
+    let run = |arguments: &str, name: &OsStr| {
+        let output = command(folder.path(), arguments).arg(name).output();
+        let output = output.expect("starts");
+        assert!(exit_code(&output) <= 1, "{arguments}: {}", stderr(&output));
+        stdout(&output).to_owned()
+    };
+    let built_in = |arguments: &str| stdout(&run_ok(folder.path(), arguments)).to_owned();
+    assert_eq!(
+        run("simulate --controller idm", scenario),
+        built_in("simulate paper-1 --controller idm")
+    );
+    assert!(run("simulate --controller idm", inner).contains("1 scenario"));
+    assert_eq!(run("avoid", scenario), built_in("avoid paper-1"));
+    assert_eq!(
+        run("suite run --controller idm", suite),
+        built_in("suite run un-r152 --controller idm")
+    );
+    run("train --seed 1 --episodes 1 --out runs --preset", preset);
+    let exported = run(
+        "export --controller idm --to openscenario --out x",
+        scenario,
+    );
+    assert!(exported.starts_with("x/paper-1.xosc: "), "{exported}");
+}
+
+/// Names of controllers and spaces become part of records, so they are text.
+#[cfg(target_os = "linux")]
+#[test]
+fn an_argument_that_must_be_utf_8_is_named() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = temp_folder();
+    let name = "must be UTF-8; if it is the name of a file, rename the file";
+    for (before, argument, after, expected) in [
+        (
+            "simulate paper-1 --controller",
+            &b"\xe4.toml"[..],
+            "",
+            "--controller: `\u{fffd}.toml`",
+        ),
+        (
+            "simulate \u{fc}",
+            b"--controller=\xe4.toml",
+            "--estimator truth",
+            "--controller: `\u{fffd}.toml`",
+        ),
+        (
+            "falsify --controller idm --budget 1 --space",
+            b"\xe4.toml",
+            "",
+            "--space: `\u{fffd}.toml`",
+        ),
+        (
+            "--quiet verify rate --controller",
+            b"\xe4.toml",
+            "--runs 2",
+            "--controller: `\u{fffd}.toml`",
+        ),
+        (
+            "simulate paper-1 --parts --spec",
+            b"\xe4 > 1",
+            "",
+            "--spec: `\u{fffd} > 1`",
+        ),
+        ("show", b"\xe4", "", "argument: `\u{fffd}`"),
+    ] {
+        let output = command(folder.path(), before)
+            .arg(OsStr::from_bytes(argument))
+            .args(after.split_whitespace())
+            .output();
+        let output = output.expect("starts");
+        assert_eq!(exit_code(&output), 2, "{before}");
+        assert_eq!(
+            stderr(&output),
+            format!("error: {expected} {name}\n"),
+            "{before}"
+        );
+    }
+    // The wrong argument is the second one that is not UTF-8.
+    let output = command(folder.path(), "simulate")
+        .arg(OsStr::from_bytes(b"\xe5.toml"))
+        .arg("--controller")
+        .arg(OsStr::from_bytes(b"\xe4.onnx"))
+        .output();
+    assert_refused(
+        &output.expect("starts"),
+        "--controller: `\u{fffd}.onnx` must be UTF-8",
+    );
+}
+
 #[test]
 fn exports_are_two_files_a_scenario() {
     let folder = temp_folder();

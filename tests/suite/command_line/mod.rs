@@ -587,6 +587,10 @@ fn list_names_all_inputs_of_simulate() {
         .filter(|line| line.chars().count() > 100)
         .collect();
     assert!(long.is_empty(), "wrapped in a pipe: {long:?}");
+    // A value that switches its setting off is marked.
+    for off in ["set_speed_mps=100 (none)\n", "aeb_ttc_s=0 (none),"] {
+        assert!(stdout(&all).contains(off), "{off:?}");
+    }
     let listed = &json_objects(&run_crumple(folder.path(), "list --format json"))[0];
     let words = |text: &str| text.split_whitespace().collect::<String>();
     for entry in ["scenarios", "controllers", "spaces", "methods"]
@@ -660,6 +664,7 @@ fn a_closed_pipe_is_no_error() {
     for (arguments, expected) in [
         ("simulate paper-1 paper-2 paper-3 --dt 0.0001", 0),
         ("simulate paper-1 --dt 0.0001 --expect safe", 1),
+        ("simulate --help", 0),
     ] {
         let mut child = spawn(folder.path(), arguments);
         drop(child.stdout.take());
@@ -680,16 +685,33 @@ fn a_full_disk_under_standard_output_is_reported() {
         .write(true)
         .open("/dev/full")
         .expect("there on Linux");
-    let output = command(temp_folder().path(), "simulate paper-1")
-        .stdout(full)
-        .output()
-        .expect("starts");
-    assert_eq!(exit_code(&output), 3);
-    assert!(
-        stderr(&output).starts_with("error: standard output: "),
-        "{}",
-        stderr(&output)
-    );
+    for arguments in [
+        "simulate paper-1",
+        "--help",
+        "-h",
+        "help",
+        "help simulate",
+        "simulate --help",
+        "verify rate -h",
+        "--version",
+        "completions bash",
+        "list",
+        "list controllers",
+        "show un-r152",
+        "suite list",
+        "doctor",
+    ] {
+        let output = command(temp_folder().path(), arguments)
+            .stdout(full.try_clone().expect("another handle"))
+            .output()
+            .expect("starts");
+        assert_eq!(exit_code(&output), 3, "{arguments}");
+        assert!(
+            stderr(&output).starts_with("error: standard output: "),
+            "{arguments}: {}",
+            stderr(&output)
+        );
+    }
 }
 
 /// Starts a command once for each range and kills it after a random but reproducible number of milliseconds. Returns

@@ -52,6 +52,8 @@ fn a_project_has_its_name_and_never_replaces_anything() {
     assert!(!stdout(&run_ok(folder.path(), "new --help")).contains("--allow-external"));
 }
 
+const IMPORTED: &str = "a module that pip, pytest, its plugins or crumple import";
+
 /// Names of keywords, modules and folders would break the build, each in its template only.
 #[test]
 fn names_that_cannot_be_built_are_refused() {
@@ -72,11 +74,11 @@ fn names_that_cannot_be_built_are_refused() {
             "a module of Python's standard library",
         ),
         ("lambda", "python", "a keyword of Python"),
-        (
-            "packaging",
-            "python",
-            "a module that pip, the tests or crumple import",
-        ),
+        ("packaging", "python", IMPORTED),
+        ("coverage", "python", IMPORTED),
+        ("pluggy", "python", IMPORTED),
+        ("stable-baselines3", "python", IMPORTED),
+        ("pytest-cov", "python", "names that begin with pytest-"),
         ("makefile", "c", "a file that `make` reads"),
         ("nul", "c", "a device of Windows"),
     ] {
@@ -85,7 +87,12 @@ fn names_that_cannot_be_built_are_refused() {
         assert!(stderr(&refused).contains(reason), "{}", stderr(&refused));
     }
     assert!(file_names_in(folder.path()).is_empty());
-    for (name, template) in [("logging", "rust"), ("deps", "python"), ("build", "c")] {
+    for (name, template) in [
+        ("logging", "rust"),
+        ("coverage", "rust"),
+        ("deps", "python"),
+        ("build", "c"),
+    ] {
         run_ok(folder.path(), &format!("new {name} --template {template}"));
     }
 }

@@ -155,20 +155,26 @@ fn gates_decide_and_evidence_is_kept() {
     let looked = run_crumple(folder.path(), "fsck one none two");
     assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
 
-    config(
-        true,
-        "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n",
-    );
-    let failed = run_crumple(folder.path(), "assess a.toml --out two");
-    assert_reports(
-        &failed,
-        1,
-        "gate: baseline: no collision in the paper's scenarios (it collides in paper-1",
-    );
-    assert!(
-        stdout(&failed).ends_with("0 of 1 gates hold.\n"),
-        "{failed:?}"
-    );
+    // The second name is that of version 0.3.0.
+    for name in [
+        "no-collision-in-paper-scenarios",
+        "no-contact-in-paper-scenarios",
+    ] {
+        let gate = format!("[[gates]]\nrequire = \"{name}\"\ncontroller = \"baseline\"\n");
+        config(true, &gate);
+        let failed = run_crumple(folder.path(), "assess a.toml --out two");
+        assert_reports(
+            &failed,
+            1,
+            "gate: baseline: no collision in the paper's scenarios (it collides in paper-1",
+        );
+        assert!(
+            stdout(&failed).ends_with("0 of 1 gates hold.\n"),
+            "{failed:?}"
+        );
+        let report = fs::read_to_string(folder.path().join("two/assessment.json")).unwrap();
+        assert!(report.contains("\"no-collision-in-paper-scenarios\""));
+    }
     config(
         false,
         "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n",

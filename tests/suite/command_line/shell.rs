@@ -89,18 +89,49 @@ fn completions_have_the_built_in_names() {
         ("suite run un-r152 --controller fuz", "fuzzy-safety"),
         ("simulate pap", "paper-1 paper-2 paper-3"),
         ("check proof.json --scenario pap", "paper-1 paper-2 paper-3"),
+        ("simulate paper-1 --controller shield:id", "shield:idm"),
+        ("show un-", "un-r152 un-r157"),
+        ("show openacc", "openacc"),
+        ("show hea", "heavy"),
+        ("import a.csv --map openacc", "openacc"),
+        ("replay a.csv --map ngs", "ngsim"),
+        ("train --preset paper", "paper paper-net"),
+        ("retrain --preset r", "retrain road"),
+        ("retrain --policy r", "retrained road"),
+        ("suite run fmvss", "fmvss-127"),
+        ("verify reach --box pap", "paper-1 paper-2"),
         // The option `-o default` of `complete` then offers files.
         ("simulate paper-1 --controller my-", ""),
     ] {
         assert_eq!(complete(words), expected, "{words}");
     }
     assert!(stdout(&bash).contains("-o default crumple"));
+    // As bash calls it: it splits words at colons, and replaces only the part after the last one.
+    let split = "simulate paper-1 --controller shield : hum";
+    let line = "crumple simulate paper-1 --controller shield:hum";
+    let script = format!(
+        ". ./crumple.bash; COMP_WORDS=(crumple {split}); COMP_CWORD=6; COMP_LINE='{line}'; COMP_POINT={}; \
+         _crumple_with_colons crumple hum :; echo \"${{COMPREPLY[@]}}\"; complete -p crumple",
+        line.len()
+    );
+    let output = Command::new("bash")
+        .args(["-c", &script])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(
+        stdout(&output).starts_with("human\n")
+            && stdout(&output).contains("-F _crumple_with_colons crumple"),
+        "{output:?}"
+    );
     for (shell, parts) in [
         (
             "zsh",
             [
                 ":{compadd -- baseline baseline-unlatched ",
                 " paper-3; _files}",
+                " shield:random-actions; _files}",
+                ":{compadd -- fmvss-127 ",
             ],
         ),
         (
@@ -108,6 +139,8 @@ fn completions_have_the_built_in_names() {
             [
                 " -r -F -a \"baseline\\t''\nbaseline-unlatched\\t''",
                 "-n \"__fish_crumple_using_subcommand simulate\" -a \"paper-1 paper-2 paper-3\"\n",
+                "-n \"__fish_crumple_using_subcommand suite; and __fish_seen_subcommand_from run\" -a \"fmvss-127 ",
+                "\nshield:random-actions\\t''\"",
             ],
         ),
     ] {
@@ -117,7 +150,7 @@ fn completions_have_the_built_in_names() {
             " -r -f -a \"baseline",
             " -r -f -a \"paper",
             ":(baseline ",
-            ":(paper",
+            ":(paper-1 paper-2 paper-3)",
         ] {
             assert!(
                 !stdout(&script).contains(without_files),
@@ -127,7 +160,7 @@ fn completions_have_the_built_in_names() {
     }
 }
 
-/// Text for users calls it a collision, except for names in files of earlier versions.
+/// Text for users calls it a collision.
 #[test]
 fn help_calls_a_collision_a_collision() {
     let folder = temp_folder();
@@ -136,7 +169,6 @@ fn help_calls_a_collision_a_collision() {
         let text = fs::read_to_string(folder.path().join("man").join(&page))
             .unwrap()
             .replace("\\-", "-");
-        let text = text.replace("no-contact-in-paper-scenarios", "");
         let found: Vec<_> = text
             .lines()
             .filter(|line| line.to_lowercase().contains("contact"))

@@ -43,12 +43,13 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
         ("shield:nobody", "there is no controller `nobody`"),
         (
             "shield,ahead=0:idm",
-            "`ahead=0` is not a setting of a shield",
+            "shield: ahead must be a number from 0.1 to 30, found `0`",
         ),
         (
             "shield,gap-error:idm",
-            "`gap-error` is not a setting of a shield",
+            "shield: gap-error must be a number from 0 to 100, found ``",
         ),
+        ("shield,ahead=3,ahead=4:idm", "shield: ahead is given twice"),
         (
             "shield,colour=1:idm",
             "`colour=1` is not a setting of a shield",

@@ -209,7 +209,7 @@ impl Default for AssessConfig {
             harm: None,
             certificates: None,
             gates: vec![
-                AssessmentGate::NoContactInPaperScenarios {
+                AssessmentGate::NoCollisionInPaperScenarios {
                     controller: road.clone(),
                 },
                 AssessmentGate::RateNotAbove {

@@ -11,8 +11,9 @@ use super::parts::EVERYDAY_SPACES;
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum AssessmentGate {
-    /// A controller collides in none of the paper's scenarios.
-    NoContactInPaperScenarios {
+    /// A controller collides in none of the paper's scenarios. Before 0.4.0: `no-contact-in-paper-scenarios`.
+    #[serde(alias = "no-contact-in-paper-scenarios")]
+    NoCollisionInPaperScenarios {
         /// Name of the controller.
         controller: String,
     },
@@ -96,7 +97,7 @@ impl AssessmentGate {
             Self::RateNotAbove {
                 controller, than, ..
             } => vec![("controller", controller), ("than", than)],
-            Self::NoContactInPaperScenarios { controller }
+            Self::NoCollisionInPaperScenarios { controller }
             | Self::NoCollisionInScenarioFiles { controller }
             | Self::NoCollisionInSpace { controller, .. }
             | Self::RateAtMost { controller, .. }
@@ -116,7 +117,7 @@ impl AssessmentGate {
                 .then(|| ("require", "needs `everyday_draws` above 0".to_owned()))
         };
         match self {
-            Self::NoContactInPaperScenarios { .. } if !config.paper => {
+            Self::NoCollisionInPaperScenarios { .. } if !config.paper => {
                 Some(("require", "needs `paper = true`".to_owned()))
             }
             Self::NoAvoidableFailure { space, .. } if !config.search_spaces().contains(space) => {

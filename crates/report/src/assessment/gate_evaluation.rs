@@ -36,7 +36,7 @@ impl AssessmentGate {
             space.clone().unwrap_or_else(only)
         };
         let (gate, (holds, reason)) = match self {
-            Self::NoContactInPaperScenarios { controller } => {
+            Self::NoCollisionInPaperScenarios { controller } => {
                 let paper = found
                     .paper_scenarios
                     .as_ref()

@@ -25,7 +25,7 @@ settings! {
         comfort_accel_mps2: 2.0, 0.0..=30.0, 0.0..=3.0;
         /// Set speed, in m/s, which the cruise control does not exceed and drives on an empty road. 100, the default,
         /// stands for none: it follows its leader at any speed, and holds its speed on an empty road.
-        set_speed_mps: NO_SET_SPEED_MPS, 0.1..=100.0, 5.0..=100.0;
+        set_speed_mps: NO_SET_SPEED_MPS, 0.1..=100.0, 5.0..=100.0, none NO_SET_SPEED_MPS;
     }
 }
 

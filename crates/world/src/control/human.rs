@@ -67,7 +67,7 @@ settings! {
         /// Longest time gap that the driver keeps, in seconds: the first observed one, up to this.
         time_headway_s: 1.6, 0.3..=10.0, 0.5..=3.0;
         /// Time to collision below which an emergency brake of the vehicle fires, in seconds; 0: no emergency brake.
-        aeb_ttc_s: 0.0, 0.0..=100.0, 0.0..=4.0;
+        aeb_ttc_s: 0.0, 0.0..=100.0, 0.0..=4.0, none 0.0;
         /// Deceleration of that emergency brake, in m/s², positive.
         aeb_brake_mps2: 7.5, 0.0..=30.0, 2.0..=9.0;
     }

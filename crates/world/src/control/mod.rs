@@ -121,9 +121,9 @@ pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, MIN_MARGIN_M, Override, Real, RearVehicleParams, ShieldParams, ShieldRefusal,
-    ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel, distance_and_speed_after,
-    max_closing_m,
+    ErrorBounds, InvalidShieldSetting, MIN_MARGIN_M, Override, Real, RearVehicleParams,
+    ShieldParams, ShieldRefusal, ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel,
+    distance_and_speed_after, max_closing_m,
 };
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds};
 pub use source::{

@@ -5,9 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
+    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, InvalidSetting,
+    InvalidShieldSetting, NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy,
+    ShieldSettings, ShieldedSource, StartRefusal,
     BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting,
     NameOrigin, PolicySource, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings,
-    ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
@@ -57,14 +59,8 @@ pub enum UnknownController {
         file: String,
     },
     /// A wrong setting of a shield.
-    #[error(
-        "`{setting}` is not a setting of a shield: the settings are ahead, gap-error, speed-error and \
-        ahead-speed-error, each with a number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
-    )]
-    ShieldSetting {
-        /// The setting.
-        setting: String,
-    },
+    #[error(transparent)]
+    ShieldSetting(#[from] InvalidShieldSetting),
     /// A shield around another shield.
     #[error("only one shield may stand before a controller")]
     NestedShields,
@@ -245,7 +241,7 @@ impl NamedController {
         let Some((settings, inner)) = split_shield(name) else {
             return Self::parse_unshielded(name, folder, named_by);
         };
-        let settings = parse_shield_settings(settings)?;
+        let settings = ShieldSettings::parse(settings)?;
         if split_shield(inner).is_some() {
             return Err(UnknownController::NestedShields);
         }
@@ -434,49 +430,6 @@ fn split_command(command: &str) -> Option<Vec<String>> {
     // Without processes, one word suffices.
     #[cfg(not(feature = "process"))]
     Some(vec![command.to_owned()])
-}
-
-/// Parses the settings between `shield` and the colon, each after a comma.
-fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
-    let mut settings = ShieldSettings::default();
-    let mut parts = text.split(',');
-    let unknown = |setting: &str| UnknownController::ShieldSetting {
-        setting: setting.to_owned(),
-    };
-    if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
-        return Err(unknown(before));
-    }
-    for part in parts {
-        let (name, value) = part.split_once('=').ok_or_else(|| unknown(part))?;
-        let value: f64 = value.parse().map_err(|_| unknown(part))?;
-        if !(value >= 0.0 && value.is_finite()) {
-            return Err(unknown(part));
-        }
-        let errors = settings.errors.unwrap_or_default();
-        match name {
-            "ahead" if value > 0.0 => settings.ahead_brake_mps2 = Some(value),
-            "gap-error" => {
-                settings.errors = Some(ErrorBounds {
-                    gap_m: value,
-                    ..errors
-                })
-            }
-            "speed-error" => {
-                settings.errors = Some(ErrorBounds {
-                    speed_mps: value,
-                    ..errors
-                })
-            }
-            "ahead-speed-error" => {
-                settings.errors = Some(ErrorBounds {
-                    ahead_speed_mps: value,
-                    ..errors
-                })
-            }
-            _ => return Err(unknown(part)),
-        }
-    }
-    Ok(settings)
 }
 
 impl From<ControllerSpec> for NamedController {

@@ -41,14 +41,16 @@ mod kernel;
 mod params;
 mod real;
 mod rounding;
+mod settings;
 mod source;
 
 pub use admission::ShieldState;
 pub use kernel::{ViabilityKernel, distance_and_speed_after, max_closing_m};
-pub use params::{ErrorBounds, RearVehicleParams, ShieldParams, ShieldSettings};
+pub use params::{ErrorBounds, RearVehicleParams, ShieldParams};
 pub use real::Real;
 pub use rounding::MIN_MARGIN_M;
 pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
+pub use settings::{InvalidShieldSetting, ShieldSettings};
 pub use source::{ShieldRefusal, ShieldedSource};
 
 use std::collections::VecDeque;

@@ -13,35 +13,6 @@ pub struct ErrorBounds {
     pub ahead_speed_mps: f64,
 }
 
-/// Settings of a shield that the user may choose.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct ShieldSettings {
-    /// Assumed maximum deceleration of the leader on a dry road, in m/s²; `None` for its true limit.
-    pub ahead_brake_mps2: Option<f64>,
-    /// Error bounds of observations. `None` for bounds that follow from the estimator; they are 0 if it returns the
-    /// true state.
-    pub errors: Option<ErrorBounds>,
-}
-
-impl ShieldSettings {
-    /// Returns the settings as on the command line after `shield`, each after a comma.
-    #[must_use]
-    pub fn to_arg(&self) -> String {
-        let errors = self.errors.map(|errors| {
-            let ErrorBounds {
-                gap_m,
-                speed_mps,
-                ahead_speed_mps,
-            } = errors;
-            format!(
-                ",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}"
-            )
-        });
-        let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
-        ahead.into_iter().chain(errors).collect()
-    }
-}
-
 /// Properties of the follower that a shield uses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RearVehicleParams {

@@ -410,22 +410,3 @@ fn only_changed_commands_are_overrides() {
     };
     assert_eq!(braking.overrides(), [expected]);
 }
-
-#[test]
-fn settings_are_printed_as_they_are_read() {
-    let errors = Some(ErrorBounds {
-        gap_m: 0.5,
-        speed_mps: 0.25,
-        ahead_speed_mps: 1.0,
-    });
-    assert_eq!(ShieldSettings::default().to_arg(), "");
-    let words = ShieldSettings {
-        ahead_brake_mps2: Some(6.0),
-        errors,
-    }
-    .to_arg();
-    assert_eq!(
-        words,
-        ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1"
-    );
-}

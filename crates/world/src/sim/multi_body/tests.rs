@@ -187,6 +187,20 @@ proptest! {
     }
 }
 
+/// The demand turns the wheels, too, as in the package: expected speeds are those of the package's vehicles 1 to 3 from
+/// 5 m/s after 4 s at a demand of 1 m/s², divided by the demanded change.
+#[test]
+fn a_demand_changes_the_speed_as_in_the_commonroad_package() {
+    for (kind, expected) in BodyKind::ALL
+        .into_iter()
+        .zip([0.954_84, 0.949_55, 0.962_19])
+    {
+        let mut vehicle = MultiBody::new(kind, 1.0, 5.0);
+        let share = (drive_mps(&mut vehicle, 1.0, 4.0, 1e-3) - 5.0) / 4.0;
+        assert!((share - expected).abs() < 2e-4, "{kind:?} {share}");
+    }
+}
+
 /// The scenario of a bug report: at rest, 500 m behind a leader of 20 m/s.
 #[test]
 fn idm_drives_off_as_a_point_mass_does() {
