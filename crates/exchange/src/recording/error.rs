@@ -4,7 +4,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
-use crumple_world::scenario::{file::FileError, format_compact};
+use crate::number_text::format_number;
+use crumple_world::scenario::file::FileError;
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +62,8 @@ pub enum RecordingError {
     Map(Box<FileError>),
     /// A threshold outside its range.
     #[error(
-        "min_brake_mps2: must be above 0 and at most {limit}, found {found}",
+        "min_brake_mps2: must be above 0 and at most {limit}, found {}",
+        format_number(*found),
         limit = super::MAX_PLAUSIBLE_ACCEL_MPS2
     )]
     MinBrake {
@@ -267,7 +269,7 @@ pub enum ColumnProblem {
         last_line: u64,
     },
     /// A time beyond any clock.
-    #[error("must be from -{limit} to {limit}, found {}", format_compact(*found))]
+    #[error("must be from -{0} to {0}, found {1}", format_number(*limit), format_number(*found))]
     OutOfRange {
         /// Largest allowed magnitude.
         limit: f64,
