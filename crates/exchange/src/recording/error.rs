@@ -199,19 +199,25 @@ pub enum ColumnProblem {
     },
     /// A unit in the file that crumple does not know.
     #[error(
-        "the file states the unit `{unit}`, which crumple does not know: state the unit in the map"
+        "the file states the unit `{unit}`, which crumple does not know (it knows {known}): {remedy}"
     )]
     UnknownUnit {
         /// Name of the unit.
         unit: String,
+        /// Known units of the quantity.
+        known: String,
+        /// Change of the map or of the file.
+        remedy: &'static str,
     },
     /// A unit in the name of a column that differs from that of the map.
-    #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: correct the map")]
+    #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: {remedy}")]
     OtherUnit {
         /// Unit in the name.
-        in_name: &'static str,
+        in_name: String,
         /// Unit in the map.
         in_map: &'static str,
+        /// Change of the map or of the file.
+        remedy: String,
     },
     /// Two columns of one name.
     #[error("named twice")]
