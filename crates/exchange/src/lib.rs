@@ -1,5 +1,6 @@
 //! Conversion of files of other tools to scenarios: recorded traffic and OpenSCENARIO.
 
+mod number_text;
 pub mod openscenario;
 #[cfg_attr(
     not(any(feature = "mdf", feature = "parquet")),

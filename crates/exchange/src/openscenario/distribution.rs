@@ -9,8 +9,10 @@ use super::limits::ensure_at_most;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
+use crate::number_text::format_number;
 use crumple_spaces::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 use crumple_world::scenario::file::MAX_FILES;
+use crumple_world::scenario::format_compact;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -151,8 +153,10 @@ impl ParameterDistributionFile {
             .map(|axis| axis.len() as f64)
             .product::<f64>();
         if count > MAX_VARIATIONS as f64 {
-            let problem =
-                format!("has {count} combinations of values, and {MAX_VARIATIONS} are allowed");
+            let problem = format!(
+                "has {} combinations of values, and {MAX_VARIATIONS} are allowed",
+                format_number(count)
+            );
             return Err(self.root.refuse(problem));
         }
         self.check_texts(count)?;
@@ -245,6 +249,7 @@ fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
     let ([low, high], width) = (read_range(node.child("Range")?)?, node.number("stepWidth")?);
     let steps = ((high - low) / width + 1e-9).floor();
     if !(0.0..=MAX_VARIATIONS as f64).contains(&steps) {
+        let [width, low, high] = [width, low, high].map(format_number);
         return Err(node.refuse(format!(
             "stepWidth = {width} does not divide the range from {low} to {high}"
         )));
@@ -253,7 +258,7 @@ fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
     let value = |step: usize| {
         format!("{:.14e}", low + step as f64 * width)
             .parse::<f64>()
-            .map(|value| value.to_string())
+            .map(format_compact)
     };
     Ok((0..=steps as usize)
         .filter_map(|step| value(step).ok())
@@ -266,7 +271,11 @@ fn read_range(node: Node<'_>) -> Result<[f64; 2]> {
     if low <= high {
         Ok([low, high])
     } else {
-        Err(node.refuse(format!("{low} is above {high}")))
+        Err(node.refuse(format!(
+            "{} is above {}",
+            format_number(low),
+            format_number(high)
+        )))
     }
 }
 

@@ -4,11 +4,15 @@ use super::error::ScenarioImportError;
 use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most};
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
-use super::xml::Node;
+use super::xml::{ElementPlace, Node};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, VehicleClass};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Distance of the front bumper from the reference point that no vehicle exceeds, in metres: the cause of a position
+/// outside its range.
+const MAX_USUAL_CENTER_M: f64 = 1000.0;
 
 /// An entity of the file.
 #[derive(Debug)]
@@ -32,6 +36,36 @@ pub(super) struct Entity<'a> {
     stated_driver: Option<String>,
     /// Content without influence on the motion.
     pub(super) notes: Vec<String>,
+    places: BodyPlaces,
+}
+
+/// Elements that state the body of an entity, which may be in a catalogue.
+#[derive(Debug)]
+struct BodyPlaces {
+    body: ElementPlace,
+    center: ElementPlace,
+    dimensions: ElementPlace,
+    performance: Option<ElementPlace>,
+}
+
+impl Entity<'_> {
+    /// Returns the element that states a field of the vehicle.
+    pub(super) fn place_of(&self, field: &str) -> ElementPlace {
+        let places = &self.places;
+        let is_center_far = self.front_m.abs() > MAX_USUAL_CENTER_M;
+        match field {
+            "length_m" => places.dimensions.clone(),
+            "position_m" if is_center_far => places.center.clone(),
+            "mass_kg" | "reaction_delay_s" | "actuator_lag_s" | "actuator_delay_s" => {
+                places.body.clone()
+            }
+            "max_brake_mps2" | "max_accel_mps2" | "jerk_limit_mps3" => {
+                let performance = places.performance.as_ref();
+                performance.unwrap_or(&places.body).clone()
+            }
+            _ => self.node.place(),
+        }
+    }
 }
 
 /// A controller that is assigned to an entity.
@@ -228,6 +262,12 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         controller: None,
         stated_driver: None,
         notes: Vec::new(),
+        places: BodyPlaces {
+            body: body.place(),
+            center: center.place(),
+            dimensions: dimensions.place(),
+            performance: body.optional("Performance").map(Node::place),
+        },
     };
     if is_vehicle {
         let limits = body.child("Performance")?;

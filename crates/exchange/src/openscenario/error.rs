@@ -53,10 +53,14 @@ pub enum ScenarioImportError {
         value: String,
     },
     /// A scenario outside the ranges of crumple.
-    #[error("{}: the scenario is outside the ranges of crumple: {invalid}", path.display())]
+    #[error("{}:{line}: {element}: the scenario is outside the ranges of crumple: {invalid}", path.display())]
     Invalid {
         /// Path of the file.
         path: PathBuf,
+        /// Line of the element that states the value, from 1.
+        line: u32,
+        /// Name of the element.
+        element: String,
         /// Field and problem.
         invalid: InvalidField,
     },

@@ -11,6 +11,7 @@ use super::source::SourceFiles;
 use super::speed_plan::TransitionShape;
 use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, read_speed};
 use super::xml::Node;
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -150,7 +151,10 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
                     [FRICTION_RANGE.start(), FRICTION_RANGE.end()],
                 );
                 if !FRICTION_RANGE.contains(&friction) {
-                    let problem = format!("must be from {least} to {most}, found {friction}");
+                    let problem = format!(
+                        "must be from {least} to {most}, found {}",
+                        format_number(friction)
+                    );
                     return Err(part.refuse(format!("attribute `frictionScaleFactor`: {problem}")));
                 }
                 state.friction = friction;
@@ -235,7 +239,8 @@ pub(super) fn resolve_place(
     }
     let in_middle = |node: Node<'_>| match node.optional_number("offset")? {
         Some(offset_m) if offset_m != 0.0 => Err(node.refuse(format!(
-            "offset = {offset_m} is lateral: vehicles drive in the middle of a lane"
+            "offset = {} is lateral: vehicles drive in the middle of a lane",
+            format_number(offset_m)
         ))),
         _ => Ok(()),
     };
@@ -358,7 +363,7 @@ fn apply_distance(
         (reference, entity)
     };
     let rear_mps = state.speeds_mps.get(rear).copied().flatten().unwrap_or(0.0);
-    let mut distance_m = match node.optional_number("timeGap")? {
+    let mut distance_m = match node.optional_non_negative("timeGap")? {
         Some(gap_s) => gap_s * rear_mps,
         None => node.non_negative("distance")?,
     };

@@ -6,8 +6,11 @@ use super::error::ScenarioImportError;
 use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
-use super::xml::Node;
-use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
+use super::xml::{ElementPlace, Node};
+use crate::number_text::{format_fixed, format_number};
+use crumple_world::scenario::{
+    Driver, InvalidField, LaneChange, Scenario, ScenarioSpec, VehicleSpec,
+};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -36,6 +39,7 @@ struct LaneVehicle {
 impl LaneScenarioBuilder<'_, '_> {
     pub(super) fn build(mut self) -> Result<ImportedLaneScenario> {
         let start_s = self.start_s();
+        self.check_duration(start_s)?;
         let reference = self
             .drivers
             .iter()
@@ -48,7 +52,8 @@ impl LaneScenarioBuilder<'_, '_> {
             .map_or(0, |motion| motion.lane);
         if start_s > 0.0 {
             let text = format!(
-                "starts when the controller is activated, at {start_s} s, with the initial speed"
+                "starts when the controller is activated, at {} s, with the initial speed",
+                format_number(start_s)
             );
             self.replay.notes.push(self.storyboard.note(text));
         }
@@ -64,7 +69,8 @@ impl LaneScenarioBuilder<'_, '_> {
         {
             let text = format!(
                 "`{}` never starts within the {} s of the scenario",
-                event.name, self.stop_s
+                event.name,
+                format_number(self.stop_s)
             );
             self.replay.notes.push(event.node.note(text));
         }
@@ -82,19 +88,49 @@ impl LaneScenarioBuilder<'_, '_> {
             .ceil()
             .max(1.0);
         let duration_s = (steps * REPLAY_STEP_S * 1e9).round() / 1e9;
-        let vehicles = listed.into_iter().map(|one| one.spec).collect();
+        let (entities, vehicles): (Vec<usize>, Vec<VehicleSpec>) =
+            listed.into_iter().map(|one| (one.entity, one.spec)).unzip();
         let mut spec = ScenarioSpec {
-            about: self.about,
-            ..ScenarioSpec::new(self.name, duration_s, vehicles)
+            about: self.about.clone(),
+            ..ScenarioSpec::new(self.name.clone(), duration_s, vehicles)
         };
         spec.environment.friction = self.friction;
-        let path = self.storyboard.element.path.to_path_buf();
-        let scenario = Scenario::new(spec)
-            .map_err(|invalid| ScenarioImportError::Invalid { path, invalid })?;
+        let scenario =
+            Scenario::new(spec).map_err(|invalid| self.outside_ranges(invalid, &entities))?;
         Ok(ImportedLaneScenario {
             scenario,
             notes: self.replay.notes,
         })
+    }
+
+    /// Returns the error of an invalid field, at the element that states it. `entities` are those of the vehicles.
+    fn outside_ranges(&self, invalid: InvalidField, entities: &[usize]) -> ScenarioImportError {
+        let of_vehicle = invalid.field.strip_prefix("vehicles[");
+        let index_and_field = of_vehicle.and_then(|rest| rest.split_once("]."));
+        let place = index_and_field.and_then(|(index, field)| {
+            let entity = *entities.get(index.parse::<usize>().ok()?)?;
+            Some(self.replay.entities.get(entity)?.place_of(field))
+        });
+        let ElementPlace { path, line, name } = place.unwrap_or_else(|| self.storyboard.place());
+        ScenarioImportError::Invalid {
+            path: path.to_path_buf(),
+            line,
+            element: name,
+            invalid,
+        }
+    }
+
+    /// Refuses a scenario that ends at its start.
+    fn check_duration(&self, start_s: f64) -> Result<()> {
+        if self.stop_s > start_s {
+            return Ok(());
+        }
+        let stop = self.storyboard.optional("StopTrigger");
+        Err(stop.unwrap_or(self.storyboard).refuse(format!(
+            "ends the scenario at {} s, but it starts at {} s",
+            format_number(self.stop_s),
+            format_number(start_s)
+        )))
     }
 
     /// Returns the time at which the first controller of a vehicle under test is active.
@@ -115,8 +151,8 @@ impl LaneScenarioBuilder<'_, '_> {
         );
         if steps * count > MAX_VEHICLE_STEPS {
             let problem = format!(
-                "{count} vehicles for {:.0} s have more",
-                self.stop_s - start_s
+                "{count} vehicles for {} s have more",
+                format_fixed(self.stop_s - start_s, 0)
             );
             return Err(self.storyboard.refuse(format!(
                 "a scenario may have {MAX_VEHICLE_STEPS} steps of vehicles, and {problem}"
@@ -150,7 +186,8 @@ impl LaneScenarioBuilder<'_, '_> {
         if let Some(fastest) = fastest.filter(|fastest| fastest.speed_mps > body.max_speed_mps) {
             let problem = format!(
                 "`{}` exceeds its maxSpeed of {} m/s",
-                body.name, body.max_speed_mps
+                body.name,
+                format_number(body.max_speed_mps)
             );
             return Err(motion
                 .action(fastest.time_s)
@@ -298,10 +335,14 @@ impl LaneScenarioBuilder<'_, '_> {
             if (position_m - wanted.position_m).abs() > FOLLOW_TOLERANCE_M {
                 let (time_s, rate_mps2) = hardest;
                 // The action may begin within the step.
-                return Err(motion.action(time_s + REPLAY_STEP_S).unwrap_or(body.node).refuse(format!(
-                    "at {time_s:.2} s the speed of `{}` changes at {rate_mps2:.1} m/s², outside its limits of \
-                     -{brake} and {accel} m/s²",
-                    body.name
+                let node = motion.action(time_s + REPLAY_STEP_S).unwrap_or(body.node);
+                return Err(node.refuse(format!(
+                    "at {} s the speed of `{}` changes at {} m/s², outside its limits of {} and {} m/s²",
+                    format_fixed(time_s, 2),
+                    body.name,
+                    format_fixed(rate_mps2, 1),
+                    format_number(-brake),
+                    format_number(accel)
                 )));
             }
         }
@@ -359,14 +400,17 @@ impl LaneScenarioBuilder<'_, '_> {
         let gap_m = self.front_m(entity, at_s) - length_m - self.front_m(behind.entity, at_s);
         if gap_m < 0.01 {
             return Err(node.refuse(format!(
-                "the gap at the lane marking would be {gap_m:.2} m: no room to enter"
+                "the gap at the lane marking would be {} m: no room to enter",
+                format_fixed(gap_m, 2)
             )));
         }
         if let Some(one) = listed.get_mut(place) {
             one.spec.enters = Some(LaneChange::Gap(gap_m));
         }
-        let text =
-            format!("enters at a gap of {gap_m:.2} m, as if the vehicle under test kept its speed");
+        let text = format!(
+            "enters at a gap of {} m, as if the vehicle under test kept its speed",
+            format_fixed(gap_m, 2)
+        );
         self.replay.notes.push(node.note(text));
         Ok(())
     }
@@ -391,5 +435,9 @@ fn raise_limits(
     }
     spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
     spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
-    Some(format!("{lowest:.1} to {highest:.1} m/s²"))
+    Some(format!(
+        "{} to {} m/s²",
+        format_fixed(lowest, 1),
+        format_fixed(highest, 1)
+    ))
 }

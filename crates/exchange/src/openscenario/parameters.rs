@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::error::ScenarioImportError;
 use super::limits::{MAX_PARAMETERS, MAX_VALUE_BYTES, ensure_at_most};
 use super::xml::Node;
+use crumple_world::scenario::format_compact;
 
 /// Maximum depth of parentheses in an expression.
 const MAX_DEPTH: usize = 50;
@@ -133,7 +134,7 @@ impl Parameters {
             let value = parser.sum()?;
             parser.skip_blanks();
             return match parser.rest {
-                "" if value.is_finite() => Ok(value.to_string()),
+                "" if value.is_finite() => Ok(format_compact(value)),
                 "" => Err(format!("`{raw}` is not a finite number")),
                 rest => Err(format!("`{rest}` is not supported in an expression")),
             };

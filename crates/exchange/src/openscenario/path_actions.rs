@@ -8,6 +8,7 @@ use super::replay::{LaneChangeTimes, MAX_DURATION_S, Replay};
 use super::speed_plan::{TransitionDynamics, TransitionShape, take_samples};
 use super::storyboard::{StoryAction, entity_index};
 use super::xml::Node;
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -72,7 +73,8 @@ pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
     match node.number(name)? {
         number if number.fract() == 0.0 && number.abs() <= 1000.0 => Ok(number as i32),
         number => Err(node.refuse(format!(
-            "attribute `{name}`: {number} is not the number of a lane"
+            "attribute `{name}`: {} is not the number of a lane",
+            format_number(number)
         ))),
     }
 }
@@ -153,6 +155,8 @@ impl<'a> Replay<'a, '_> {
         };
         let from_m = motion.plan.at(first_s).position_m;
         if first_s < start_s - 1e-9 || (first_m - from_m).abs() > START_TOLERANCE_M {
+            let [first_s, first_m, from_m, start_s] =
+                [first_s, first_m, from_m, start_s].map(format_number);
             return Err(action.node.refuse(format!(
                 "starts at {first_s} s and {first_m} m, but the entity is at {from_m} m, and the action starts at \
                  {start_s} s"

@@ -7,6 +7,7 @@ use std::rc::Rc;
 use super::error::ScenarioImportError;
 use super::limits::{MAX_LANES, WORK_PER_ROAD, WorkBudget, ensure_at_most};
 use super::xml::{Node, SourceElement};
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -106,7 +107,8 @@ impl<'a> RoadMap<'a> {
             (None, Some(id)) => Err(node.refuse(format!("there is no road `{id}`"))),
             (None, None) => Err(node.refuse(format!(
                 "no road contains the point x = {}, y = {}",
-                point_m[0], point_m[1]
+                format_number(point_m[0]),
+                format_number(point_m[1])
             ))),
         }
     }
@@ -169,7 +171,9 @@ impl StraightRoad {
         let (origin_m, heading_rad) = start.ok_or_else(|| road.refuse("has no geometry"))?;
         if (end_m - length_m).abs() > 1.0 {
             return Err(road.refuse(format!(
-                "is {length_m} m long, but its geometry ends at {end_m} m"
+                "is {} m long, but its geometry ends at {} m",
+                format_number(length_m),
+                format_number(end_m)
             )));
         }
         let is_right_hand = road.raw("rule") != Some("LHT");
@@ -217,8 +221,10 @@ impl StraightRoad {
         }
         if !(0.0..=self.length_m).contains(&s_m) {
             return Err(node.refuse(format!(
-                "{s_m} m is outside the road `{}` of {} m",
-                self.id, self.length_m
+                "{} m is outside the road `{}` of {} m",
+                format_number(s_m),
+                self.id,
+                format_number(self.length_m)
             )));
         }
         let along_m = self.direction(lane) * (self.start_m() + s_m);
@@ -257,7 +263,8 @@ impl StraightRoad {
         if distance_m(&lane) > LATERAL_TOLERANCE_M {
             let off_m = lateral_m - lane.middle_m;
             return Err(node.refuse(format!(
-                "is {off_m} m beside the middle of lane {}",
+                "is {} m beside the middle of lane {}",
+                format_number(off_m),
                 lane.id
             )));
         }
@@ -269,7 +276,8 @@ impl StraightRoad {
             };
         match heading_rad.map(|heading_rad| libm::cos(heading_rad - travel_rad)) {
             Some(cosine) if cosine < libm::cos(HEADING_TOLERANCE_RAD) => Err(node.refuse(format!(
-                "`h` is not {travel_rad} rad, the direction of lane {}",
+                "`h` is not {} rad, the direction of lane {}",
+                format_number(travel_rad),
                 lane.id
             ))),
             _ => self.place(node, lane.id, s_m),

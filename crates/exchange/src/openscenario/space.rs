@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::distribution::ParameterDistributionFile;
 use super::error::ScenarioImportError;
 use super::{ImportedLaneScenario, OpenScenarioSource};
+use crumple_world::scenario::format_compact;
 use crumple_spaces::{
     Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace,
     SpaceSpec, UniformSpec,
@@ -39,7 +40,7 @@ impl OpenScenarioSource {
         let means: Vec<(String, String)> = distributions
             .random
             .iter()
-            .map(|(name, of)| (name.clone(), middle(of).to_string()))
+            .map(|(name, of)| (name.clone(), format_compact(middle(of))))
             .collect();
         let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &means)?;
         counter.add(1)?;
@@ -52,7 +53,7 @@ impl OpenScenarioSource {
                 assigned
                     .iter_mut()
                     .filter(|(other, _)| other == name)
-                    .for_each(|(_, old)| *old = value.to_string());
+                    .for_each(|(_, old)| *old = format_compact(value));
                 let imported = self.scenario(ego, &assigned)?;
                 counter.add(1)?;
                 Ok::<_, ScenarioImportError>(imported.scenario.spec().clone())

@@ -3,6 +3,7 @@
 use super::error::ScenarioImportError;
 use super::limits::MAX_SAMPLES;
 use super::xml::Node;
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -209,8 +210,8 @@ impl SpeedPlan {
         }
     }
 
-    /// Changes the speed from a time on, and returns the end of the change; infinite if it never ends. Takes the
-    /// samples of a curved change from `samples_left`.
+    /// Changes the speed from a time on, and returns the end of the change. Takes the samples of a curved change from
+    /// `samples_left`.
     pub(super) fn change_speed(
         &mut self,
         node: Node<'_>,
@@ -224,7 +225,10 @@ impl SpeedPlan {
         let distance_s = |distance_m: f64| 2.0 * distance_m / (from_mps + to_mps);
         let duration_s = dynamics.duration_s(to_mps - from_mps, distance_s);
         if duration_s == f64::INFINITY {
-            return Ok(duration_s);
+            let [from_mps, to_mps] = [from_mps, to_mps].map(format_number);
+            return Err(node.refuse(format!(
+                "at this rate the speed would never change from {from_mps} to {to_mps} m/s"
+            )));
         }
         let is_straight = matches!(
             dynamics.shape,

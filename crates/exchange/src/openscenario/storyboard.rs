@@ -9,6 +9,7 @@ use super::path_actions::{LaneChangeAction, TrajectoryAction, read_lane_change, 
 use super::speed_plan::TransitionDynamics;
 use super::trigger::Trigger;
 use super::xml::Node;
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -94,7 +95,7 @@ impl SpeedTarget {
     pub(super) fn speed_mps(self, node: Node<'_>, reference_mps: f64) -> Result<f64> {
         let mps = self.factor * reference_mps + self.offset_mps;
         if mps < 0.0 {
-            Err(node.refuse(format!("the speed would be {mps} m/s")))
+            Err(node.refuse(format!("the speed would be {} m/s", format_number(mps))))
         } else {
             Ok(mps)
         }

@@ -170,7 +170,7 @@ fn speed_actions_of_all_shapes_become_scripts() {
     ))
     .unwrap_err();
     let expected = ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², \
-        outside its limits of -8 and 5";
+        outside its limits of -8 and 5 m/s²";
     assert!(refused.contains(expected), "{refused}");
 }
 
@@ -533,5 +533,132 @@ expectedValue="4" variance="1"/></StochasticDistribution><StochasticDistribution
     assert!(
         refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"),
         "{refused}"
+    );
+}
+
+/// Returns the error of a file in which `old` is replaced, without its path, and the line of `old`.
+fn refusal(good: &str, [old, new]: [&str; 2]) -> (String, usize) {
+    let (before, _) = good
+        .split_once(old)
+        .unwrap_or_else(|| panic!("no {old} in {good}"));
+    let line = 1 + before.matches('\n').count();
+    let message = import(&good.replacen(old, new, 1)).expect_err(new);
+    (message, line)
+}
+
+/// ASAM OpenSCENARIO XML 1.3.1: delays, distances, headways and times to collision are from 0 on, and a transition
+/// reaches its target. A scenario ends after its start.
+#[test]
+fn values_that_no_scenario_can_have_are_refused_at_their_element() {
+    let good = file(
+        same_lane(),
+        &speed_action("linear", "rate", "4", 10.0),
+        TIME,
+    );
+    import(&good).expect("good");
+    let stop = |value: &str| {
+        let condition = format!(
+            r#"<Condition name="end" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="{value}" rule="greaterThan"/>"#
+        );
+        let old = r#"<Condition name="end" delay="1" conditionEdge="rising"><ByValueCondition>
+<StoryboardElementStateCondition storyboardElementType="action" storyboardElementRef="act" state="completeState"/>"#;
+        good.replace(old, &condition)
+    };
+    import(&stop("3")).expect("good");
+    let headway = |value: &str| {
+        let condition = format!(
+            r#"<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="other"/>
+</TriggeringEntities><EntityCondition><TimeHeadwayCondition entityRef="ego" value="{value}" freespace="true"
+coordinateSystem="lane" relativeDistanceType="longitudinal" rule="greaterThan"/></EntityCondition>
+</ByEntityCondition>"#
+        );
+        good.replace(TIME, &condition)
+    };
+    for (text, change, element, problem) in [
+        (
+            good.clone(),
+            [
+                r#"<Condition name="c" delay="0.5""#,
+                r#"<Condition name="c" delay="-0.5""#,
+            ],
+            "Condition",
+            "attribute `delay`: must not be negative, found -0.5",
+        ),
+        (
+            good.clone(),
+            [
+                "<SpeedAction>\n<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"4\"",
+                "<SpeedAction>\n<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"0\"",
+            ],
+            "SpeedAction",
+            "at this rate the speed would never change from 20 to 10 m/s",
+        ),
+        (
+            stop("3"),
+            [
+                "<StopTrigger><ConditionGroup><Condition name=\"end\" delay=\"0\" conditionEdge=\"none\">\
+                 <ByValueCondition>\n<SimulationTimeCondition value=\"3\"",
+                "<StopTrigger><ConditionGroup><Condition name=\"end\" delay=\"0\" conditionEdge=\"none\">\
+                 <ByValueCondition>\n<SimulationTimeCondition value=\"-1\"",
+            ],
+            "StopTrigger",
+            "ends the scenario at 0 s, but it starts at 0 s",
+        ),
+        (
+            headway("2"),
+            [
+                "<TimeHeadwayCondition entityRef=\"ego\" value=\"2\"",
+                "<TimeHeadwayCondition entityRef=\"ego\" value=\"-2\"",
+            ],
+            "TimeHeadwayCondition",
+            "attribute `value`: must not be negative, found -2",
+        ),
+        (
+            good.clone(),
+            ["width=\"1.5\" length=\"5\"", "width=\"1.5\" length=\"500\""],
+            "Dimensions",
+            "length_m: must be from 0.1 to 100, found 500",
+        ),
+        (
+            good.clone(),
+            ["<Center x=\"1.5\"", "<Center x=\"1e308\""],
+            "Center",
+            "position_m: must be from -1000000 to 1000000, found 1e308",
+        ),
+        (
+            good.clone(),
+            [
+                "<Vehicle name=\"car\"",
+                "<Vehicle name=\"car\" mass=\"1e308\"",
+            ],
+            "Vehicle",
+            "mass_kg: must be from 1 to 1000000, found 1e308",
+        ),
+        (
+            good.clone(),
+            [
+                "<Performance maxSpeed=\"70\" maxAcceleration=\"5\" maxDeceleration=\"8\"",
+                "<Performance maxSpeed=\"70\" maxAcceleration=\"5\" maxDeceleration=\"1e308\"",
+            ],
+            "Performance",
+            "max_brake_mps2: must be from 0.1 to 30, found 1e308",
+        ),
+    ] {
+        let (message, line) = refusal(&text, change);
+        let expected = format!("f.xosc:{line}: {element}: ");
+        assert!(
+            message.starts_with(&expected) && message.contains(problem),
+            "{message}\n{expected}{problem}"
+        );
+    }
+    let weak = good.replace(
+        "maxAcceleration=\"5\" maxDeceleration=\"8\"",
+        "maxAcceleration=\"3\" maxDeceleration=\"0\"",
+    );
+    let message = import(&weak).expect_err("no brakes");
+    assert!(
+        message.contains("outside its limits of 0 and 3 m/s²"),
+        "{message}"
     );
 }

@@ -197,7 +197,8 @@ impl<'a> Condition<'a> {
             "ByValueCondition" => read_value_condition(inner.single()?)?,
             _ => read_entity_condition(inner, entities, count)?,
         };
-        let delay_s = node.optional_number("delay")?.unwrap_or(0.0).max(0.0);
+        // The range of the standard is [0..inf[ (ASAM OpenSCENARIO XML 1.3.1, class Condition).
+        let delay_s = node.optional_non_negative("delay")?.unwrap_or(0.0);
         count.add_delay_s(node, delay_s)?;
         Ok(Self {
             node,
@@ -377,6 +378,9 @@ fn read_entity_condition(
     let to = to
         .map(|node| entity_index(node, "entityRef", entities))
         .transpose()?;
+    if !matches!(kind, QuantityKind::Speed) {
+        condition.non_negative("value")?;
+    }
     let quantity = EntityQuantity { kind, to, is_free };
     Ok(ConditionKind::Entity {
         who,

@@ -9,6 +9,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use super::error::ScenarioImportError;
 use super::parameters::Parameters;
+use crate::number_text::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -205,6 +206,14 @@ impl SourceElement {
     }
 }
 
+/// File, line and name of an element, for errors after its parameters are forgotten.
+#[derive(Debug, Clone)]
+pub(super) struct ElementPlace {
+    pub(super) path: Arc<Path>,
+    pub(super) line: u32,
+    pub(super) name: String,
+}
+
 /// Returns true for a byte of which a text has at least as many as tags and attributes.
 fn is_item(byte: u8) -> bool {
     matches!(byte, b'<' | b'=')
@@ -229,6 +238,14 @@ pub(super) struct Node<'a> {
 impl<'a> Node<'a> {
     pub(super) fn name(self) -> &'a str {
         &self.element.name
+    }
+
+    pub(super) fn place(self) -> ElementPlace {
+        ElementPlace {
+            path: self.element.path.clone(),
+            line: self.element.line,
+            name: shorten_message(&self.element.name).into_owned(),
+        }
     }
 
     pub(super) fn refuse(self, reason: impl Into<String>) -> ScenarioImportError {
@@ -336,10 +353,22 @@ impl<'a> Node<'a> {
     pub(super) fn non_negative(self, name: &str) -> Result<f64> {
         match self.number(name)? {
             value if value >= 0.0 => Ok(value),
-            value => Err(self.refuse(format!(
-                "attribute `{name}`: must not be negative, found {value}"
-            ))),
+            value => Err(self.refuse_negative(name, value)),
         }
+    }
+
+    pub(super) fn optional_non_negative(self, name: &str) -> Result<Option<f64>> {
+        match self.optional_number(name)? {
+            Some(value) if value < 0.0 => Err(self.refuse_negative(name, value)),
+            value => Ok(value),
+        }
+    }
+
+    fn refuse_negative(self, name: &str, value: f64) -> ScenarioImportError {
+        let found = format_number(value);
+        self.refuse(format!(
+            "attribute `{name}`: must not be negative, found {found}"
+        ))
     }
 
     pub(super) fn flag(self, name: &str, default: bool) -> Result<bool> {

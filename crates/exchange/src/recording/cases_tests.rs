@@ -224,3 +224,115 @@ fn columns_of_different_vehicles_are_reported_and_noise_is_not() {
         }
     }
 }
+
+/// Returns a recording of pairs whose gap changes by `ratio` times the closing speed and an offset; the gap has noise.
+fn drive(
+    [offset_mps, ratio, amplitude_mps]: [f64; 3],
+    noise_m: f64,
+    seconds: u32,
+    seed: u64,
+) -> String {
+    let (mut text, mut gap_m) = ("t,gap,closing,v\n".to_owned(), 400.0);
+    let mut random = seed;
+    let mut uniform = || {
+        random = random
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (random >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+    };
+    let closing_mps = |at_s: f64| amplitude_mps * (0.5 * at_s).sin();
+    for tenth in 0..=10 * seconds {
+        let at_s = f64::from(tenth) / 10.0;
+        let noise_m = noise_m * (0..12).map(|_| uniform()).sum::<f64>();
+        text += &format!("{at_s},{},{},20\n", gap_m + noise_m, closing_mps(at_s));
+        let mean_mps = 0.5 * (closing_mps(at_s) + closing_mps(at_s + 0.1));
+        gap_m += 0.1 * (ratio * mean_mps + offset_mps);
+    }
+    text
+}
+
+/// Gaps that change by 0.5 to 0.6 m/s more or less than the closing speed, which may be 0.
+#[test]
+fn contradictions_from_half_a_metre_per_second_on_are_reported_with_their_reason() {
+    for offset_mps in [-0.6, -0.5, 0.5, 0.55, 0.6] {
+        for (amplitude_mps, noise_m) in [(0.0, 0.0), (0.0, 0.05), (0.4, 0.2), (2.0, 0.05)] {
+            let text = drive([offset_mps, 1.0, amplitude_mps], noise_m, 60, 7);
+            let found = contradictions(&text, "gap", "closing");
+            assert!(
+                found.len() == 1 && found[0].contains("the change of gap is"),
+                "{offset_mps} {amplitude_mps} {noise_m}: {found:?}"
+            );
+        }
+        let found = contradictions(&drive([offset_mps, 1.0, 0.4], 0.0, 60, 7), "gap", "closing");
+        let reason = format!(
+            "an offset of {} m/s",
+            crate::number_text::format_fixed(offset_mps, 1)
+        );
+        assert!(found[0].contains(&reason), "{found:?}");
+    }
+    // The same between columns that are constant: the gap, and the closing speed.
+    let mut constant = "t,gap,closing,v\n".to_owned();
+    (0..600).for_each(|tenth| constant += &format!("{},40,0.55,20\n", f64::from(tenth) / 10.0));
+    let found = contradictions(&constant, "gap", "closing");
+    assert!(
+        found.len() == 1 && found[0].contains("gap is 0.0 m/s here, but closing is 0."),
+        "{found:?}"
+    );
+    for offset_mps in [-0.2, 0.0, 0.2] {
+        for noise_m in [0.0, 0.05, 0.2, 0.5, 1.0] {
+            let text = drive([offset_mps, 1.0, 2.0], noise_m, 60, 7);
+            assert_eq!(
+                contradictions(&text, "gap", "closing"),
+                Vec::<String>::new(),
+                "{offset_mps} {noise_m}"
+            );
+        }
+    }
+}
+
+/// Speeds that are 1.10 times too small differ from the positions by a ratio, which an offset explains less.
+#[test]
+fn a_ratio_is_named_where_it_leaves_less_than_an_offset() {
+    let map = "version = 1\nname = \"a\"\ntime.clock = { column = \"t\" }\n[layout.tracks]\nvehicle = \"id\"\n\
+               position = { column = \"x\", of = \"front\" }\nspeed = { column = \"v\" }\nlength.metres = 5.0\n";
+    let map = RecordingMap::from_toml(map, Path::new("a.toml")).expect("a map");
+    let dropped = |speed: &dyn Fn(f64) -> f64, ratio: f64, offset_mps: f64| {
+        let (mut text, mut position_m) = ("t,id,x,v\n".to_owned(), 0.0);
+        for tenth in 0..600 {
+            let at_s = f64::from(tenth) / 10.0;
+            let shown_mps = speed(at_s) / ratio - offset_mps;
+            text += &format!("{at_s},1,{position_m},{shown_mps}\n");
+            position_m += 0.05 * (speed(at_s) + speed(at_s + 0.1));
+        }
+        let recording = read(text.as_bytes(), Path::new("a.csv"), Some(&map)).expect("readable");
+        let all: Vec<_> = recording.dropped.iter().map(ToString::to_string).collect();
+        all.join("; ")
+    };
+    let nearly_constant = |at_s: f64| 8.8 + 0.4 * (0.3 * at_s).sin();
+    let found = dropped(&nearly_constant, 1.1, 0.0);
+    assert!(
+        found.ends_with(": this looks like a ratio of 1.10"),
+        "{found}"
+    );
+    let found = dropped(&nearly_constant, 1.0, 0.8);
+    assert!(
+        found.ends_with(": this looks like an offset of 0.8 m/s"),
+        "{found}"
+    );
+    // At a constant speed, both leave nothing. A ratio of speeds that vary leaves no offset.
+    let found = dropped(&|_| 8.8, 1.1, 0.0);
+    assert!(
+        found.ends_with(": this looks like an offset of 0.8 m/s, or a ratio of 1.10"),
+        "{found}"
+    );
+    let found = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.1, 0.0);
+    assert!(
+        found.ends_with(": this looks like a ratio of 1.10"),
+        "{found}"
+    );
+    let found = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.04, 0.0);
+    assert!(
+        found.ends_with(": this looks like a ratio of 1.04"),
+        "{found}"
+    );
+}

@@ -3,10 +3,11 @@
 use std::collections::VecDeque;
 use std::fmt;
 
-use super::dropped::{DroppedItem, Omission, format_fixed};
+use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{SpeedUnit, TimeSpec, TimeUnit};
 use super::table::RowReader;
+use crate::number_text::format_fixed;
 
 /// Shortest time, in seconds, and largest number of rows of a window.
 const WINDOW_S: f64 = 0.5;
@@ -14,9 +15,10 @@ const MAX_WINDOW_ROWS: usize = 50;
 /// Smallest change within a window that tells more than noise, in metres.
 const MIN_CHANGE_M: f64 = 0.3;
 const MIN_WINDOWS: usize = 5;
-/// Largest median error that noise explains: in m/s, and relative to the rates.
-const MAX_ERROR_MPS: f64 = 0.5;
-const MAX_RELATIVE_ERROR: f64 = 0.04;
+/// Largest median error that noise explains, in m/s and relative to the smaller rate: a tenth and a twentieth below
+/// errors of 0.5 m/s and 4 %, which are found beside noise, too.
+const MIN_ERROR_MPS: f64 = 0.45;
+const MAX_RELATIVE_ERROR: f64 = 0.038;
 /// Largest relative error that a reason leaves; in noisy data it is larger.
 const MAX_EXPLAINED_ERROR: f64 = 0.15;
 /// In a recording that is too short to average noise out, an error without a reason is reported from this on: in m/s,
@@ -30,10 +32,17 @@ const LASTING_S: f64 = 2.0;
 const MAX_LASTING_ERROR_MPS: f64 = 0.25;
 /// Share of the median error of all windows that noise of their ends leaves over this time: a quarter, with a margin.
 const NOISE_SHARE: f64 = 0.4;
+/// Further share if there are few such times, times the root of their number.
+const FEW_WINDOWS_MARGIN: f64 = 2.0;
+/// This margin at a hundred times, which [`NOISE_SHARE`] includes for errors that the columns show without selection.
+const MARGIN_OF_MANY: f64 = 0.2;
 /// Longest time without a row within this duration, in seconds.
 const MAX_PAUSE_S: f64 = 0.5;
 /// A reason explains an error if it leaves this share of it.
 const EXPLAINED_SHARE: f64 = 0.25;
+/// Ratios that a reason names, and the share of what another reason leaves that is clearly less.
+const USUAL_RATIOS: std::ops::Range<f64> = 0.2..5.0;
+const CLEARLY_LESS: f64 = 0.5;
 /// Smallest ratio of both rates that shows another unit, whatever the noise.
 const MIN_RATIO: f64 = 1.3;
 /// Half width of the interval of this ratio in standard errors, and tolerance beside it.
@@ -154,6 +163,22 @@ impl Window {
     fn difference(&self, factors: [f64; 3]) -> f64 {
         let [change, stated] = self.rates(factors);
         change - stated
+    }
+
+    fn largest_mps(&self, factors: [f64; 3]) -> f64 {
+        let [change, stated] = self.rates(factors).map(f64::abs);
+        change.max(stated)
+    }
+
+    fn smallest_mps(&self) -> f64 {
+        let [change, stated] = self.rates(GIVEN).map(f64::abs);
+        change.min(stated)
+    }
+
+    /// Returns whether one of the chosen rates makes a larger change than noise within a time.
+    fn tells(&self, which: [bool; 2], seconds: f64) -> bool {
+        let mut rates = self.rates(GIVEN).into_iter().zip(which);
+        rates.any(|(rate_mps, is_chosen)| is_chosen && (rate_mps * seconds).abs() >= MIN_CHANGE_M)
     }
 
     /// Returns this window and the next one as one window.
@@ -278,31 +303,49 @@ impl Comparison {
     /// Returns whether the error lasts longer than noise: the median over times of [`LASTING_S`] in which the columns
     /// that should add up to the change tell more than noise. `None` for too few such times.
     fn error_lasts(&self) -> Option<bool> {
-        let median = |mut values: Vec<f64>| {
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
-        };
-        let error_mps = |window: &Window| window.difference(GIVEN).abs();
-        let largest_mps = |window: &Window| {
-            window
-                .rates(GIVEN)
-                .iter()
-                .fold(0.0, |a: f64, b| a.max(b.abs()))
-        };
-        let lasting = self.lasting_windows();
+        let lasting = self.lasting_windows([false, true]);
         if lasting.len() < MIN_WINDOWS {
             return None;
         }
-        let noise_mps = NOISE_SHARE * median(self.windows.iter().map(error_mps).collect());
-        let scale_mps = median(lasting.iter().map(largest_mps).collect());
+        let few = FEW_WINDOWS_MARGIN / (lasting.len() as f64).sqrt();
+        let share = NOISE_SHARE + (few - MARGIN_OF_MANY).max(0.0);
+        let noise_mps = share * median(&self.windows, |window| window.difference(GIVEN).abs());
+        let scale_mps = median(&lasting, |window| window.largest_mps(GIVEN));
         let limit_mps = MAX_LASTING_ERROR_MPS
             .max(MAX_RELATIVE_ERROR * scale_mps)
             .max(noise_mps);
-        Some(median(lasting.iter().map(error_mps).collect()) > limit_mps)
+        Some(median(&lasting, |window| window.difference(GIVEN).abs()) > limit_mps)
+    }
+
+    /// Returns the times of [`LASTING_S`] if noise of the ends of windows does not explain their median error. Their
+    /// changes tell more than those of [`WINDOW_S`].
+    fn lasting_errors(&self) -> Option<Vec<Window>> {
+        // Slopes of a road are in accelerations. Noise of positions without direction does not average out.
+        if self.is_of_speeds {
+            return None;
+        }
+        let lasting = self.lasting_windows([!self.is_undirected, true]);
+        if lasting.len() < MIN_WINDOWS || !is_wrong(&lasting) {
+            return None;
+        }
+        let middle_mps = median(&self.windows, |window| window.difference(GIVEN));
+        let scatter_mps = median(&self.windows, |window| {
+            (window.difference(GIVEN) - middle_mps).abs()
+        });
+        let share = NOISE_SHARE + FEW_WINDOWS_MARGIN / (lasting.len() as f64).sqrt();
+        let error_mps = median(&lasting, |window| window.difference(GIVEN).abs());
+        (error_mps > share * scatter_mps).then_some(lasting)
+    }
+
+    /// Returns the times of [`LASTING_S`] in which one of the chosen rates tells more than noise.
+    fn lasting_windows(&self, chosen: [bool; 2]) -> Vec<Window> {
+        let mut lasting = self.all_lasting_windows();
+        lasting.retain(|window| window.tells(chosen, window.to_s - window.from_s));
+        lasting
     }
 
     /// Joins windows to times of [`LASTING_S`], which overlap.
-    fn lasting_windows(&self) -> Vec<Window> {
+    fn all_lasting_windows(&self) -> Vec<Window> {
         let mut lasting: Vec<Window> = Vec::new();
         let mut open: VecDeque<Window> = VecDeque::new();
         for window in &self.windows {
@@ -323,10 +366,6 @@ impl Comparison {
                 lasting.push(complete);
             }
         }
-        let tells = |window: &Window| {
-            (window.rates(GIVEN)[1] * (window.to_s - window.from_s)).abs() >= MIN_CHANGE_M
-        };
-        lasting.retain(tells);
         lasting
     }
 
@@ -337,64 +376,102 @@ impl Comparison {
         hypotheses: &[Hypothesis],
     ) -> Option<(ColumnContradiction, u64, bool)> {
         let unit = if self.is_of_speeds { "m/s²" } else { "m/s" };
-        let is_telling = |window: &&Window| {
-            window
-                .rates(GIVEN)
-                .iter()
-                .any(|rate_mps| (rate_mps * window.seconds).abs() >= MIN_CHANGE_M)
-        };
-        let windows: Vec<_> = self.windows.iter().filter(is_telling).collect();
-        if windows.len() < MIN_WINDOWS {
-            return None;
-        }
-        let quantile = |share: f64, value: &dyn Fn(&Window) -> f64| {
-            let mut values: Vec<f64> = windows.iter().map(|window| value(window)).collect();
-            let place = (values.len() as f64 * share) as usize;
-            *values.select_nth_unstable_by(place, f64::total_cmp).1
-        };
-        let difference = |window: &Window, factors| window.difference(factors);
-        let error = |factors| quantile(0.5, &|window| difference(window, factors).abs());
-        let scale = |factors| {
-            quantile(0.5, &|window| {
-                window
-                    .rates(factors)
-                    .iter()
-                    .fold(0.0, |a: f64, b| a.max(b.abs()))
-            })
-        };
-        let ratio = |factors| {
-            ratio_interval(
-                self.windows
-                    .iter()
-                    .map(|window| window.rates(factors))
-                    .collect(),
-            )
-        };
-        let (given_mps, scale_mps) = (error(GIVEN), scale(GIVEN));
-        let is_wrong = given_mps > MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps);
-        let [low, high] = ratio(GIVEN);
-        let is_wrong_ratio = low > MIN_RATIO || high < 1.0 / MIN_RATIO;
-        if !is_wrong && !is_wrong_ratio {
-            return None;
-        }
-        // Relative errors of the hypotheses that leave only noise.
-        let relative = hypotheses.iter().map(|one| {
-            let (error_mps, scale_mps) = (
-                error(one.factors),
-                scale(one.factors).max(f64::MIN_POSITIVE),
-            );
-            let is_noise = error_mps <= MAX_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
-            if is_noise {
-                error_mps / scale_mps
-            } else {
-                f64::INFINITY
+        let mut windows = self.windows.clone();
+        windows.retain(|window| window.tells([true, true], window.seconds));
+        let has_short = windows.len() >= MIN_WINDOWS;
+        if !(has_short && is_wrong(&windows)) {
+            match self.lasting_errors() {
+                Some(lasting) => windows = lasting,
+                None if has_short && self.is_wrong_ratio() => {}
+                None => return None,
             }
+        }
+        let is_wrong = is_wrong(&windows);
+        let reasons = self.explain(&windows, hypotheses);
+        let given_mps = median(&windows, |window| window.difference(GIVEN).abs());
+        let is_explained = !reasons.is_empty();
+        let reason = if is_explained {
+            Some(reasons.join(", or "))
+        } else if is_wrong {
+            let pattern = describe_pattern(&windows, given_mps, unit);
+            if !self.is_more_than_noise(&windows, pattern.is_some()) {
+                return None;
+            }
+            pattern
+        } else {
+            return None;
+        };
+        let typical_mps = if is_wrong {
+            given_mps
+        } else {
+            quantile(&windows, 0.9, |window| window.difference(GIVEN).abs())
+        };
+        let nearness = |window: &&Window| (window.difference(GIVEN).abs() - typical_mps).abs();
+        let typical = windows
+            .iter()
+            .min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+        let contradiction = ColumnContradiction {
+            columns: columns.map(str::to_owned),
+            rates: typical.rates(GIVEN),
+            unit,
+            reason,
+        };
+        Some((contradiction, typical.line, is_explained))
+    }
+
+    /// Returns whether noise cannot be the reason of an error in `windows`. In a recording that is too short for the
+    /// median over longer times, the error has a pattern, or is large.
+    fn is_more_than_noise(&self, windows: &[Window], has_pattern: bool) -> bool {
+        let given_mps = median(windows, |window| window.difference(GIVEN).abs());
+        let scale_mps = median(windows, |window| window.largest_mps(GIVEN));
+        let is_large = given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps);
+        // Few windows that were chosen for their changes show an offset by chance.
+        let averages_out = !self.is_of_speeds && !self.is_undirected;
+        let has_lasting = averages_out && self.all_lasting_windows().len() >= MIN_WINDOWS;
+        match self.error_lasts() {
+            _ if has_lasting && self.lasting_errors().is_some() => true,
+            Some(lasts) => lasts || has_pattern && !has_lasting,
+            None => !has_lasting && (has_pattern || is_large),
+        }
+    }
+
+    /// Returns whether the ratio of both rates shows another unit, whatever the noise.
+    fn is_wrong_ratio(&self) -> bool {
+        let [low, high] = self.ratio(GIVEN);
+        low > MIN_RATIO || high < 1.0 / MIN_RATIO
+    }
+
+    fn ratio(&self, factors: [f64; 3]) -> [f64; 2] {
+        ratio_interval(
+            self.windows
+                .iter()
+                .map(|window| window.rates(factors))
+                .collect(),
+        )
+    }
+
+    /// Returns the reasons of the hypotheses that leave only noise of an error.
+    fn explain(&self, windows: &[Window], hypotheses: &[Hypothesis]) -> Vec<String> {
+        let relative = |factors| {
+            let error_mps = median(windows, |window| window.difference(factors).abs());
+            let scale_mps =
+                median(windows, |window| window.largest_mps(factors)).max(f64::MIN_POSITIVE);
+            (error_mps, error_mps / scale_mps, scale_mps)
+        };
+        let relative_errors = hypotheses.iter().map(|one| {
+            let (error_mps, relative, scale_mps) = relative(one.factors);
+            let is_noise = error_mps <= MIN_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
+            if is_noise { relative } else { f64::INFINITY }
         });
-        let relative: Vec<f64> = relative.collect();
-        let best = relative.iter().copied().fold(f64::INFINITY, f64::min);
-        let has_better_error = is_wrong && best <= EXPLAINED_SHARE * given_mps / scale_mps;
+        let relative_errors: Vec<f64> = relative_errors.collect();
+        let best = relative_errors
+            .iter()
+            .copied()
+            .fold(f64::INFINITY, f64::min);
+        let (_, given, _) = relative(GIVEN);
+        let has_better_error = is_wrong(windows) && best <= EXPLAINED_SHARE * given;
         let explains = |(one, &error): (&'_ Hypothesis, &f64)| {
-            let [low, high] = ratio(one.factors);
+            let [low, high] = self.ratio(one.factors);
             let has_ratio = low > 1.0 / MIN_RATIO
                 && low < 1.0 + RATIO_TOLERANCE
                 && high > 1.0 - RATIO_TOLERANCE;
@@ -405,55 +482,11 @@ impl Comparison {
             };
             is_likely.then(|| one.reason.clone())
         };
-        let reasons: Vec<_> = hypotheses
+        hypotheses
             .iter()
-            .zip(&relative)
+            .zip(&relative_errors)
             .filter_map(explains)
-            .collect();
-        let is_explained = !reasons.is_empty();
-        let offset_mps = quantile(0.5, &|window| difference(window, GIVEN));
-        let scatter_mps = || {
-            quantile(0.5, &|window| {
-                (difference(window, GIVEN) - offset_mps).abs()
-            })
-        };
-        let reason = if is_explained {
-            Some(reasons.join(", or "))
-        } else if !is_wrong {
-            return None;
-        } else if scatter_mps() <= EXPLAINED_SHARE * given_mps {
-            Some(format!(
-                "this looks like an offset of {} {unit}",
-                format_fixed(offset_mps, 1)
-            ))
-        } else if self
-            .error_lasts()
-            .unwrap_or(given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps))
-        {
-            None
-        } else {
-            return None;
-        };
-        let typical_mps = if is_wrong {
-            given_mps
-        } else {
-            quantile(0.9, &|window| difference(window, GIVEN).abs())
-        };
-        let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - typical_mps).abs();
-        let typical = windows
-            .iter()
-            .min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
-        let (columns, rates) = (columns.map(str::to_owned), typical.rates(GIVEN));
-        Some((
-            ColumnContradiction {
-                columns,
-                rates,
-                unit,
-                reason,
-            },
-            typical.line,
-            is_explained,
-        ))
+            .collect()
     }
 
     /// Reports a contradiction of two columns, of which `field` is probably wrong. Returns whether they agree.
@@ -490,6 +523,53 @@ impl Comparison {
         });
         Ok(false)
     }
+}
+
+fn quantile(windows: &[Window], share: f64, value: impl Fn(&Window) -> f64) -> f64 {
+    let mut values: Vec<f64> = windows.iter().map(value).collect();
+    let place = (values.len() as f64 * share) as usize;
+    *values.select_nth_unstable_by(place, f64::total_cmp).1
+}
+
+fn median(windows: &[Window], value: impl Fn(&Window) -> f64) -> f64 {
+    quantile(windows, 0.5, value)
+}
+
+/// Returns whether the median error is one that noise does not explain.
+fn is_wrong(windows: &[Window]) -> bool {
+    let error_mps = median(windows, |window| window.difference(GIVEN).abs());
+    let scale_mps = median(windows, Window::smallest_mps);
+    error_mps > MIN_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps)
+}
+
+/// Returns in words an offset or a ratio that leaves a small share of an error: that which leaves less, or both.
+fn describe_pattern(windows: &[Window], given_mps: f64, unit: &str) -> Option<String> {
+    let offset_mps = median(windows, |window| window.difference(GIVEN));
+    let ratio = median(windows, |window| {
+        let [change, stated] = window.rates(GIVEN);
+        change / stated
+    });
+    let offset_leaves_mps = median(windows, |window| {
+        (window.difference(GIVEN) - offset_mps).abs()
+    });
+    let ratio_leaves_mps = median(windows, |window| {
+        let [change, stated] = window.rates(GIVEN);
+        (change - ratio * stated).abs()
+    });
+    let most_mps = EXPLAINED_SHARE * given_mps;
+    let is_ratio = USUAL_RATIOS.contains(&ratio) && ratio_leaves_mps <= most_mps;
+    let is_offset = offset_leaves_mps <= most_mps;
+    let offset = format!("an offset of {} {unit}", format_fixed(offset_mps, 1));
+    let ratio = format!("a ratio of {ratio:.2}");
+    let pattern = match (is_offset, is_ratio) {
+        (false, false) => return None,
+        (_, false) => offset,
+        (false, _) => ratio,
+        _ if ratio_leaves_mps < CLEARLY_LESS * offset_leaves_mps => ratio,
+        _ if offset_leaves_mps < CLEARLY_LESS * ratio_leaves_mps => offset,
+        _ => format!("{offset}, or {ratio}"),
+    };
+    Some(format!("this looks like {pattern}"))
 }
 
 /// Returns an interval of the slope of the first rates over the second ones, with noise in either. The twentieth of the

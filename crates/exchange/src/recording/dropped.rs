@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use super::consistency::ColumnContradiction;
 use super::error::format_place;
-use crumple_core::digits::format_compact;
+use crate::number_text::{format_fixed, format_number};
 use crumple_world::scenario::InvalidField;
+use crumple_core::digits::format_compact;
 
 /// Advice about values that are possible, but not usual in traffic.
 pub(super) const CHECK_UNIT: &str = "more than is usual in traffic, so check the unit in the map";
@@ -56,7 +57,7 @@ pub enum Omission {
     #[error("{0}")]
     ColumnsContradict(ColumnContradiction),
     /// A braking episode without a scenario.
-    #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {reason}")]
+    #[error("vehicle {number} brakes at {} s, but the episode was left out: {reason}", format_number(*onset_s))]
     Episode {
         /// Number of the braking vehicle in the recording.
         number: usize,
@@ -116,14 +117,6 @@ impl Omission {
     }
 }
 
-pub(super) fn format_fixed(number: f64, decimals: usize) -> String {
-    if number.abs() < 1e9 {
-        format!("{number:.decimals$}")
-    } else {
-        format_compact(number)
-    }
-}
-
 fn format_counted(before: &str, count: usize, after: &str) -> String {
     match after.strip_prefix(" times") {
         Some(after) if count == 1 => format!("{before}once{after}"),
@@ -137,7 +130,7 @@ fn format_counted(before: &str, count: usize, after: &str) -> String {
 pub enum EpisodeProblem {
     /// No time shortly before braking with known speed and gap of the follower.
     #[error(
-        "speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before"
+        "speed of and gap to vehicle {follower} are never both recorded in the {} s before", format_number(*within_s)
     )]
     NoFollower {
         /// Number of the follower.
@@ -146,13 +139,17 @@ pub enum EpisodeProblem {
         within_s: f64,
     },
     /// No vehicle recorded behind shortly before braking.
-    #[error("no vehicle is recorded behind it in the {within_s} s before")]
+    #[error("no vehicle is recorded behind it in the {} s before", format_number(*within_s))]
     NoVehicleBehind {
         /// Time searched, in seconds.
         within_s: f64,
     },
     /// A recorded speed that changes faster than any road vehicle's.
-    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle can do", format_fixed(*found_mps2, 1))]
+    #[error(
+        "its speed changes by {} m/s² at {} s, which no road vehicle can do",
+        format_fixed(*found_mps2, 1),
+        format_number(*at_s)
+    )]
     SpeedJump {
         /// Time of the change, in seconds of the recording.
         at_s: f64,

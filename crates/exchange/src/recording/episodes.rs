@@ -2,12 +2,13 @@
 
 use std::cmp::Reverse;
 
-use super::dropped::{CHECK_UNIT, DroppedItem, EpisodeProblem, Omission, format_fixed};
+use super::dropped::{CHECK_UNIT, DroppedItem, EpisodeProblem, Omission};
 use super::episode::BrakingEpisode;
 use super::error::RecordingError;
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
 use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
+use crate::number_text::{format_fixed, format_number};
 
 /// Time before braking at which a scenario starts, in milliseconds; sensors and filters settle in it.
 const LEAD_IN_MS: i64 = 1_000;
@@ -158,6 +159,7 @@ impl EpisodeWindow<'_> {
             Ok(episode) => {
                 if episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2 {
                     let found_mps2 = format_fixed(episode.largest_drop_mps, 1);
+                    let onset_s = format_number(onset_s);
                     let unusual = format!(
                         "vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}"
                     );

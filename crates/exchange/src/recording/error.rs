@@ -4,6 +4,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
+use crate::number_text::format_number;
+use crumple_world::scenario::file::FileError;
 use crumple_core::digits::format_compact;
 use crumple_core::text_file::FileError;
 
@@ -62,7 +64,8 @@ pub enum RecordingError {
     Map(Box<FileError>),
     /// A threshold outside its range.
     #[error(
-        "min_brake_mps2: must be above 0 and at most {limit}, found {found}",
+        "min_brake_mps2: must be above 0 and at most {limit}, found {}",
+        format_number(*found),
         limit = super::MAX_PLAUSIBLE_ACCEL_MPS2
     )]
     MinBrake {
@@ -198,19 +201,25 @@ pub enum ColumnProblem {
     },
     /// A unit in the file that crumple does not know.
     #[error(
-        "the file states the unit `{unit}`, which crumple does not know: state the unit in the map"
+        "the file states the unit `{unit}`, which crumple does not know (it knows {known}): {remedy}"
     )]
     UnknownUnit {
         /// Name of the unit.
         unit: String,
+        /// Known units of the quantity.
+        known: String,
+        /// Change of the map or of the file.
+        remedy: &'static str,
     },
     /// A unit in the name of a column that differs from that of the map.
-    #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: correct the map")]
+    #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: {remedy}")]
     OtherUnit {
         /// Unit in the name.
-        in_name: &'static str,
+        in_name: String,
         /// Unit in the map.
         in_map: &'static str,
+        /// Change of the map or of the file.
+        remedy: String,
     },
     /// Two columns of one name.
     #[error("named twice")]
@@ -268,7 +277,7 @@ pub enum ColumnProblem {
         last_line: u64,
     },
     /// A time beyond any clock.
-    #[error("must be from -{limit} to {limit}, found {}", format_compact(*found))]
+    #[error("must be from -{0} to {0}, found {1}", format_number(*limit), format_number(*found))]
     OutOfRange {
         /// Largest allowed magnitude.
         limit: f64,

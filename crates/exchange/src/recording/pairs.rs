@@ -10,7 +10,7 @@ use std::{iter, mem};
 
 use super::acceleration::AccelerationCheck;
 use super::consistency::Comparison;
-use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT, format_fixed};
+use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{ColumnUnit, LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
@@ -18,6 +18,7 @@ use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
 use super::target_switches::PairSamples;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
+use crate::number_text::format_fixed;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;

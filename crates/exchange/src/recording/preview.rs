@@ -6,6 +6,7 @@ use super::Recording;
 use super::lead_vehicles::LeadVehicle;
 use super::motion::{BRAKING_WINDOW_MS, MAX_HOLE_MS, SpeedSample, find_brakings};
 use super::series::round_to_milli;
+use crate::number_text::format_fixed;
 
 const MAX_LINES: usize = 40;
 
@@ -60,8 +61,9 @@ impl fmt::Display for HardestBrakingResult {
                     .unwrap_or_default();
                 write!(
                     out,
-                    "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from \
-                     {from_s:.2} s on"
+                    "the hardest braking is {} m/s within a second, of vehicle {number}{event} from {} s on",
+                    format_fixed(*drop_mps, 2),
+                    format_fixed(*from_s, 2)
                 )
             }
             Self::NoBraking => out.write_str("no vehicle brakes"),
@@ -70,8 +72,9 @@ impl fmt::Display for HardestBrakingResult {
             ),
             Self::SamplesTooFarApart { step_s } => write!(
                 out,
-                "the speeds of a vehicle are {step_s:.3} s apart, more than the limit of {} s: crumple cannot find \
+                "the speeds of a vehicle are {} s apart, more than the limit of {} s: crumple cannot find \
                     braking{}",
+                format_fixed(*step_s, 3),
                 MAX_HOLE_MS as f64 / 1000.0,
                 match step_s {
                     1e6.. => ", unless the unit of the time is ns",
@@ -82,8 +85,9 @@ impl fmt::Display for HardestBrakingResult {
             ),
             Self::TooShort { longest_s } => write!(
                 out,
-                "no vehicle has a known speed for a whole second without a gap in the data, {longest_s:.3} s at most: \
-                    crumple cannot find braking"
+                "no vehicle has a known speed for a whole second without a gap in the data, {} s at most: \
+                    crumple cannot find braking",
+                format_fixed(*longest_s, 3)
             ),
         }
     }

@@ -3,6 +3,7 @@
 use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
+use crate::number_text::format_fixed;
 use crumple_measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
 use crumple_world::control::ControllerFailure;
 use crumple_world::observation::{Neighbour, Observation};
@@ -63,7 +64,7 @@ pub enum OpenLoopError {
     #[error(transparent)]
     Run(#[from] RunError),
     /// A controller that gave no answer.
-    #[error("at {time_s:.2} s of the recording the controller gave no answer: {reason}")]
+    #[error("at {} s of the recording the controller gave no answer: {reason}", format_fixed(*time_s, 2))]
     NoAnswer {
         /// Time of the recording, in seconds.
         time_s: f64,

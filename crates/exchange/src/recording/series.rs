@@ -3,11 +3,12 @@
 use std::mem;
 use std::path::Path;
 
-use super::dropped::{CHECK_UNIT, DroppedItem, Omission, format_fixed};
+use super::dropped::{CHECK_UNIT, DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{ClockSpec, ColumnUnit, TimeSpec, TimeUnit};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
+use crate::number_text::{format_fixed, format_number};
 use crumple_core::digits::format_compact;
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
@@ -152,8 +153,10 @@ impl Clock {
             return false;
         };
         let before = format!(
-            "{}: the time starts anew here ({found_s} s after {before_s} s); of ",
-            self.column.name
+            "{}: the time starts anew here ({} s after {} s); of ",
+            self.column.name,
+            format_number(found_s),
+            format_number(before_s)
         );
         row.count(&mut self.restarts, || {
             Omission::counted(before, 0, " such places each begins another recording")
@@ -167,6 +170,7 @@ impl Clock {
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
             let first = || {
+                let [found_s, before_s] = [found_s, before_s].map(format_number);
                 let after = format!("{NOT_LATER} ({found_s} s after {before_s} s)");
                 Omission::counted(format!("{}: ", self.column.name), 0, after)
             };
@@ -332,7 +336,7 @@ impl Series {
             } else {
                 ""
             };
-            let worst = format_compact(worst);
+            let worst = format_number(worst);
             let place = format!(
                 "the first one here, the last one on line {last_line}, the worst {worst} {unit}"
             );

@@ -6,8 +6,8 @@ use std::path::Path;
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 use super::map::{
-    ColumnUnit, DecimalMark, RecordingMapSpec, factor_by_name, is_same_name, other_unit_in_name,
-    unit_in_name,
+    ColumnUnit, DecimalMark, NamedUnit, RecordingMapSpec, is_same_name, list_units, unit_by_name,
+    unit_in_name, unknown_unit_in_name,
 };
 use super::number::parse_number;
 use super::text::TextFormat;
@@ -331,36 +331,62 @@ impl<'a> CsvRow<'a> {
             ColumnUnit::Quantity { units, stated } => (units, stated),
         };
         let in_file = self.units.get(index).filter(|unit| !is_missing(unit));
-        let named = unit_in_name(units, full_name).filter(|_| in_file.is_none());
-        let other = other_unit_in_name(full_name).filter(|_| in_file.is_none());
-        match (stated, in_file, named, other) {
-            (Some((in_map, _)), _, _, Some(in_name)) => {
-                self.reject(&name, ColumnProblem::OtherUnit { in_name, in_map })
-            }
-            (Some((in_map, factor)), _, Some((in_name, other)), _) if other != factor => {
-                self.reject(&name, ColumnProblem::OtherUnit { in_name, in_map })
-            }
-            (Some((_, factor)), ..) => Ok(column(factor, None)),
-            (None, Some(unit), ..) => match factor_by_name(unit) {
-                Some(factor) => Ok(column(factor, None)),
-                None => self.reject(
-                    &name,
-                    ColumnProblem::UnknownUnit {
-                        unit: excerpt(unit),
-                    },
-                ),
-            },
-            (None, None, _, Some(unit)) => self.reject(
+        let Some(in_file) = in_file else {
+            let (factor, in_name) = self.unit_of_name(full_name, units, stated)?;
+            return Ok(column(factor, in_name));
+        };
+        match stated.or_else(|| unit_by_name(units, in_file)) {
+            Some((_, factor)) => Ok(column(factor, None)),
+            None => self.reject(
                 &name,
                 ColumnProblem::UnknownUnit {
-                    unit: unit.to_owned(),
+                    unit: excerpt(in_file),
+                    known: list_units(units),
+                    remedy: "state the unit in the map",
                 },
             ),
-            (None, None, named, None) => Ok(column(
-                named.map_or(1.0, |(_, factor)| factor),
-                named.map(|(unit, _)| unit),
-            )),
         }
+    }
+
+    /// Returns the size of the unit of a column, and the unit if only its name states it.
+    fn unit_of_name(
+        &self,
+        full_name: &str,
+        units: &[NamedUnit],
+        stated: Option<NamedUnit>,
+    ) -> Result<(f64, Option<&'static str>), RecordingError> {
+        const CONVERT: &str = "convert the column, and rename it";
+        let named = unit_in_name(units, full_name);
+        let unknown = unknown_unit_in_name(units, full_name);
+        let problem = match (stated, named, unknown) {
+            (Some((in_map, factor)), Some((in_name, other)), _) if other != factor => {
+                ColumnProblem::OtherUnit {
+                    in_name: in_name.to_owned(),
+                    in_map,
+                    remedy: "correct the map".to_owned(),
+                }
+            }
+            (Some((in_map, _)), None, Some(unknown)) if unknown.is_certain => {
+                ColumnProblem::OtherUnit {
+                    in_name: excerpt(&unknown.text),
+                    in_map,
+                    remedy: format!("crumple knows {}; {CONVERT}", list_units(units)),
+                }
+            }
+            (None, None, Some(unknown)) => ColumnProblem::UnknownUnit {
+                unit: excerpt(&unknown.text),
+                known: list_units(units),
+                remedy: if unknown.is_certain {
+                    CONVERT
+                } else {
+                    "state the unit in the map"
+                },
+            },
+            (Some((_, factor)), ..) => return Ok((factor, None)),
+            (None, Some((unit, factor)), _) => return Ok((factor, Some(unit))),
+            (None, None, None) => return Ok((1.0, None)),
+        };
+        self.reject(&excerpt(full_name), problem)
     }
 
     pub(super) fn reject<T>(

@@ -7,6 +7,7 @@ use encoding_rs::{Decoder, DecoderResult, UTF_16BE, UTF_16LE, WINDOWS_1252};
 
 use super::map::{DecimalMark, Delimiter, RecordingMapSpec};
 use super::number::NumberMarks;
+use super::table::excerpt;
 
 const CHUNK_BYTES: usize = 64 << 10;
 /// Number of rows whose numbers show the decimal mark.
@@ -65,7 +66,20 @@ impl fmt::Display for TextFormat {
 
 impl TextFormat {
     /// Detects the format from the first lines of a text. `map` takes precedence.
-    pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Self {
+    ///
+    /// # Errors
+    /// A first line that states a separator which crumple does not read, in words.
+    pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Result<Self, String> {
+        if let Some(found) = unknown_separator(sample) {
+            let found = excerpt(found);
+            return Err(format!(
+                "the first line states the separator `{found}`, but crumple reads only comma, semicolon and tab"
+            ));
+        }
+        Ok(Self::detect_known(sample, map))
+    }
+
+    fn detect_known(sample: &str, map: Option<&RecordingMapSpec>) -> Self {
         let (delimiter, decimal) = map.map_or((None, None), |map| (map.delimiter, map.decimal));
         let before_names = map.map_or(0, |map| map.lines_before_names);
         let sample = sample.trim_start_matches('\u{feff}');
@@ -92,7 +106,7 @@ impl TextFormat {
             .skip(before_names);
         let (names, first) = (rows.next().unwrap_or(""), rows.clone().next().unwrap_or(""));
         let count = |line, of: Delimiter| fields(line, of).count() - 1;
-        let known = [Delimiter::Tab, Delimiter::Semicolon, Delimiter::Comma];
+        let known = KNOWN_DELIMITERS;
         let splits_both =
             |of: &Delimiter| count(names, *of) > 0 && count(names, *of) == count(first, *of);
         let splits = |of: &Delimiter| count(names, *of) > 0;
@@ -132,16 +146,34 @@ impl TextFormat {
     }
 }
 
-/// Returns the separator of a first line such as `sep=;`.
+/// Separators that crumple reads.
+const KNOWN_DELIMITERS: [Delimiter; 3] = [Delimiter::Tab, Delimiter::Semicolon, Delimiter::Comma];
+
+/// Returns the text behind `sep=` in a first line, which may be in quotation marks.
+fn separator_text(sample: &str) -> Option<&str> {
+    let line = sample.trim_start_matches('\u{feff}').lines().next()?;
+    let line = line.strip_prefix('"').unwrap_or(line);
+    let (key, rest) = line.split_at_checked(4)?;
+    key.eq_ignore_ascii_case("sep=").then_some(rest)
+}
+
+/// Returns the separator of a first line such as `sep=;`. Spreadsheets fill the line with more separators.
 fn stated_separator(sample: &str) -> Option<Delimiter> {
-    let line = sample.lines().next()?.trim_matches('"');
-    let (key, separator) = line.split_at_checked(4)?;
-    let known = [Delimiter::Comma, Delimiter::Semicolon, Delimiter::Tab];
-    let is_stated = |known: &Delimiter| separator.as_bytes() == [known.byte()];
-    known
-        .into_iter()
-        .find(is_stated)
-        .filter(|_| key.eq_ignore_ascii_case("sep="))
+    let text = separator_text(sample)?;
+    let is_stated = |known: &Delimiter| {
+        let byte = char::from(known.byte());
+        text.starts_with(byte) && text.chars().all(|letter| letter == byte || letter == '"')
+    };
+    KNOWN_DELIMITERS.into_iter().find(is_stated)
+}
+
+/// Returns the separator of a first line such as `sep=|`, if crumple does not read it.
+fn unknown_separator(sample: &str) -> Option<&str> {
+    let text = separator_text(sample)?;
+    let has_known = KNOWN_DELIMITERS
+        .iter()
+        .any(|known| text.contains(char::from(known.byte())));
+    (!has_known).then(|| text.trim_end_matches('"'))
 }
 
 /// Splits a line at separators outside of quotation marks.

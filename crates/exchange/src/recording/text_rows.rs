@@ -23,10 +23,10 @@ pub(super) struct TextRows<'a> {
 }
 
 impl<'a> TextRows<'a> {
-    /// Detects the format of a text with a function of its beginning.
+    /// Detects the format of a text with a function of its beginning, whose error is in words.
     pub(super) fn new(
         from: impl Read + 'a,
-        detect: impl FnOnce(&str) -> TextFormat,
+        detect: impl FnOnce(&str) -> Result<TextFormat, String>,
     ) -> Result<Self, io::Error> {
         let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
         let sample = String::from_utf8_lossy(text.fill_buf()?);
@@ -35,7 +35,8 @@ impl<'a> TextRows<'a> {
             detect(&sample.replace('\r', "\n"))
         } else {
             detect(&sample)
-        };
+        }
+        .map_err(|problem| io::Error::new(io::ErrorKind::InvalidData, problem))?;
         let source = LineSource {
             text,
             has_only_carriage_returns,

@@ -349,6 +349,61 @@ fn a_first_line_may_state_the_separator() {
     );
 }
 
+/// crumple reads no other separator, so it names the one that the file states.
+#[test]
+fn a_separator_that_crumple_does_not_read_is_named() {
+    for (first, found) in [
+        ("sep=|", "|"),
+        ("SEP=:", ":"),
+        ("\"sep= \"", " "),
+        ("sep=", ""),
+    ] {
+        let text = format!("{first}\r\nZeit|v\r\n0|5\r\n");
+        let message = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map()))
+            .expect_err("wrong")
+            .to_string();
+        assert_eq!(
+            message,
+            format!(
+                "a.csv:1: the first line states the separator `{found}`, but crumple reads only comma, semicolon \
+                 and tab"
+            )
+        );
+    }
+    // A spreadsheet that saves the file again fills the line.
+    let rows = "Zeit;Größe;Abstand;v;v vorn\n0;e;50,5;20;20\n";
+    assert_eq!(events_of(&format!("sep=;;;;;\n{rows}")), ["e"]);
+}
+
+/// Columns have the units of their quantity under several names.
+#[test]
+fn units_in_names_have_several_names() {
+    use super::map::{SpeedUnit, TimeUnit, unit_in_name, unknown_unit_in_name};
+    for (name, expected) in [
+        ("v [km/hr]", "km/h"),
+        ("v km/hr", "km/h"),
+        ("v_kph", "km/h"),
+        ("v (Miles/Hour)", "mph"),
+        ("v [m / sec]", "m/s"),
+        ("v_ms", "m/s"),
+    ] {
+        let found = unit_in_name(SpeedUnit::ALL, name).map(|(unit, _)| unit);
+        assert_eq!(found, Some(expected), "{name}");
+    }
+    let unknown = |units, name| unknown_unit_in_name(units, name).map(|unit| unit.text);
+    for (name, expected) in [
+        ("t [min]", Some("min")),
+        ("t_h", Some("h")),
+        ("t [fortnight]", Some("fortnight")),
+        ("Time (UTC)", None),
+        ("time [hh:mm:ss]", None),
+        ("t [µs]", None),
+    ] {
+        assert_eq!(unknown(TimeUnit::ALL, name).as_deref(), expected, "{name}");
+    }
+    assert_eq!(unknown(SpeedUnit::ALL, "v_kn").as_deref(), Some("kn"));
+}
+
 /// The unit in a name holds unless the map states another one, which is an error.
 #[test]
 fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
@@ -368,6 +423,10 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         ("gap_cm", "", 1.0),
         ("gap (m)", ", unit = \"m\"", 100.0),
         ("gap", ", unit = \"ft\"", 30.48),
+        ("gap [feet] (ego)", "", 30.48),
+        ("gap (ego)", ", unit = \"ft\"", 30.48),
+        ("gap[0]", "", 100.0),
+        ("gap_min", "", 100.0),
         ("abstand", "", 100.0),
     ] {
         let found = read_with(header, unit)
@@ -394,7 +453,39 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         (
             "gap [mm]",
             "",
-            "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know",
+            "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know (it knows m, ft, cm)",
+        ),
+        (
+            "gap [furlong]",
+            "",
+            "a.csv:1: gap [furlong]: the file states the unit `furlong`, which crumple does not know (it knows \
+             m, ft, cm)",
+        ),
+        (
+            "gap [ftt]",
+            ", unit = \"ft\"",
+            "a.csv:1: gap [ftt]: its name states the unit `ftt`, but the map states `ft`: crumple knows m, ft, cm",
+        ),
+        (
+            "gap [m/s]",
+            "",
+            "a.csv:1: gap [m/s]: the file states the unit `m/s`, which crumple does not know (it knows m, ft, cm)",
+        ),
+        (
+            "gap_km",
+            "",
+            "a.csv:1: gap_km: the file states the unit `km`, which crumple does not know (it knows m, ft, cm)",
+        ),
+        (
+            "gap_km",
+            ", unit = \"m\"",
+            "a.csv:1: gap_km: its name states the unit `km`, but the map states `m`",
+        ),
+        (
+            "gap (ego)",
+            "",
+            "a.csv:1: gap (ego): the file states the unit `ego`, which crumple does not know (it knows m, ft, \
+             cm): state the unit in the map",
         ),
     ] {
         let message = read_with(header, unit)

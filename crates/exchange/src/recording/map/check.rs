@@ -1,5 +1,7 @@
 //! Validation of maps.
 
+use crate::number_text::format_number;
+
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
 use super::{
@@ -281,7 +283,10 @@ fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (Str
     } else {
         Err((
             field.to_owned(),
-            format!("must be from {min} to {max}, found {found}"),
+            format!(
+                "must be from {min} to {max}, found {}",
+                format_number(found)
+            ),
         ))
     }
 }

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub(in crate::recording) use check::is_same_name;
 pub(in crate::recording) use units::{
-    ColumnUnit, factor_by_name, other_unit_in_name, unit_in_name, words,
+    ColumnUnit, NamedUnit, list_units, unit_by_name, unit_in_name, unknown_unit_in_name, words,
 };
 
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};

@@ -104,20 +104,44 @@ pub(in crate::recording) enum ColumnUnit {
     },
 }
 
-/// Units in brackets that crumple recognises, but does not convert.
-const OTHER_UNITS: [&str; 12] = [
-    "kn", "kt", "knots", "cm/s", "mm/s", "km", "mm", "dm", "yd", "mi", "in", "min",
+/// Units that crumple recognises in brackets, but does not convert.
+#[rustfmt::skip]
+const OTHER_UNITS: &[&str] = &[
+    "kn", "kt", "kts", "knot", "knots", "cm/s", "mm/s", "km/s", "km/min", "m/min", "m/h", "ft/min", "in/s", "yd/s",
+    "km", "kilometer", "kilometers", "kilometre", "kilometres", "mm", "millimeter", "millimeters", "millimetre",
+    "millimetres", "dm", "yd", "yds", "yard", "yards", "mi", "mile", "miles", "nmi", "in", "inch", "inches", "furlong",
+    "furlongs", "min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "cm/s2", "mm/s2",
+    "km/h/s", "mg", "gal", "deg", "rad", "%", "px", "pixel", "pixels",
+];
+/// Those of them that mean nothing else as a word of a name.
+#[rustfmt::skip]
+const OTHER_UNIT_WORDS: &[&str] = &[
+    "km", "kilometer", "kilometers", "kilometre", "kilometres", "mm", "millimeter", "millimeters", "millimetre",
+    "millimetres", "yd", "yds", "yards", "miles", "nmi", "inch", "inches", "furlong", "furlongs", "kts", "knots",
+];
+/// Those that are units as the last word of a name, and as the last word of the name of a time.
+const OTHER_LAST_WORDS: &[&str] = &["dm", "mi", "kn", "kt"];
+const OTHER_TIME_WORDS: &[&str] = &["min", "mins", "minutes", "h", "hr", "hrs", "hours"];
+/// Texts in brackets behind the name of a time that are no units.
+const TIME_SCALES: &[&str] = &[
+    "utc", "gmt", "tai", "gps", "unix", "epoch", "posix", "local", "iso", "iso8601", "cet", "cest",
 ];
 
 /// Returns the unit of a quantity that the name of a column states, such as `v [km/h]` or `v_kmh`.
 pub(in crate::recording) fn unit_in_name(units: &[NamedUnit], name: &str) -> Option<NamedUnit> {
+    let brackets = trailing_brackets(name);
+    let mut in_brackets = brackets
+        .iter()
+        .filter_map(|one| unit_by_name(units, one.text));
+    if let Some(unit) = in_brackets.next() {
+        return Some(unit);
+    }
+    if brackets.iter().any(|one| is_other_unit(one.text)) {
+        return None;
+    }
     let words = words(name);
-    let is_named = |(unit, _): &&NamedUnit| {
-        let joined = unit.replace('/', "");
-        words
-            .iter()
-            .any(|word| *word == joined || plain_unit(word) == *unit)
-    };
+    let is_named =
+        |(unit, _): &&NamedUnit| words.iter().any(|word| is_name_of(unit, plain_unit(word)));
     // Longer units contain shorter ones.
     units
         .iter()
@@ -126,13 +150,98 @@ pub(in crate::recording) fn unit_in_name(units: &[NamedUnit], name: &str) -> Opt
         .copied()
 }
 
-/// Returns the unit in brackets at the end of a name, if crumple does not convert it.
-pub(in crate::recording) fn other_unit_in_name(name: &str) -> Option<&'static str> {
-    let inner = name.trim_end().strip_suffix([']', ')'])?;
-    let (_, unit) = inner.rsplit_once(['[', '('])?;
-    OTHER_UNITS
-        .into_iter()
-        .find(|other| other.eq_ignore_ascii_case(unit.trim()))
+/// A text in a name that stands for a unit, but for none that crumple converts.
+pub(in crate::recording) struct UnknownUnit {
+    pub(in crate::recording) text: String,
+    /// False for a text in round brackets that may be a remark.
+    pub(in crate::recording) is_certain: bool,
+}
+
+/// Returns the unit that a name states, if it is none of those of its quantity.
+pub(in crate::recording) fn unknown_unit_in_name(
+    units: &[NamedUnit],
+    name: &str,
+) -> Option<UnknownUnit> {
+    if unit_in_name(units, name).is_some() {
+        return None;
+    }
+    let is_time = units == TimeUnit::ALL;
+    let in_brackets = |is_certain: bool| {
+        let brackets = trailing_brackets(name);
+        let mut found = brackets.into_iter().filter(|one| {
+            !is_remark(one.text, is_time)
+                && (one.is_square || is_other_unit(one.text)) == is_certain
+        });
+        let text = found.next()?.text.to_owned();
+        Some(UnknownUnit { text, is_certain })
+    };
+    let words = words(split_brackets(name).0);
+    let last = words.get(words.len().div_ceil(2).saturating_sub(1));
+    let is_last = |known: &[&str]| last.is_some_and(|last| known.contains(&last.as_str()));
+    let in_words = words
+        .iter()
+        .find(|word| OTHER_UNIT_WORDS.contains(&word.as_str()))
+        .or(last.filter(|_| is_last(OTHER_LAST_WORDS) || is_time && is_last(OTHER_TIME_WORDS)));
+    let of_word = |word: &String| UnknownUnit {
+        text: word.clone(),
+        is_certain: true,
+    };
+    in_brackets(true)
+        .or(in_words.map(of_word))
+        .or_else(|| in_brackets(false))
+}
+
+/// A text in brackets.
+struct BracketText<'n> {
+    text: &'n str,
+    is_square: bool,
+}
+
+/// Returns the texts in brackets at the end of a name, the last one first.
+fn trailing_brackets(name: &str) -> Vec<BracketText<'_>> {
+    split_brackets(name).1
+}
+
+/// Returns a name without the texts in brackets at its end, and these.
+fn split_brackets(name: &str) -> (&str, Vec<BracketText<'_>>) {
+    let (mut found, mut rest) = (Vec::new(), name.trim_end());
+    while let Some(inner) = rest.strip_suffix([']', ')']) {
+        let opening = if rest.ends_with(']') { '[' } else { '(' };
+        let Some((before, text)) = inner.rsplit_once(opening) else {
+            break;
+        };
+        found.push(BracketText {
+            text: text.trim(),
+            is_square: opening == '[',
+        });
+        rest = before.trim_end();
+    }
+    (rest, found)
+}
+
+/// Returns whether a text in brackets is no unit: an index, a sign for no unit, or the scale of a time.
+fn is_remark(text: &str, is_time: bool) -> bool {
+    let is_scale = || {
+        let plain = plain_name(text);
+        TIME_SCALES.contains(&plain.as_str()) || plain.contains(':') || plain.contains("yyyy")
+    };
+    !text.chars().any(char::is_alphabetic) && text != "%" || is_time && is_scale()
+}
+
+/// Returns whether a text names a unit of any quantity.
+fn is_other_unit(text: &str) -> bool {
+    let is_of = |units: &[NamedUnit]| unit_by_name(units, text).is_some();
+    OTHER_UNITS.contains(&plain_name(text).as_str())
+        || is_of(TimeUnit::ALL)
+        || is_of(SpeedUnit::ALL)
+        || is_of(LengthUnit::ALL)
+        || is_of(AccelerationUnit::ALL)
+}
+
+/// Returns the names of units, for an error.
+pub(in crate::recording) fn list_units(units: &[NamedUnit]) -> String {
+    let names: Vec<_> = units.iter().map(|(unit, _)| *unit).collect();
+    names.join(", ")
 }
 
 /// Splits a name into words in lower case, at punctuation and where capitals begin; also the words joined in pairs.
@@ -161,28 +270,46 @@ pub(in crate::recording) fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Returns the size of a unit of speed, length or acceleration, by its name in a file.
-pub(in crate::recording) fn factor_by_name(name: &str) -> Option<f64> {
-    let plain = name
-        .trim()
-        .to_lowercase()
-        .replace('²', "2")
-        .replace('^', "");
-    let mut all = [SpeedUnit::ALL, LengthUnit::ALL, AccelerationUnit::ALL]
-        .into_iter()
-        .flatten();
-    all.find(|(unit, _)| *unit == plain_unit(&plain))
-        .map(|(_, factor)| *factor)
+/// Returns the unit of a quantity by any name of it.
+pub(in crate::recording) fn unit_by_name(units: &[NamedUnit], name: &str) -> Option<NamedUnit> {
+    let plain = plain_name(name);
+    let is_named = |(unit, _): &&NamedUnit| is_name_of(unit, plain_unit(&plain));
+    units.iter().find(is_named).copied()
+}
+
+/// Returns whether a name is that of a unit in maps, or that without its stroke.
+fn is_name_of(unit: &str, name: &str) -> bool {
+    name == unit || unit.contains('/') && name == unit.replace('/', "")
+}
+
+/// Returns the name of a unit in lower case, without blanks and raised digits.
+fn plain_name(name: &str) -> String {
+    let letter = |letter: char| match letter {
+        '²' => Some('2'),
+        'µ' | 'μ' => Some('u'),
+        '^' | '*' => None,
+        letter if letter.is_whitespace() => None,
+        letter => Some(letter),
+    };
+    name.to_lowercase().chars().filter_map(letter).collect()
 }
 
 /// Returns the name of a unit in maps, for another name of it in lower case.
-pub(in crate::recording) fn plain_unit(name: &str) -> &str {
+fn plain_unit(name: &str) -> &str {
     match name {
-        "kph" | "kmh" => "km/h",
-        "mps" => "m/s",
-        "fps" => "ft/s",
-        "mi/h" => "mph",
-        "feet" => "ft",
+        "kph" | "kmph" | "km/hr" | "kmhr" | "km/hour" => "km/h",
+        "mps" | "m/sec" | "m/second" | "meters/second" | "metres/second" | "ms-1" => "m/s",
+        "fps" | "ft/sec" | "ftsec" | "feet/s" | "feet/sec" | "feet/second" => "ft/s",
+        "mi/h" | "mi/hr" | "miles/h" | "miles/hr" | "miles/hour" => "mph",
+        "meter" | "meters" | "metre" | "metres" => "m",
+        "feet" | "foot" => "ft",
+        "centimeter" | "centimeters" | "centimetre" | "centimetres" => "cm",
+        "sec" | "secs" | "second" | "seconds" => "s",
+        "msec" | "msecs" | "millisecond" | "milliseconds" => "ms",
+        "usec" | "microsecond" | "microseconds" => "us",
+        "nsec" | "nanosecond" | "nanoseconds" => "ns",
+        "m/s/s" | "m/sec2" | "mps2" | "ms-2" => "m/s2",
+        "ft/sec2" | "fps2" => "ft/s2",
         other => other,
     }
 }

@@ -22,6 +22,8 @@ const MAX_DBC_BYTES: u64 = 16 << 20;
 const MAX_DBC_WORDS: usize = 3_000_000;
 /// Longest name of a message or signal, in bytes.
 const MAX_NAME_BYTES: usize = 256;
+/// Maximum number of bits of a signal.
+const MAX_SIGNAL_BITS: u64 = 64;
 /// Maximum number of multiplexers that select each other.
 const MAX_SELECTORS: usize = 16;
 /// Source address of a message of J1939 that any sender may send.
@@ -268,8 +270,18 @@ impl DbcFile {
             ByteOrder::BigEndian => signal.start_bit ^ 7,
             ByteOrder::LittleEndian => signal.start_bit,
         };
-        let name = &signal.name;
-        let problem = if start.saturating_add(signal.size) > message.size.saturating_mul(8) {
+        let (name, size) = (excerpt(&signal.name), signal.size);
+        let kind = self.place(message, signal).kind;
+        let float_bits = match kind {
+            SignalExtendedValueType::IEEEfloat32Bit => Some(32),
+            SignalExtendedValueType::IEEEdouble64bit => Some(64),
+            SignalExtendedValueType::SignedOrUnsignedInteger => None,
+        };
+        let problem = if !(1..=MAX_SIGNAL_BITS).contains(&size) {
+            format!("signal {name} has {size} bits, and crumple reads 1 to {MAX_SIGNAL_BITS}")
+        } else if let Some(bits) = float_bits.filter(|bits| *bits != size) {
+            format!("signal {name} has {size} bits, but its floating-point numbers have {bits}")
+        } else if start.saturating_add(size) > message.size.saturating_mul(8) {
             format!(
                 "signal {name} goes beyond the {} bytes of its message",
                 message.size
@@ -279,7 +291,7 @@ impl DbcFile {
         } else {
             return Ok(());
         };
-        Err(self.error(message, Some(name), problem))
+        Err(self.error(message, Some(&signal.name), problem))
     }
 
     /// Returns whether a message is one of J1939: by the attribute of the message or of the file, or because any sender
@@ -343,6 +355,7 @@ impl DbcFile {
                 );
                 return Err(self.error(message, Some(&signal.name), problem));
             }
+            self.check_signal(message, by)?;
             selectors.push(Selector::new(self.place(message, by), values));
             current = by;
         }

@@ -334,3 +334,34 @@ fn multiplexers_that_select_each_other_are_refused() {
         "bus.dbc:12: more than 16 multiplexers select signal Gap, or each other"
     );
 }
+
+/// A signal, or its multiplexer, of an impossible length is named with its length.
+#[test]
+fn signals_of_impossible_length_are_named() {
+    for (signals, expected) in [
+        (
+            " SG_ Gap : 0|0@1+ (0.01,-5) [0|0] \"m\" ECU\n",
+            "bus.dbc:10: signal Gap has 0 bits, and crumple reads 1 to 64",
+        ),
+        (
+            " SG_ Gap : 0|65@1+ (0.01,-5) [0|0] \"m\" ECU\n",
+            "bus.dbc:10: signal Gap has 65 bits, and crumple reads 1 to 64",
+        ),
+        (
+            " SG_ Gap : 0|16@1- (0.01,-5) [0|0] \"m\" ECU\n\nSIG_VALTYPE_ 513 Gap : 1;\n",
+            "bus.dbc:10: signal Gap has 16 bits, but its floating-point numbers have 32",
+        ),
+        (
+            " SG_ A M : 0|0@1+ (1,0) [0|0] \"\" ECU\n SG_ Gap m5 : 8|16@1+ (0.01,-5) [0|0] \"m\" ECU\n",
+            "bus.dbc:10: signal A has 0 bits, and crumple reads 1 to 64",
+        ),
+    ] {
+        let text =
+            format!("VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: ECU\n\nBO_ 513 X: 16 ECU\n{signals}");
+        let dbc = DbcFile::parse(text.as_bytes(), Path::new("bus.dbc")).expect("a DBC file");
+        let read = SignalSet::read(Cursor::new(frames_file(&[])), Some(&dbc), &|name| {
+            name == "Gap"
+        });
+        assert_eq!(read.expect_err("wrong").to_string(), expected);
+    }
+}

@@ -6,7 +6,8 @@ fn units_in_the_file_hold_unless_the_map_states_them() {
     for (in_file, in_map, expected) in [
         ("km/h", None, Some(1.0 / 3.6)),
         ("km/h", Some(SpeedUnit::MetresPerSecond), Some(1.0)),
-        ("m/s²", None, Some(1.0)),
+        ("m / sec", None, Some(1.0)),
+        ("m/s²", None, None),
         ("", None, Some(1.0)),
         ("furlong", None, None),
     ] {

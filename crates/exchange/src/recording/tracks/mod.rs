@@ -20,6 +20,7 @@ use std::sync::Arc;
 use super::dropped::Omission;
 use super::map::ReferencePoint;
 use super::table::excerpt;
+use crate::number_text::format_number;
 
 /// Vehicles with changing neighbours.
 #[derive(Debug, Clone, PartialEq)]
@@ -153,7 +154,8 @@ impl RecordedTraffic {
             ));
         }
         if let Some((first, count)) = lanes::remove_blips(&mut points, to_ms(rules.lane_blip_s)) {
-            let (vehicle, limit_s) = (label(&vehicles, first.vehicle), rules.lane_blip_s);
+            let vehicle = label(&vehicles, first.vehicle);
+            let limit_s = format_number(rules.lane_blip_s);
             let before =
                 format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
             dropped.push((
