@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::error::ScenarioImportError;
 use super::limits::{MAX_PARAMETERS, MAX_VALUE_BYTES, ensure_at_most};
 use super::xml::Node;
-use crumple_world::scenario::format_compact;
+use crumple_core::digits::format_compact;
 
 /// Maximum depth of parentheses in an expression.
 const MAX_DEPTH: usize = 50;

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::distribution::ParameterDistributionFile;
 use super::error::ScenarioImportError;
 use super::{ImportedLaneScenario, OpenScenarioSource};
-use crumple_world::scenario::format_compact;
+use crumple_core::digits::format_compact;
 use crumple_spaces::{
     Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace,
     SpaceSpec, UniformSpec,

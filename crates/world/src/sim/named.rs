@@ -6,10 +6,8 @@ use std::sync::Arc;
 
 use crate::control::{
     BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, InvalidSetting,
-    InvalidShieldSetting, NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy,
-    ShieldSettings, ShieldedSource, StartRefusal,
-    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting,
-    NameOrigin, PolicySource, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings,
+    InvalidShieldSetting, NameOrigin, PolicySource, ProcessController, ProcessSetup,
+    RetrainedPolicy, ShieldSettings, ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
