@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use super::CliError;
 use super::output;
-use super::simulate::{self, OutputFormat};
+use super::output_format::OutputFormat;
+use super::simulate;
 use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::SimulationResult;

@@ -8,7 +8,7 @@ use clap::Args;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
     AssessConfig, AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND,

@@ -8,7 +8,7 @@ use clap::Args;
 use crumple_verify::{Certificate, CertificateParseError, ProvedClaim, Statement, WorkLimit};
 use serde::Serialize;
 
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, file_kind, interrupt, output, progress};
 use crumple_core::regular_file;
 use crumple_evidence::{

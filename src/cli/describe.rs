@@ -6,13 +6,13 @@ use clap::Args;
 use serde::Serialize;
 
 use super::error::is_caused_by_environment;
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, describe_fmu, file_kind, output};
-use crumple_world::control::{Mapping, ObservedQuantity, OutputMapping};
 use crumple_world::network::{
-    NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, SavedModel,
-    VecNormalizeStats, VecNormalizeUse,
+    NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, VecNormalizeStats,
+    VecNormalizeUse,
 };
+use crumple_world::scenario::controller_file::ControllerFileDraft;
 use crumple_world::sim::{NamedController, UnknownController};
 
 /// Inspect an ONNX/SB3 network and print a starter controller file, or inspect an FMU
@@ -73,16 +73,6 @@ struct SavedModelDescription {
     normalisation: Option<Normalisation>,
 }
 
-/// Default quantities of the inputs, in this order.
-const DEFAULT_QUANTITIES: [ObservedQuantity; 6] = [
-    ObservedQuantity::GapAheadM,
-    ObservedQuantity::SpeedMps,
-    ObservedQuantity::RelativeSpeedAheadMps,
-    ObservedQuantity::AccelerationMps2,
-    ObservedQuantity::SpeedAheadMps,
-    ObservedQuantity::AccelerationAheadMps2,
-];
-
 impl Describe {
     pub(super) fn run(self) -> Result<(), CliError> {
         let place = &self.file;
@@ -100,7 +90,15 @@ impl Describe {
             Some(VecNormalizeStats::Observations(normalisation)) => Some(normalisation),
             _ => None,
         };
-        let is_named = is_controller(place);
+        let file = place.display().to_string();
+        let drives_as_it_is = is_controller(place);
+        let draft = ControllerFileDraft {
+            path: &file,
+            network: &network,
+            normalisation: normalisation.as_ref(),
+            drives_as_it_is,
+        };
+        let controller_file = draft.to_toml();
         let model = network.saved_model().map(|saved| SavedModelDescription {
             algorithm: saved.algorithm,
             version: saved.version.clone(),
@@ -113,8 +111,8 @@ impl Describe {
             statistics: statistics.map(|path| path.display().to_string()),
             normalisation,
         });
-        let mut description = NetworkDescription {
-            file: place.display().to_string(),
+        let description = NetworkDescription {
+            file,
             format: network.format(),
             sha256: network.sha256.clone(),
             layers: network.network.shape(),
@@ -123,10 +121,9 @@ impl Describe {
             answers: network.network.outputs(),
             answer_bounds: without_infinities(network.network.answer_bounds()),
             model,
-            drives_as_it_is: is_named,
-            controller_file: String::new(),
+            drives_as_it_is,
+            controller_file,
         };
-        description.controller_file = description.draft_controller_file(network.saved_model());
         let words = || format!("{}{}", description.comments(), description.controller_file);
         output::print_result(self.format, &description, words)
     }
@@ -257,97 +254,5 @@ impl NetworkDescription {
             .iter()
             .map(|line| format!("# {}\n", line.escape_debug()))
             .collect()
-    }
-
-    /// Returns a controller file that can be loaded.
-    fn draft_controller_file(&self, saved: Option<&SavedModel>) -> String {
-        let own = Mapping::native();
-        let model = self.model.as_ref();
-        let normalisation = model.and_then(|model| model.normalisation.as_ref());
-        // A JSON string is also a valid TOML string.
-        let path = serde_json::Value::from(self.file.as_str());
-        let mut text =
-            format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
-        let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
-        if is_normalised {
-            text += "normalised = true # the inputs contain the statistics\n";
-        } else if saved.is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind) {
-            // No default: crumple refuses the file until the user decides.
-            text += "# Write normalised = true when the inputs contain means and deviations, or false if VecNormalize \
-                     changed no observation.\n";
-        }
-        for index in 0..self.inputs {
-            let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
-            let quantity = own
-                .and_then(|own| own.quantity)
-                .unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
-            text += &format!(
-                "\n[[inputs]]\nquantity = \"{}\" # a guess\n",
-                quantity.name()
-            );
-            let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
-            let bounds = model
-                .and_then(|model| model.observations.get(index))
-                .copied()
-                .unwrap_or_default();
-            let [mut low, mut high] = bounds.map(|bound| bound.map(f64::from));
-            if let Some(found) = normalisation.filter(|_| is_normalised) {
-                (offset, scale) = (found.means[index], found.deviations[index]);
-                (low, high) = (Some(-found.limit), Some(found.limit));
-            }
-            text += &format!("offset = {offset:?}\nscale = {scale:?}\n");
-            text += &low
-                .map(|low| format!("low = {low:?}\n"))
-                .unwrap_or_default();
-            text += &high
-                .map(|high| format!("high = {high:?}\n"))
-                .unwrap_or_default();
-        }
-        text += "\n[output]\n";
-        if self.answers > 1 {
-            text += "answer = 0 # index of the output that is the acceleration, a guess\n";
-        }
-        text + &self.output_section(&own.output)
-    }
-
-    /// Returns the rest of `[output]`. A network that limits its outputs itself, as by a final tanh, needs a scale to
-    /// m/s².
-    fn output_section(&self, own: &OutputMapping) -> String {
-        let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
-        let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
-        // The action space is wider than the network's range if the network clips the mean before tanh.
-        let actions = self.model.as_ref().and_then(|model| model.actions.first());
-        let actions = actions.map(|bounds| bounds.map(|bound| bound.map(f64::from)));
-        match actions.as_ref().or(self.answer_bounds.first()) {
-            // These bounds look like accelerations.
-            Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
-                format!(
-                    "# The limits of the network's outputs are assumed to be in m/s², a guess. Otherwise add \
-                     scale_mps2 and offset_mps2.\nlow_mps2 = {low:?}\nhigh_mps2 = {high:?}\n"
-                )
-            }
-            Some([Some(low), Some(high)]) if low < high => {
-                let scale_mps2 = (most_mps2 - least_mps2) / (high - low);
-                let offset_mps2 = least_mps2 - scale_mps2 * low;
-                format!(
-                    "# The network itself limits its outputs to {low:?} to {high:?}: scale_mps2 and offset_mps2 \
-                     turn\n# them into m/s². Do not add `squash`: it is for a tanh outside the network.\nscale_mps2 = \
-                     {scale_mps2:?} # a guess: the limits of a light vehicle\noffset_mps2 = {offset_mps2:?}\n{limits}"
-                )
-            }
-            _ if self.drives_as_it_is => {
-                let OutputMapping {
-                    scale_mps2,
-                    offset_mps2,
-                    ..
-                } = own;
-                format!("scale_mps2 = {scale_mps2:?}\noffset_mps2 = {offset_mps2:?}\n{limits}")
-            }
-            _ => format!(
-                "# The network does not limit its outputs, so they are assumed to be in m/s². If training applied tanh \
-                 to them, write\n# squash = \"tanh\" and the scale_mps2 and offset_mps2 that turn -1 to 1 into \
-                 m/s².\n{limits}"
-            ),
-        }
     }
 }

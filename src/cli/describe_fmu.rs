@@ -5,7 +5,7 @@ use std::path::Path;
 use crumple_fmu::{Fmu, ModelDescription, Variable};
 use serde::Serialize;
 
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_core::quoting::TerminalText;
 

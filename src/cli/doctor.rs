@@ -8,7 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::feature::{FEATURES, Feature};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, output};
 
 /// Show what this build can do on this machine, and what the rest requires

@@ -6,7 +6,7 @@ use clap::Args;
 use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
 use serde::Serialize;
 
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, output, value_enums};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;

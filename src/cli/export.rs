@@ -6,11 +6,11 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, output, value_enums};
 use crumple_core::quoting::TerminalText;
-use crumple_report::export::openscenario::{self, OpenScenario};
+use crumple_exchange::openscenario::export::{self as openscenario, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_world::control::{ControllerSpec, IntoSource};
 use crumple_world::observation::EstimatorKind;

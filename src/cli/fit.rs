@@ -12,8 +12,9 @@ use serde_json::json;
 
 use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
+use super::output_format::OutputFormat;
 use super::progress::read_bar;
-use super::simulate::{OutputFormat, path_ending_in};
+use super::simulate::path_ending_in;
 use super::{CliError, args, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;

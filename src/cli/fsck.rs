@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::assess::{EVIDENCE_FOLDER, LISTING_FILE};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_core::quoting::TerminalText;
 use crumple_report::assessment::REPORT_KIND;

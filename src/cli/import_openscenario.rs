@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::CliError;
 use super::output_folder::{EarlierFiles, OutputFolder};
+use super::output_format::OutputFormat;
 use super::progress::{import_bar, show};
-use super::simulate::OutputFormat;
 use super::{export, output};
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_core::quoting::TerminalText;

@@ -11,8 +11,9 @@ use serde::Serialize;
 
 use super::import::render_figure;
 use super::output;
+use super::output_format::OutputFormat;
 use super::reach::write_certificate;
-use super::simulate::{OutputFormat, path_ending_in};
+use super::simulate::path_ending_in;
 use super::{CliError, args, progress};
 use crumple_evidence::{
     Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet,

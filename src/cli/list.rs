@@ -6,7 +6,7 @@ use std::io::{self, IsTerminal};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};

@@ -30,6 +30,7 @@ mod list;
 mod new;
 mod output;
 mod output_folder;
+mod output_format;
 mod preset;
 mod progress;
 mod rare;

@@ -9,7 +9,7 @@ use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::CliError;
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use crumple_core::quoting::{TerminalLines, TerminalMessage, shorten_message};
 use crumple_store::disk::DiskError;
 

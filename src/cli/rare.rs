@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;

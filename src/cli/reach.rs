@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::output;
 use super::output_folder::stage;
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, progress};
 use crumple_core::text_file;
 use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCounts, VolumeShares};

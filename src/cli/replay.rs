@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::fit::ensure_distinct;
 use super::import::{load_map, note_text_format, parse_min_brake};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, output, progress};
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;

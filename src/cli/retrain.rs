@@ -11,8 +11,8 @@ mod progress_line;
 use inputs::{load_attacked, load_regression_spaces, load_spaces};
 use progress_line::ProgressLine;
 
+use super::output_format::OutputFormat;
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
-use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{

@@ -6,6 +6,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
 use super::output;
+use super::output_format::OutputFormat;
 use super::run_report::{
     PartReport, RunReport, SpecificationResult, describe, describe_briefly, fell_behind,
     lane_changes, unnecessary_braking,
@@ -140,14 +141,6 @@ impl RunExpectation {
             Self::Violated => "a violated specification",
         }
     }
-}
-
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-pub(super) enum OutputFormat {
-    /// Text
-    Text,
-    /// JSON
-    Json,
 }
 
 struct RenderedRun {

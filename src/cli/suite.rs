@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
+use super::output_format::OutputFormat;
 use super::{CliError, args, output, suite_folder, value_enums};
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
@@ -29,7 +30,7 @@ enum SuiteSubcommand {
     List {
         /// Output format
         #[arg(long, value_enum, default_value = "text")]
-        format: super::simulate::OutputFormat,
+        format: OutputFormat,
     },
     Run(RunSuite),
     Table(SuiteTable),
@@ -92,7 +93,7 @@ struct SuiteTable {
     estimator: EstimatorKind,
     /// Output format: a Markdown table, or one JSON object per suite, as in `crumple suite run`
     #[arg(long, value_enum, default_value = "text")]
-    format: super::simulate::OutputFormat,
+    format: OutputFormat,
 }
 
 impl SuiteTable {
@@ -112,10 +113,8 @@ impl SuiteTable {
             .map(run)
             .collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
-            super::simulate::OutputFormat::Json => results.iter().try_for_each(output::print_json),
-            super::simulate::OutputFormat::Text => {
-                output::print(&suite::render_markdown_table(&results))
-            }
+            OutputFormat::Json => results.iter().try_for_each(output::print_json),
+            OutputFormat::Text => output::print(&suite::render_markdown_table(&results)),
         }
     }
 }
@@ -193,7 +192,7 @@ fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
     Ok(TestSuite::load(path)?)
 }
 
-fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
+fn list_suites(format: OutputFormat) -> Result<(), CliError> {
     let mut suites = Vec::new();
     let mut text = String::new();
     for (name, _) in SHIPPED_SUITES {
@@ -236,7 +235,7 @@ impl RunSuite {
             );
         }
         let printed = match self.format {
-            SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
+            SuiteFormat::Text => output::print_coloured(OutputFormat::Text, &text),
             SuiteFormat::Json | SuiteFormat::Junit => output::print(&text),
         };
         CliError::gate_first(self.check_expectation(&result), printed)

@@ -10,8 +10,8 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
+use super::output_format::OutputFormat;
 use super::preset::TrainingPreset;
-use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{

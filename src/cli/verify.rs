@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::OutputFormat;
+use super::output_format::OutputFormat;
 use super::{CliError, args, exposure, interrupt, invariant, progress, rare, reach, value_enums};
 use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{RarePlan, SplittingConfig};

@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use crumple::report::export::openscenario::{
+use crumple_exchange::openscenario::export::{
     OpenScenarioError, export_actions, export_trajectories,
 };
 use crumple_world::control::ControllerSpec;

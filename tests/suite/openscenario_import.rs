@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use crumple::report::export::openscenario::{OpenScenario, export_actions, export_trajectories};
 use crumple_exchange::openscenario::OpenScenarioSource;
+use crumple_exchange::openscenario::export::{OpenScenario, export_actions, export_trajectories};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names};

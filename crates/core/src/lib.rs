@@ -1,5 +1,5 @@
-//! Digests, rounded numbers, intervals of rates, quoted text, progress, opening of files, and text files with errors
-//! that name a line, for every other crate of crumple.
+//! Digests, rounded numbers, intervals of rates, quoted text, Markdown, progress, opening of files, and text files with
+//! errors that name a line, for every other crate of crumple.
 //!
 //! | module | content |
 //! |---|---|
@@ -9,6 +9,7 @@
 //! | [`interval`] | exact confidence intervals of a rate |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
+//! | [`markdown`] | a writer of Markdown, with all text escaped |
 //! | [`regular_file`] | opening of files that users name: regular files only |
 //! | [`text_file`] | text files in TOML or JSON, with errors that name line and field |
 
@@ -16,6 +17,7 @@ pub mod binomial;
 pub mod digest;
 pub mod digits;
 pub mod interval;
+pub mod markdown;
 pub mod observer;
 pub mod quoting;
 pub mod regular_file;

@@ -48,6 +48,17 @@ pub struct MarkdownCode<'a>(pub &'a str);
 #[derive(Debug, Clone, Copy)]
 pub struct ShellWord<'a>(pub &'a str);
 
+/// Returns `text` in one line, without the characters that XML 1.0 (section 2.2) does not allow.
+#[must_use]
+pub fn strip_unprintable(text: &str) -> String {
+    let allowed =
+        |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
+    text.chars()
+        .map(|letter| if letter.is_whitespace() { ' ' } else { letter })
+        .filter(allowed)
+        .collect()
+}
+
 /// Returns true if a character is invisible or changes how others appear: control characters, line and paragraph
 /// separators, bidirectional controls, zero-width characters and tags.
 #[must_use]

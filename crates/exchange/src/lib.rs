@@ -1,4 +1,5 @@
-//! Conversion of files of other tools to scenarios: recorded traffic and OpenSCENARIO.
+//! Conversion of files of other tools to scenarios (recorded traffic and OpenSCENARIO), and of scenarios to
+//! OpenSCENARIO.
 
 mod number_text;
 pub mod openscenario;

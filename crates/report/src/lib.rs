@@ -13,7 +13,6 @@ pub mod draw;
 pub mod export;
 pub mod figures;
 mod junit;
-mod markdown;
 pub mod suite;
 mod units;
 

@@ -1,4 +1,5 @@
-//! Import of ASAM OpenSCENARIO XML 1.0 to 1.3: entities that drive in the middle of lanes of a straight road.
+//! Import of ASAM OpenSCENARIO XML 1.0 to 1.3: entities that drive in the middle of lanes of a straight road; and
+//! [`export`].
 //!
 //! 1. [`xml`](self) elements with lines are read with the values of the parameters;
 //! 2. the storyboard becomes events with triggers and actions;
@@ -10,6 +11,7 @@
 mod distribution;
 mod entities;
 mod error;
+pub mod export;
 #[cfg(test)]
 mod hostile_tests;
 mod initial;
@@ -50,11 +52,12 @@ use crumple_world::scenario::Scenario;
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// First part of the description in the header of crumple's export.
-pub const DESCRIPTION_START: &str = "crumple scenario ";
+pub(crate) const DESCRIPTION_START: &str = "crumple scenario ";
 /// Part of the description between the name and the purpose of the scenario, for actions.
-pub const ABOUT_ACTIONS: &str = "what the scripted vehicles do; the others are left to controllers";
+pub(crate) const ABOUT_ACTIONS: &str =
+    "what the scripted vehicles do; the others are left to controllers";
 /// Part of the description before the purpose of the scenario.
-pub const DESCRIPTION_ABOUT: &str = " The scenario: ";
+pub(crate) const DESCRIPTION_ABOUT: &str = " The scenario: ";
 
 /// An OpenSCENARIO file, and the files to which it refers.
 #[derive(Debug)]

@@ -9,6 +9,7 @@ use super::plan::TUNE_VERSION;
 use super::{TuneError, TuningObjective, TuningPlan};
 use crate::rl::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficUsefulness};
 use crumple_core::digest::sha256;
+use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownText;
 use crumple_evidence::RateInterval;
 use crumple_world::control::ControllerSpec;
@@ -29,6 +30,21 @@ pub struct TunedSetting {
     pub default: f64,
     /// Tuned value.
     pub tuned: f64,
+}
+
+impl TunedSetting {
+    fn table_row(&self) -> Vec<String> {
+        let range = self
+            .range
+            .map_or("fixed".to_owned(), |[low, high]| format!("{low} to {high}"));
+        vec![
+            format!("`{}`", self.name),
+            self.unit.clone(),
+            range,
+            self.default.to_string(),
+            self.tuned.to_string(),
+        ]
+    }
 }
 
 /// Results of one of the best candidates.
@@ -165,7 +181,7 @@ impl TuningReport {
         writeln!(
             out,
             "{} candidates of the method {} (seed {}), each in {} random scenarios of each space. Spaces, with their \
-             weights: {}. {}\n\n| setting | unit | range | default | tuned |\n|---|---|---|---|---|",
+             weights: {}. {}\n",
             self.evaluations,
             self.method,
             self.seed,
@@ -173,17 +189,10 @@ impl TuningReport {
             spaces.join(", "),
             self.objective_sentence()
         )?;
-        for TunedSetting {
-            name,
-            unit,
-            range,
-            default,
-            tuned,
-        } in &self.settings
-        {
-            let range = range.map_or("fixed".to_owned(), |[low, high]| format!("{low} to {high}"));
-            writeln!(out, "| `{name}` | {unit} | {range} | {default} | {tuned} |")?;
-        }
+        let rows = self.settings.iter().map(TunedSetting::table_row);
+        let mut table = Markdown::default();
+        table.plain_table(&["setting", "unit", "range", "default", "tuned"], rows);
+        out.push_str(&table.into_string());
         self.write_test(out)
     }
 
@@ -209,21 +218,30 @@ impl TuningReport {
             out,
             "\n## Test set\n\n{} other random scenarios of each space and of `traffic`, which decided nothing. \
              Shares in %, with exact {:.0} % intervals. Hard braking: above 4 m/s², of which less than 3 m/s² had a \
-             cause.\n\n| measure | initial settings | tuned settings | `idm` |\n|---|---|---|---|",
+             cause.\n",
             self.test_runs,
             100.0 * CONFIDENCE
         )?;
+        let mut table = Markdown::default();
+        let header = ["measure", "initial settings", "tuned settings", "`idm`"];
+        table.plain_table(&header, self.test_rows().into_iter());
+        out.push_str(&table.into_string());
+        match self.is_confirmed() {
+            true => Ok(()),
+            false => out.write_str(
+                "\nThe tuned settings are not better than the initial ones in the test set: the improvement in the \
+                 other sets was chance. Use more random scenarios for each candidate.\n",
+            ),
+        }
+    }
+
+    fn test_rows(&self) -> Vec<Vec<String>> {
+        let mut rows = Vec::new();
         for (index, space) in self.spaces.iter().enumerate() {
-            self.write_row(
-                out,
-                &format!("collisions in {}", MarkdownText(space)),
-                |score| {
-                    score
-                        .collisions
-                        .get(index)
-                        .map(|&count| self.format_share(count))
-                },
-            )?;
+            rows.push(self.test_row(&format!("collisions in {space}"), |score| {
+                let count = score.collisions.get(index)?;
+                Some(self.format_share(*count))
+            }));
         }
         type MeasureRow = (
             &'static str,
@@ -250,34 +268,22 @@ impl TuningReport {
             }),
         ];
         for (name, measure) in measures {
-            self.write_row(out, name, |score| {
+            rows.push(self.test_row(name, |score| {
                 score.traffic.as_ref().map(|found| measure(found, self))
-            })?;
+            }));
         }
-        self.write_row(out, "objective", |score| {
-            Some(format!("{:.4}", score.objective))
-        })?;
-        match self.is_confirmed() {
-            true => Ok(()),
-            false => out.write_str(
-                "\nThe tuned settings are not better than the initial ones in the test set: the improvement in the \
-                 other sets was chance. Use more random scenarios for each candidate.\n",
-            ),
-        }
+        rows.push(self.test_row("objective", |score| Some(format!("{:.4}", score.objective))));
+        rows
     }
 
-    fn write_row(
+    fn test_row(
         &self,
-        out: &mut String,
         name: &str,
         cell: impl Fn(&ControllerScore) -> Option<String>,
-    ) -> std::fmt::Result {
-        let cells: Vec<_> = self
-            .test
-            .iter()
-            .map(|score| cell(score).unwrap_or_default())
-            .collect();
-        writeln!(out, "| {name} | {} |", cells.join(" | "))
+    ) -> Vec<String> {
+        let scores = self.test.iter();
+        let cells = scores.map(|score| cell(score).unwrap_or_default());
+        std::iter::once(name.to_owned()).chain(cells).collect()
     }
 
     fn format_share(&self, count: u64) -> String {

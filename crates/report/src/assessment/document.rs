@@ -2,9 +2,9 @@
 
 use maud::{Markup, PreEscaped, Render, html};
 
-use super::markdown::Markdown;
 use super::prose::prose_to_html;
 use super::table::ReportTable;
+use crumple_core::markdown::Markdown;
 
 /// A text with two forms: HTML with figures, and Markdown without.
 #[derive(Debug, Default)]

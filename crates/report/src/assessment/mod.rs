@@ -25,12 +25,9 @@ mod rounded;
 mod run_ends;
 mod table;
 
-use crate::markdown;
-
 use maud::Markup;
 use serde::Serialize;
 
-pub use crate::markdown::Markdown;
 pub use avoidance::RoundedAvoidance;
 pub use cache::{CacheError, EvidenceCache, EvidenceHash};
 pub use case::{
@@ -44,6 +41,7 @@ pub use commands::{CommandFile, CrumpleCommand};
 pub use config::{
     AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig,
 };
+use crumple_core::markdown::Markdown;
 pub use document::ReportDocument;
 pub use gate::AssessmentGate;
 pub use gate_evaluation::GateResult;

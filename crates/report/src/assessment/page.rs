@@ -2,10 +2,10 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::markdown::Markdown;
 use super::{AssessmentReport, ReportPart, ReportSection};
 use crate::units::insert_nbsp_before_units;
 use crate::{PAGE_STYLE, draw};
+use crumple_core::markdown::Markdown;
 use crumple_core::quoting::TerminalLines;
 
 const TITLE: &str = "Crash test of longitudinal driving controllers";

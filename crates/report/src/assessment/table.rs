@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::markdown::Markdown;
 use super::prose::prose_to_html;
+use crumple_core::markdown::Markdown;
 
 /// A table of text. Cells may have a mark, so that failures are visible without colour.
 #[derive(Debug, Clone, Default)]

@@ -2,11 +2,12 @@
 
 use maud::{Markup, html};
 
-use super::label::{PixelRect, strip_unprintable};
+use super::label::PixelRect;
 use super::panel::{Anchor, draw_line, draw_text};
 use super::path::Px;
 use super::scale::{LinearScale, Ticks, drawable_interval};
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
+use crumple_core::quoting::strip_unprintable;
 
 /// Width left of a panel's frame for ticks and their labels, in pixels.
 pub const LEFT_MARGIN: f64 = 38.0;

@@ -112,16 +112,6 @@ pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
     lines
 }
 
-/// Returns `text` in one line, without the characters that XML 1.0 (section 2.2) does not allow.
-pub(crate) fn strip_unprintable(text: &str) -> String {
-    let allowed =
-        |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
-    text.chars()
-        .map(|letter| if letter.is_whitespace() { ' ' } else { letter })
-        .filter(allowed)
-        .collect()
-}
-
 /// Returns positions near `wanted`, in its order, within `limits`, and `spacing` apart or as far as there is room.
 #[must_use]
 pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {

@@ -42,8 +42,7 @@ pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 pub use vehicle_names::vehicle_names;
 
-use crumple_core::quoting::TerminalLines;
-pub(crate) use label::strip_unprintable;
+use crumple_core::quoting::{TerminalLines, strip_unprintable};
 use path::Px;
 
 /// True if this build draws PNG.

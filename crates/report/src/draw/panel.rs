@@ -3,10 +3,11 @@
 use maud::{Markup, html};
 
 use super::axis::{Axis, LEFT_MARGIN};
-use super::label::{PixelRect, place_line_labels, strip_unprintable, text_width};
+use super::label::{PixelRect, place_line_labels, text_width};
 use super::path::{self, PixelPoint, Px};
 use super::scale::LinearScale;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
+use crumple_core::quoting::strip_unprintable;
 
 const TAG_HEIGHT: f64 = 14.0;
 

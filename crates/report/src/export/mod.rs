@@ -1,12 +1,10 @@
-//! Traces as tables in CSV or Parquet, one row per sample and vehicle; and runs for other simulators
-//! ([`openscenario`]).
+//! Traces as tables in CSV or Parquet, one row per sample and vehicle.
 //!
 //! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
 //! for the leader). Rows are in order of time, then of vehicle.
 
 #[cfg(feature = "parquet")]
 mod columnar;
-pub mod openscenario;
 
 use crumple_world::sim::Trace;
 

@@ -1,7 +1,7 @@
 //! Results of several suites with the same controllers, as one Markdown table.
 
 use super::description::min_margins;
-use crate::markdown::Markdown;
+use crumple_core::markdown::Markdown;
 use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict};
 
 /// Renders one row per test and one column per controller: passed points of the grid, the highest impact speed, and the

@@ -1,6 +1,8 @@
 //! Controllers in files: policies, networks, and controller files, which map observations to inputs and outputs to
 //! accelerations.
 
+mod draft;
+
 use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
@@ -19,6 +21,8 @@ use crate::control::{
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
+
+pub use draft::ControllerFileDraft;
 
 pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 

@@ -12,8 +12,9 @@ use super::super::test_set::{CONFIDENCE, PairedOutcomes};
 use super::{FileHash, RetrainingEnding, RetrainingReport};
 use crate::rl::TrafficUsefulness;
 use crumple_core::digits::format_rounded;
-use crumple_core::quoting::{MarkdownCode, MarkdownText};
-use crumple_evidence::DiscordantPairs;
+use crumple_core::markdown::Markdown;
+use crumple_core::quoting::MarkdownCode;
+use crumple_evidence::{DiscordantPairs, RateInterval};
 
 /// Returns the present name of a preset: files keep the name `harden` of the preset `retrain`.
 fn preset_name(name: &str) -> &str {
@@ -81,8 +82,7 @@ impl RetrainingReport {
         out.push_str("## Test set\n\n");
         self.write_test_set(out)?;
         out.push_str("\n## Rounds\n\n");
-        // An imitation has a single checkpoint.
-        self.write_rounds(out)?;
+        self.write_rounds(out);
         writeln!(
             out,
             "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
@@ -94,10 +94,11 @@ impl RetrainingReport {
              not significantly worse in any regression space.\n"
         )?;
         self.write_regression(out)?;
-        out.push_str("## Files\n\n| file | SHA-256 |\n|---|---|\n");
-        for FileHash { file, sha256 } in &self.files {
-            writeln!(out, "| `{file}` | `{sha256}` |")?;
-        }
+        out.push_str("## Files\n\n");
+        let files = self.files.iter();
+        let rows =
+            files.map(|FileHash { file, sha256 }| vec![format!("`{file}`"), format!("`{sha256}`")]);
+        write_table(out, &["file", "SHA-256"], rows);
         writeln!(
             out,
             "\nFirst policy: `{}`. Plan: `{}`.",
@@ -126,26 +127,27 @@ impl RetrainingReport {
 
     fn write_test_set(&self, out: &mut String) -> std::fmt::Result {
         let runs = self.test_draws;
-        writeln!(
-            out,
-            "| controller | collisions in {runs} | into the leader | from behind | rate | exact {:.0} % interval |",
-            100.0 * CONFIDENCE
-        )?;
-        out.push_str("|---|---|---|---|---|---|\n");
-        for tally in &self.tallies {
-            let interval = tally.interval(runs);
-            writeln!(
-                out,
-                "| {} | {} | {} | {} | {:.3} % | {:.3} to {:.3} % |",
-                MarkdownText(&tally.controller),
-                tally.contacts,
-                tally.into_the_leader,
-                tally.contacts - tally.into_the_leader,
-                100.0 * tally.contacts as f64 / runs.max(1) as f64,
-                100.0 * interval.lower,
-                100.0 * interval.upper
-            )?;
-        }
+        let header = [
+            "controller",
+            &format!("collisions in {runs}"),
+            "into the leader",
+            "from behind",
+            "rate",
+            &format!("exact {:.0} % interval", 100.0 * CONFIDENCE),
+        ];
+        let rows = self.tallies.iter().map(|tally| {
+            let RateInterval { lower, upper } = tally.interval(runs);
+            let rate = tally.contacts as f64 / runs.max(1) as f64;
+            vec![
+                tally.controller.clone(),
+                tally.contacts.to_string(),
+                tally.into_the_leader.to_string(),
+                (tally.contacts - tally.into_the_leader).to_string(),
+                format!("{:.3} %", 100.0 * rate),
+                format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
+            ]
+        });
+        write_table(out, &header, rows);
         let PairedOutcomes {
             both,
             first_only,
@@ -182,32 +184,21 @@ impl RetrainingReport {
             "## Regression spaces\n\nSignificantly worse: McNemar's exact one-sided test on the same random \
              scenarios, p below {SIGNIFICANCE} for each space and column. A drive is not useful if it ends in a \
              collision, has braking harder than 4 m/s² where less than 3 m/s² was justified, or leaves the vehicle \
-             behind; this counts where `idm` is always useful.\n\n| space | random scenarios | collisions | not \
-             useful |\n|---|---|---|---|"
+             behind; this counts where `idm` is always useful.\n"
         )?;
-        for (was, is) in self
-            .first_results
-            .regression
-            .iter()
-            .zip(&self.retrained_results.regression)
-        {
-            let change = |was: &[u64], is: &[u64]| {
-                format!(
-                    "{} (p = {:.2})",
-                    FailureChange::between(was, is),
-                    discordant_pairs(was, is).p_value()
-                )
-            };
+        let first = self.first_results.regression.iter();
+        let pairs = first.zip(&self.retrained_results.regression);
+        let rows = pairs.map(|(was, is)| {
             let drives = was.not_useful.as_ref().zip(is.not_useful.as_ref());
-            writeln!(
-                out,
-                "| {} | {} | {} | {} |",
-                MarkdownText(&is.space),
-                is.sample_count,
-                change(&was.contacts, &is.contacts),
-                drives.map_or("–".to_owned(), |(was, is)| change(was, is))
-            )?;
-        }
+            vec![
+                is.space.clone(),
+                is.sample_count.to_string(),
+                describe_change(&was.contacts, &is.contacts),
+                drives.map_or("–".to_owned(), |(was, is)| describe_change(was, is)),
+            ]
+        });
+        let header = ["space", "random scenarios", "collisions", "not useful"];
+        write_table(out, &header, rows);
         out.push('\n');
         let (Some(was), Some(is)) = (
             &self.first_results.usefulness,
@@ -215,40 +206,40 @@ impl RetrainingReport {
         ) else {
             return Ok(());
         };
-        writeln!(
-            out,
-            "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|",
-            is.scenario_count
-        )?;
         let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
-        for (name, (was, is)) in TRAFFIC_MEASURES.into_iter().zip(values) {
-            writeln!(
-                out,
-                "| {name} | {} | {} |",
-                to_thousandths(was),
-                to_thousandths(is)
-            )?;
-        }
+        let measured = TRAFFIC_MEASURES
+            .into_iter()
+            .zip(values)
+            .map(|(name, (was, is))| {
+                let [was, is] = [was, is].map(|value| to_thousandths(value).to_string());
+                vec![name.to_owned(), was, is]
+            });
         let gain = |found: &TrafficUsefulness| {
             found
                 .line_gain
                 .map_or("–".to_owned(), |gain| format!("{gain:.2}"))
         };
-        writeln!(
-            out,
-            "| gain of a line of five | {} | {} |\n",
-            gain(was),
-            gain(is)
-        )
+        let gains = vec!["gain of a line of five".to_owned(), gain(was), gain(is)];
+        let drives = format!("in {} drives of everyday traffic", is.scenario_count);
+        let rows = measured.chain(std::iter::once(gains));
+        write_table(out, &[&drives, "first", "retrained"], rows);
+        out.push('\n');
+        Ok(())
     }
 
-    fn write_rounds(&self, out: &mut String) -> std::fmt::Result {
-        out.push_str(
-            "| round | found: distinct (avoidable, unavoidable, undecided) | random scenarios with collision \
-             (avoidable) | episodes (best after) | cases | validation set | paper-1..3 | paper's distribution | \
-             acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
-        );
-        for round in &self.rounds {
+    fn write_rounds(&self, out: &mut String) {
+        let header = [
+            "round",
+            "found: distinct (avoidable, unavoidable, undecided)",
+            "random scenarios with collision (avoidable)",
+            "episodes (best after)",
+            "cases",
+            "validation set",
+            "paper-1..3",
+            "paper's distribution",
+            "acceptance",
+        ];
+        let rows = self.rounds.iter().map(|round| {
             let RoundFindings {
                 avoidable,
                 unavoidable,
@@ -257,24 +248,35 @@ impl RetrainingReport {
                 avoidable_draws,
                 ..
             } = &round.findings;
+            let distinct = avoidable + unavoidable + undecided;
+            // An imitation has a single checkpoint.
             let episodes = match round.training.to_episode {
                 0 => "–".to_owned(),
                 last => format!("{last} ({})", round.training.best_episode),
             };
-            writeln!(
-                out,
-                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {colliding_draws} ({}) | {episodes} | {} | {} \
-                 | {} | {} | {} |",
-                round.round,
-                avoidable + unavoidable + undecided,
-                avoidable_draws.indices.len(),
-                round.in_cases,
-                round.in_validation_set,
-                round.in_paper,
-                round.in_nominal,
-                round.acceptance
-            )?;
-        }
-        Ok(())
+            vec![
+                round.round.to_string(),
+                format!("{distinct} ({avoidable}, {unavoidable}, {undecided})"),
+                format!("{colliding_draws} ({})", avoidable_draws.indices.len()),
+                episodes,
+                round.in_cases.to_string(),
+                round.in_validation_set.to_string(),
+                round.in_paper.to_string(),
+                round.in_nominal.to_string(),
+                round.acceptance.to_string(),
+            ]
+        });
+        write_table(out, &header, rows);
     }
+}
+
+fn describe_change(was: &[u64], is: &[u64]) -> String {
+    let change = FailureChange::between(was, is);
+    format!("{change} (p = {:.2})", discordant_pairs(was, is).p_value())
+}
+
+fn write_table(out: &mut String, header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+    let mut table = Markdown::default();
+    table.plain_table(header, rows);
+    out.push_str(&table.into_string());
 }

@@ -8,11 +8,11 @@ use super::certificates::describe_estimator;
 use super::summary::SubjectClaim;
 use crate::assessment::claims::{InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
-use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart};
 use crate::draw::Svg;
+use crumple_core::markdown::Inline;
 use crumple_core::quoting::TerminalText;
 
 /// The answer to the question of whether the subject collides.

@@ -11,9 +11,9 @@ use crate::assessment::claims::{
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
+use crumple_core::markdown::{Inline, Markdown};
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::counterexample::AvoidabilityClass;

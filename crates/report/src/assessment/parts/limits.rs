@@ -5,9 +5,9 @@ use maud::html;
 use serde::Serialize;
 
 use crate::assessment::document::ReportDocument;
-use crate::assessment::markdown::Inline;
 use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, ReportPart};
+use crumple_core::markdown::Inline;
 use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits of an assessment.

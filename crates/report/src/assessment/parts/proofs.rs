@@ -10,9 +10,9 @@ use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, Strength};
 use crate::assessment::commands::CHECK_ARGUMENTS;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::markdown::Inline;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
+use crumple_core::markdown::Inline;
 
 /// Certificates, each checked in this run.
 #[derive(Debug, Clone, Serialize)]

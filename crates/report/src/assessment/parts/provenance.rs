@@ -4,10 +4,10 @@ use maud::html;
 use serde::Serialize;
 
 use crate::assessment::document::ReportDocument;
-use crate::assessment::markdown::Inline;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash, ReportPart};
 use crumple_core::digest::sha256;
+use crumple_core::markdown::Inline;
 
 /// The time, program and machine of an assessment. No evidence depends on them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

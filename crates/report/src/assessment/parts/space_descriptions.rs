@@ -4,10 +4,10 @@ use maud::html;
 use serde::Serialize;
 
 use crate::assessment::document::ReportDocument;
-use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart};
+use crumple_core::markdown::Inline;
 use crumple_spaces::{ScenarioSpace, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.

@@ -5,7 +5,7 @@ use std::io;
 use super::{
     Xml, attribute_text, entity_name, format_number, round, write_element, write_empty_element,
 };
-use crumple_exchange::openscenario::DELAY_PROPERTIES;
+use crate::openscenario::DELAY_PROPERTIES;
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
 /// Distance of each axle from the bumper on its side, as a share of the length.

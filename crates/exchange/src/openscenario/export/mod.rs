@@ -18,11 +18,10 @@ use std::io;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
-use crumple_exchange::openscenario::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
+use super::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
+use crumple_core::quoting::strip_unprintable;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
-
-use crate::draw::strip_unprintable;
 
 /// Maximum number of vertices of one file: 100 MB.
 pub(crate) const MAX_VERTICES: usize = 1_000_000;

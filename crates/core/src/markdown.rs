@@ -4,7 +4,7 @@
 
 use std::fmt::Display;
 
-use crumple_core::quoting::{MarkdownCode, MarkdownText};
+use crate::quoting::{MarkdownCode, MarkdownText};
 
 /// A text in Markdown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -14,23 +14,28 @@ pub struct Markdown {
 
 /// Escaped text within a line of Markdown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Inline {
+pub struct Inline {
     text: String,
 }
 
 impl Inline {
     /// Creates text, with code between backticks.
-    pub(crate) fn prose(text: &str) -> Self {
+    #[must_use]
+    pub fn prose(text: &str) -> Self {
         Self::default().and_prose(text)
     }
 
-    pub(crate) fn strong(text: &str) -> Self {
+    /// Creates bold text, with code between backticks.
+    #[must_use]
+    pub fn strong(text: &str) -> Self {
         Self {
             text: format!("**{}**", Self::prose(text.trim()).text),
         }
     }
 
-    pub(crate) fn and_prose(mut self, text: &str) -> Self {
+    /// Appends text, with code between backticks.
+    #[must_use]
+    pub fn and_prose(mut self, text: &str) -> Self {
         for (index, piece) in text.split('`').enumerate() {
             match index % 2 == 1 && !piece.is_empty() {
                 true => self = self.and_code(piece),
@@ -40,7 +45,9 @@ impl Inline {
         self
     }
 
-    pub(crate) fn and_code(mut self, text: impl Display) -> Self {
+    /// Appends code.
+    #[must_use]
+    pub fn and_code(mut self, text: impl Display) -> Self {
         // Two adjacent runs of backticks would be one.
         if self.text.ends_with('`') {
             self.text.push(' ');
@@ -59,7 +66,8 @@ impl Inline {
     }
 
     /// Escapes the text for a table cell, which ends at the next unescaped bar.
-    pub(crate) fn to_table_cell(&self) -> String {
+    #[must_use]
+    pub fn to_table_cell(&self) -> String {
         let mut cell = String::new();
         let mut backslashes = 0;
         for letter in self.text.chars() {
@@ -87,13 +95,13 @@ impl From<String> for Inline {
 
 impl Markdown {
     /// Writes a heading of level `depth`, from 1.
-    pub(crate) fn heading(&mut self, depth: usize, text: &str) {
+    pub fn heading(&mut self, depth: usize, text: &str) {
         let Inline { text } = Inline::prose(text);
         self.push_block(&format!("{} {text}\n", "#".repeat(depth)));
     }
 
     /// Writes a paragraph, unless the text is empty.
-    pub(crate) fn paragraph(&mut self, words: impl Into<Inline>) {
+    pub fn paragraph(&mut self, words: impl Into<Inline>) {
         let Inline { text } = words.into();
         if !text.is_empty() {
             self.push_block(&(text + "\n"));
@@ -101,7 +109,7 @@ impl Markdown {
     }
 
     /// Writes a list, unless it is empty.
-    pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
+    pub fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
         let lines: String = entries
             .into_iter()
             .map(|entry| format!("- {}\n", entry.into().text))
@@ -112,28 +120,32 @@ impl Markdown {
     }
 
     /// Writes a table. `columns` has the Markdown alignment of each column.
-    pub(crate) fn table(
+    pub fn table(
         &mut self,
         header: &[String],
         columns: &[&str],
         rows: impl Iterator<Item = Vec<String>>,
     ) {
-        let line = |cells: &[String]| {
-            let cells: Vec<_> = cells
-                .iter()
-                .map(|cell| Inline::prose(cell).to_table_cell())
-                .collect();
-            format!("| {} |\n", cells.join(" | "))
-        };
-        let rows: String = rows.map(|row| line(&row)).collect();
+        let rows: String = rows.map(|row| table_line(&row)).collect();
         self.push_block(&format!(
             "{}| {} |\n{rows}",
-            line(header),
+            table_line(header),
             columns.join(" | ")
         ));
     }
 
-    pub(crate) fn append(&mut self, other: &Self) {
+    /// Writes a table without alignment of its columns.
+    pub fn plain_table(&mut self, header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+        let rows: String = rows.map(|row| table_line(&row)).collect();
+        self.push_block(&format!(
+            "{}|{}\n{rows}",
+            table_line(header),
+            "---|".repeat(header.len())
+        ));
+    }
+
+    /// Appends the blocks of another text.
+    pub fn append(&mut self, other: &Self) {
         if !other.text.is_empty() {
             self.push_block(&other.text);
         }
@@ -146,9 +158,19 @@ impl Markdown {
         self.text += text;
     }
 
-    pub(crate) fn into_string(self) -> String {
+    /// Returns the text.
+    #[must_use]
+    pub fn into_string(self) -> String {
         self.text
     }
+}
+
+fn table_line(cells: &[impl AsRef<str>]) -> String {
+    let cells: Vec<_> = cells
+        .iter()
+        .map(|cell| Inline::prose(cell.as_ref()).to_table_cell())
+        .collect();
+    format!("| {} |\n", cells.join(" | "))
 }
 
 #[cfg(test)]
