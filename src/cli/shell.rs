@@ -15,7 +15,6 @@ use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::rl::PRESETS;
 use crumple_search::falsify::Method;
 use crumple_spaces::built_in_space_names;
-use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
 use crumple_suites::SHIPPED_SUITES;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
