@@ -1,5 +1,6 @@
 //! Cost of a campaign besides its simulations.
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
@@ -37,7 +38,7 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
             .run(&at, CampaignOptions::default(), &Quiet)
             .expect("runs");
         let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
-        let look = CampaignReader::open(&at).expect("is there");
+        let look = CampaignReader::open(&at, Controllers::default()).expect("is there");
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
         let scenarios: Vec<Scenario> = look.evaluations()[..RESIMULATED]
             .iter()

@@ -8,11 +8,11 @@
 //! the smallest robustness, and the number of kinds of failures. `p` is the p-value of the exact one-sided permutation
 //! test that `auto` is worse than the best other method; it is omitted if the mean of `auto` is not worse.
 
+use crumple_controllers::Controllers;
 use std::path::Path;
 
 use crate::ExperimentError;
 use crumple::spaces::built_in_space;
-use crumple::world::sim::NamedController;
 use crumple::{Campaign, CampaignOptions, CampaignSummary, Method, Quiet};
 
 /// Every built-in scenario space, and a controller that seldom fails in it.
@@ -145,7 +145,7 @@ fn run_campaign(
         budget,
         seed,
         ..Campaign::new(
-            NamedController::find(controller, Path::new("."))?,
+            Controllers::default().find(controller, Path::new("."))?,
             built_in_space(space).ok_or("not built in")?,
         )
     };

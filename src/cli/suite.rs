@@ -7,6 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, suite_folder, value_enums};
+use crumple_controllers::find_built_in;
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
 use crumple_suites::{
@@ -146,7 +147,9 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
         .map(|spec| spec.name().to_owned())
         .chain(shielded);
     names
-        .map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::from_cause))
+        .map(|name| {
+            find_built_in(&name).ok_or_else(|| CliError::Input(format!("{name} is not built in")))
+        })
         .collect()
 }
 

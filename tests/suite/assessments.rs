@@ -1,9 +1,11 @@
 //! Assessments do not claim more than their evidence supports, such as certificates of other subjects.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
@@ -71,7 +73,7 @@ fn count_certificate(
     estimator: EstimatorKind,
     folder: &Path,
 ) -> Certificate {
-    let find = |name: &str| NamedController::find(name, folder).expect("known");
+    let find = |name: &str| Controllers::default().find(name, folder).expect("known");
     let config = RateConfig {
         second_controller: against.map(find),
         seed: 9,
@@ -98,7 +100,8 @@ fn foreign_certificates_change_no_claim() {
     let text = space_file::to_toml(&paper)
         .expect("written")
         .replace("mean = 36.0", "mean = 37.0");
-    let gentle = space_file::from_toml(&text, Path::new("gentle.toml")).expect("valid");
+    let gentle =
+        space_file::from_toml(&text, Path::new("gentle.toml"), &NoDriverFiles).expect("valid");
     assert_eq!(gentle.name(), paper.name(), "equal names");
     let there = folder.path().join("elsewhere");
     fs::create_dir(&there).expect("made");

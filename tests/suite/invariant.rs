@@ -3,6 +3,7 @@
 use std::fs;
 use std::sync::Arc;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
     InvariantOptions, InvariantPlan, InvariantSet, InvariantSpec, check_binding,
@@ -271,7 +272,8 @@ fn network_controller(
         [output]\nlow_mps2 = -7.5\nhigh_mps2 = {high_mps2:?}\n"
     );
     fs::write(folder.path().join("two.toml"), mapping).unwrap();
-    NamedController::find("two.toml", folder.path())
+    Controllers::default()
+        .find("two.toml", folder.path())
         .unwrap_or_else(|error| panic!("{error}"))
         .source
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_fuzzing::oracle::{
     entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent,
     leaving_last_vehicle_changes_nothing_ahead, metrics_agree, monitor_agrees,
@@ -183,7 +184,9 @@ fn lane_invariants_detect_injected_faults() {
 /// the vehicles entering and leaving as recorded.
 #[test]
 fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
-    let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
+    let shield = Controllers::default()
+        .find("shield:policy", Path::new(""))
+        .unwrap();
     let mut asked = [0; 2];
     for TestCase { scenario, .. } in first_lane_cases(300)
         .into_iter()

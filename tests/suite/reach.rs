@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, check_binding};
+use crumple_networks::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
+use crumple_networks::{
+    HistoryPadding, InputMapping, Mapping, NetworkController, OutputMapping, Squash,
+};
 use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachProblem, reach_with_tube,
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{
-    ControllerSource, ControllerSpec, HistoryPadding, InputMapping, IntoSource, Mapping,
-    NetworkController, ObservedQuantity, OutputMapping, Squash,
-};
-use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
+use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource, ObservedQuantity};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
+use crumple_controllers::Controllers;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -26,6 +27,8 @@ pub struct ExploreConfig {
     pub estimator: EstimatorKind,
     /// Folders of complete campaigns.
     pub campaigns: Vec<PathBuf>,
+    /// Opens the drivers that scenarios of campaigns name as files.
+    pub controllers_of_files: Controllers,
 }
 
 /// Everything that requests may name, including the built-in items.
@@ -82,6 +85,7 @@ impl ExploreConfig {
             mut controllers,
             estimator,
             campaigns,
+            controllers_of_files,
         } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
             return Err(ExploreConfigError::TooManyControllers {
@@ -104,7 +108,7 @@ impl ExploreConfig {
         let campaigns = campaigns.into_iter().map(|folder| {
             Ok(CatalogCampaign {
                 name: folder.display().to_string(),
-                reader: CampaignReader::open(&folder)?,
+                reader: CampaignReader::open(&folder, controllers_of_files)?,
             })
         });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;

@@ -7,6 +7,7 @@
     reason = "everything here is a test"
 )]
 
+use crumple_world::scenario::NoDriverFiles;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
@@ -505,8 +506,12 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
     assert_eq!(saved["file_name"], "dragged.toml");
-    let scenario =
-        file::from_toml(saved["toml"].as_str().unwrap(), Path::new("dragged.toml")).unwrap();
+    let scenario = file::from_toml(
+        saved["toml"].as_str().unwrap(),
+        Path::new("dragged.toml"),
+        &NoDriverFiles,
+    )
+    .unwrap();
     let baseline = ControllerSpec::from_name("baseline").unwrap();
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let again = simulate(

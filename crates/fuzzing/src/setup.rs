@@ -6,15 +6,14 @@ use std::sync::Arc;
 
 use arbitrary::Unstructured;
 
+use crumple_controllers::{UnknownController, find_and_try};
 use crumple_core::digest::sha256;
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 use crumple_world::control::{
     AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IntoSource,
 };
 use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::sim::{
-    AfterContact, NamedController, RefusedController, RunOptions, UnknownController,
-};
+use crumple_world::sim::{AfterContact, NamedController, RefusedController, RunOptions};
 
 /// Bytes of a setup.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
@@ -151,7 +150,7 @@ impl TestedController {
     /// # Errors
     /// [`UnknownController`] if there is none, or it does not start.
     pub fn from_name(name: &str) -> Result<Self, UnknownController> {
-        let found = NamedController::find_and_try(name, Path::new(""))?;
+        let found = find_and_try(name, Path::new(""))?;
         let built_in = found.source.downcast_ref::<ControllerSpec>().cloned();
         Ok(match built_in {
             Some(spec) => Self::BuiltIn(spec),

@@ -1,5 +1,6 @@
 //! The mildest attacks: against samples, and replayed from files.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
@@ -53,7 +54,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
             let found = find_attack(&scenario, &options(controller), aim, envelope, 1500);
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
-            let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
+            let read = file::from_toml(&text, Path::new("worst.toml"), &NoDriverFiles).unwrap();
             let replayed = simulate(
                 &Run::new(&read, options(controller)).unwrap(),
                 RecordingLevel::Summary,

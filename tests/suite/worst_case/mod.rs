@@ -13,6 +13,7 @@ use crumple_search::worst_case::{
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::{
     Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file,
 };
@@ -123,7 +124,7 @@ fn the_papers_collisions_were_avoidable() {
             "{name}: {fired_s} s"
         );
         let text = file::to_toml(&escape.scenario).unwrap();
-        let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
+        let escape_file = file::from_toml(&text, "escape.toml".as_ref(), &NoDriverFiles).unwrap();
         for parts in [1.0, 10.0] {
             let replayed = replay(&escape_file, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");

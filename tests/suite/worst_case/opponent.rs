@@ -3,6 +3,7 @@
 //! Shares no code with the optimiser: profiles are pieces with random knots, levels and held constants; half of them
 //! are random changes of the best ones so far.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_search::worst_case::{
@@ -170,6 +171,7 @@ fn load_escape_scenario(name: &str) -> Scenario {
         &Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("tests/suite/worst_case/escapes")
             .join(name),
+        &NoDriverFiles,
     )
     .expect("a scenario")
 }

@@ -151,6 +151,7 @@ fn is_not_useful(found: UsefulnessMeasures) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use crumple_world::scenario::NoDriverFiles;
     use std::path::Path;
     use std::sync::Arc;
 
@@ -179,7 +180,7 @@ mod tests {
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),
             initial_policy_name: "retrained".to_owned(),
-            spaces: file::from_toml(QUEUE, Path::new("queue.toml"))
+            spaces: file::from_toml(QUEUE, Path::new("queue.toml"), &NoDriverFiles)
                 .unwrap()
                 .into(),
             attacked: Vec::new(),

@@ -12,14 +12,15 @@ use serde::{Deserialize, Serialize};
 use super::parts::scenario_path;
 use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
+use crumple_controllers::controller_file;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::{
-    ControllerSource, ControllerSpec, NetworkController, PolicySource, ProcessController,
-};
+use crumple_networks::NetworkController;
+use crumple_process::ProcessController;
+use crumple_world::control::{ControllerSource, ControllerSpec, PolicySource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{controller_file, file};
+use crumple_world::scenario::file;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

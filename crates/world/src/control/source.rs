@@ -8,12 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use super::zero_order_hold::ZeroOrderHold;
 use super::{
-    Controller, ControllerSpec, Ego, ShieldParams, ShieldRefusal, ShieldSettings, ShieldedSource,
-    SourceFile,
+    Controller, ControllerSpec, Ego, ProcessFailure, ShieldParams, ShieldRefusal, ShieldSettings,
+    ShieldedSource, SourceFile,
 };
 use crate::observation::Observation;
 use crate::policy::Policy;
-use crate::process::ProcessFailure;
 
 /// Reason why a controller gave no usable answer. The run ends there: a vehicle without a controller does not coast.
 ///

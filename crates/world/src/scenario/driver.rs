@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::controller_file::{self, ControllerFileError, is_regular_file};
+use super::Scenario;
 use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
 use crate::control::{
-    self, BuiltIn, ControllerSource, ControllerSpec, NameOrigin, with_controllers,
+    self, BuiltIn, ControllerSource, ControllerSpec, StartRefusal, with_controllers,
 };
 
 /// The source of a vehicle's acceleration.
@@ -26,6 +26,58 @@ pub enum Driver {
     Controller(ControllerSpec),
     /// Controller from a file.
     File(FileDriver),
+}
+
+/// Opens the controllers that scenario files name as drivers.
+pub trait OpenDriver: Sync {
+    /// Opens the controller in the file at `path`.
+    ///
+    /// # Errors
+    /// [`DriverProblem`] for a file without a usable controller, and for a program that may not start.
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem>;
+}
+
+/// Reason why a file gives no driver.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DriverProblem {
+    /// The file holds no usable controller.
+    #[error("{0}")]
+    Unusable(String),
+    /// A program that only a file names.
+    #[error(transparent)]
+    StartRefused(#[from] StartRefusal),
+}
+
+/// Opens no file: for scenarios whose drivers are built in.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoDriverFiles;
+
+impl OpenDriver for NoDriverFiles {
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
+        let path = path.display();
+        let problem = format!("{path} is not read here: use a driver that is built in");
+        Err(DriverProblem::Unusable(problem))
+    }
+}
+
+/// Opens the drivers that a scenario has read already, for copies of it.
+impl OpenDriver for Scenario {
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
+        let has_path = |file: &&FileDriver| Path::new(&file.path) == path;
+        let drivers = self
+            .vehicles()
+            .iter()
+            .filter_map(|vehicle| match &vehicle.driver {
+                Driver::File(file) => Some(file),
+                _ => None,
+            });
+        let known = { drivers }.find(has_path).and_then(FileDriver::controller);
+        match known {
+            Some(controller) => Ok(Arc::clone(controller)),
+            None => NoDriverFiles.open_driver(path),
+        }
+    }
 }
 
 /// A driver that is a controller from a file, the same in every run.
@@ -69,18 +121,24 @@ impl FileDriver {
 
     /// Reads the controller; its path is relative to `folder`. Then stores its identity and absolute path, so that a
     /// scenario written to another folder finds the same controller.
-    pub(super) fn read(&mut self, folder: &Path) -> Result<(), FieldProblem> {
+    pub(super) fn read(
+        &mut self,
+        folder: &Path,
+        opener: &dyn OpenDriver,
+    ) -> Result<(), FieldProblem> {
+        if self.controller.is_some() {
+            return Ok(());
+        }
         let unusable = |why: String| FieldProblem::DriverFile { reason: why };
         let path =
             path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
-        if !is_regular_file(&path) {
+        if !path.is_file() {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller =
-            controller_file::load(&path, NameOrigin::File).map_err(|error| match error {
-                ControllerFileError::StartRefused(refused) => refused.into(),
-                other => unusable(other.to_string()),
-            })?;
+        let controller = opener.open_driver(&path).map_err(|problem| match problem {
+            DriverProblem::StartRefused(refused) => refused.into(),
+            DriverProblem::Unusable(reason) => unusable(reason),
+        })?;
         let Some(identity) = controller.identity() else {
             // Without an identity, the scenario does not determine its runs.
             return Err(unusable(format!(

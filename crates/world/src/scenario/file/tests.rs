@@ -1,5 +1,6 @@
 use super::super::{built_in_scenario, built_in_scenario_names};
 use super::*;
+use crate::scenario::NoDriverFiles;
 use crumple_core::text_file::{MAX_BYTES, MAX_TOML_BYTES};
 
 fn error_of(text: &str) -> String {
@@ -97,7 +98,7 @@ fn no_depth_or_length_is_too_much() {
     fs::create_dir(&many).unwrap();
     (0..=MAX_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
     assert!(
-        load_all(&many)
+        load_all(&many, &NoDriverFiles)
             .unwrap_err()
             .to_string()
             .contains("more than 10000 scenario files")
