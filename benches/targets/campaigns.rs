@@ -5,7 +5,7 @@ use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, simulate_batch};
@@ -29,7 +29,7 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
             method: Method::Uniform,
             budget: BUDGET,
             ..Campaign::new(
-                ControllerSpec::from_name(controller).expect("built in"),
+                BuiltInController::from_name(controller).expect("built in"),
                 built_in_space(space).expect("built in"),
             )
         };

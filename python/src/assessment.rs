@@ -111,8 +111,10 @@ pub(crate) fn assess(
         .map(|one| controller::resolve_controller(one, &stop))
         .collect::<PyResult<Vec<_>>>()?;
     let plan = match &path {
-        Some(path) if own.is_empty() => AssessmentPlan::load(path, super::controller::controllers())
-            .map_err(|error| config_exception(py, &error))?,
+        Some(path) if own.is_empty() => {
+            AssessmentPlan::load(path, super::controller::controllers())
+                .map_err(|error| config_exception(py, &error))?
+        }
         _ => {
             let (config, folder) = read_config(py, path.as_deref(), toml, json)?;
             AssessmentPlan::new(config, own, &folder)

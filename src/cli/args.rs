@@ -10,7 +10,7 @@ use crumple_controllers::Controllers;
 use crumple_controllers::find_for_user;
 use crumple_measure::Specification;
 use crumple_spaces::{ScenarioSpace, find_space};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{
@@ -221,7 +221,7 @@ pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
 pub(super) fn replay(scenario: &Scenario) -> Result<SimulationResult, CliError> {
     let run = Run::new(
         scenario,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+        RunOptions::new(BuiltInController::MatchLeader(Default::default()))
             .with_estimator(EstimatorKind::Truth),
     )?;
     Ok(simulate(&run, RecordingLevel::Trace))

@@ -14,7 +14,7 @@ use crumple_controllers::Controllers;
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::openscenario::export::{self as openscenario, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -241,7 +241,7 @@ impl Export {
         let (kind, estimator) = match driven {
             Some(driven) => (driven.controller.source.clone(), driven.estimator),
             None => (
-                ControllerSpec::Baseline(Default::default()).into_source(),
+                BuiltInController::Baseline(Default::default()).into_source(),
                 EstimatorKind::default(),
             ),
         };

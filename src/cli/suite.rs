@@ -14,7 +14,7 @@ use crumple_suites::{
     ControllerResult, DISCLAIMER, FailedPoint, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
     UNSHIPPED_DOCUMENTS, run,
 };
-use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::control::{BuiltInController, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -139,7 +139,7 @@ fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
 
 /// Returns every built-in controller, and the learned ones also behind the shield.
 fn default_controllers() -> Result<Vec<NamedController>, CliError> {
-    let all = ControllerSpec::all();
+    let all = BuiltInController::all();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
     let names = all

@@ -17,7 +17,6 @@ use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_verify::{Certificate, Statement};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::sim::NamedController;
 
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
@@ -855,7 +854,7 @@ fn misleading_configurations_are_refused_at_the_start() {
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
-        let refused = AssessmentPlan::load(&path)
+        let refused = AssessmentPlan::load(&path, Controllers::default())
             .expect_err("refused")
             .to_string();
         assert!(refused.contains(message), "{rest}: {refused}");
@@ -922,7 +921,7 @@ fn a_recording_is_assessed_as_its_episodes() {
             format!("version = 1\ncontrollers = [\"idm\"]\npaper = false\n{rest}"),
         )
         .expect("writes");
-        AssessmentPlan::load(&path).map_err(|error| error.to_string())
+        AssessmentPlan::load(&path, Controllers::default()).map_err(|error| error.to_string())
     };
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";

@@ -40,6 +40,7 @@ mod obligations;
 mod onnx_bytes;
 mod openscenario;
 mod openscenario_import;
+mod order;
 mod paper;
 mod physics;
 mod plants;

@@ -1,6 +1,5 @@
 //! External networks: outputs, driving, and refused files. `corpora/controllers/` documents the origin of the files.
 
-use crumple_world::scenario::NoDriverFiles;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +15,7 @@ use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::scenario::{PaperDistribution, Scenario, file};
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
+    RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -232,9 +231,14 @@ fn scenario_files_take_drivers_from_files() {
     let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
     let path = folder.path().join("following.toml");
     fs::write(&path, &text).unwrap();
-    let scenario = file::load(&path, &NoDriverFiles).unwrap_or_else(|error| panic!("{error}"));
-    let under_test =
-        file::from_toml(FOLLOWING, Path::new("following.toml"), &NoDriverFiles).unwrap();
+    let scenario =
+        file::load(&path, &Controllers::default()).unwrap_or_else(|error| panic!("{error}"));
+    let under_test = file::from_toml(
+        FOLLOWING,
+        Path::new("following.toml"),
+        &Controllers::default(),
+    )
+    .unwrap();
     let truth = |controller: Arc<dyn ControllerSource>| {
         RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
     };
@@ -256,7 +260,7 @@ fn scenario_files_take_drivers_from_files() {
     let again = file::from_toml(
         &written,
         Path::new("elsewhere/following.toml"),
-        &NoDriverFiles,
+        &Controllers::default(),
     )
     .unwrap();
     assert_eq!(again, scenario);
@@ -267,7 +271,7 @@ fn scenario_files_take_drivers_from_files() {
         controller.replace("1.4 #", "1.5 #"),
     )
     .unwrap();
-    let error = file::from_toml(&written, &path, &NoDriverFiles)
+    let error = file::from_toml(&written, &path, &Controllers::default())
         .expect_err("another controller")
         .to_string();
     assert!(
@@ -277,7 +281,7 @@ fn scenario_files_take_drivers_from_files() {
     let error = file::from_toml(
         &text.replace("acc.toml", "none.toml"),
         &path,
-        &NoDriverFiles,
+        &Controllers::default(),
     )
     .expect_err("no file")
     .to_string();
@@ -829,7 +833,12 @@ fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> 
 #[test]
 fn the_examples_make_controllers() {
     let folder = temp_folder();
-    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml"), &NoDriverFiles).unwrap();
+    let scenario = file::from_toml(
+        FOLLOWING,
+        Path::new("following.toml"),
+        &Controllers::default(),
+    )
+    .unwrap();
     let drive = |name: &str| {
         let controller = Controllers::default()
             .find(name, folder.path())

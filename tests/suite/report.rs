@@ -322,7 +322,7 @@ fn the_goal_structure_has_no_dangling_reference() {
 #[test]
 fn every_counterexample_of_the_report_collides() {
     use crumple_world::scenario::file;
-    use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN_ASSESSMENT

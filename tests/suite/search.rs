@@ -13,7 +13,7 @@ use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_spaces::{ScenarioSpace, built_in_space};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PlantKind, file};
-use crumple_world::sim::{NamedController, RunOptions};
+use crumple_world::sim::RunOptions;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 

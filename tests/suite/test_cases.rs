@@ -136,7 +136,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
         path.file_name().unwrap(),
         "baseline-1-of-3-hit-by-baseline-at-10-mps.toml"
     );
-    let baseline = crumple_world::control::ControllerSpec::from_name("baseline").unwrap();
+    let baseline = crumple_world::control::BuiltInController::from_name("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(
         simulate(&run, RecordingLevel::Summary)

@@ -607,3 +607,45 @@ impl ControllerFile {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The error for a text or a number where a list is required shows the list.
+    #[test]
+    fn errors_show_how_a_list_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("aeb.toml");
+        for (line, expected) in [
+            (
+                "command = \"./aeb --fast\"",
+                "command: must be a list of the program and its arguments, as in `command = [\"./aeb\", \"--fast\"]`",
+            ),
+            (
+                "command = 5",
+                "command: invalid type: integer `5`, expected a list of the program and its arguments",
+            ),
+            (
+                "command = [\"./aeb\", 5]",
+                "command[1]: invalid type: integer `5`, expected a string",
+            ),
+            (
+                "command = [\"./aeb\"]\nfiles = \"aeb\"",
+                "files: must be a list in square brackets, as in `[\"aeb\"]`",
+            ),
+            (
+                "network = [\"a.onnx\"]",
+                "network: must be one text in quotation marks, not a list",
+            ),
+        ] {
+            fs::write(&path, format!("version = 1\n{line}\n")).unwrap();
+            let error = load(&path, NameOrigin::User).unwrap_err();
+            let number = 1 + line.lines().count();
+            assert_eq!(
+                error.to_string(),
+                format!("{}:{number}: {expected}", path.display())
+            );
+        }
+    }
+}

@@ -13,6 +13,6 @@ mod open;
 mod spec;
 
 pub use open::{Controllers, UnknownController, find_and_try, find_for_user, open};
-pub use spec::{InvalidControllerName, ParsedController, find_built_in};
+pub use spec::{ControllerSpec, InvalidControllerName, find_built_in};
 
 pub use crumple_process::{ExternalPrograms, NameOrigin};

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use crumple_networks::network::NetworkFile;
 use crumple_process::{ExternalPrograms, NameOrigin, ProcessController, ProcessSetup};
-use crumple_world::control::{ControllerSource, ControllerSpec, ShieldedSource, StartRefusal};
+use crumple_world::control::{BuiltInController, ControllerSource, ShieldedSource, StartRefusal};
 use crumple_world::policy::PolicyError;
 use crumple_world::scenario::{DriverProblem, OpenDriver};
 use crumple_world::sim::{NamedController, NotStarted};
 
 use super::controller_file::{self, ControllerFileError, is_regular_file};
-use super::spec::{InvalidControllerName, ParsedController};
+use super::spec::{ControllerSpec, InvalidControllerName};
 
 /// Reason why a name does not identify a controller.
 #[derive(Debug, thiserror::Error)]
@@ -140,7 +140,7 @@ fn find(
     folder: &Path,
     named_by: NameOrigin,
 ) -> Result<NamedController, UnknownController> {
-    let parsed = ParsedController::parse(name)?;
+    let parsed = ControllerSpec::parse(name)?;
     let source = open(&parsed, folder, named_by)?;
     Ok(NamedController {
         name: parsed.to_string(),
@@ -153,20 +153,20 @@ fn find(
 /// # Errors
 /// [`UnknownController`] for a path that holds no usable controller, and for a program without permission.
 pub fn open(
-    parsed: &ParsedController,
+    parsed: &ControllerSpec,
     folder: &Path,
     named_by: NameOrigin,
 ) -> Result<Arc<dyn ControllerSource>, UnknownController> {
     Ok(match parsed {
-        ParsedController::BuiltIn(spec) => Arc::new(spec.clone()),
-        ParsedController::File(name) => open_file(name, folder, named_by)?,
-        ParsedController::Command { words, .. } => {
+        ControllerSpec::BuiltIn(spec) => Arc::new(spec.clone()),
+        ControllerSpec::File(name) => open_file(name, folder, named_by)?,
+        ControllerSpec::Command { words, .. } => {
             let permission = named_by.permission(|| format!("`{parsed}`"))?;
             let process =
                 ProcessController::new(ProcessSetup::new(words.clone(), folder), permission);
             Arc::new(process.map_err(ControllerFileError::Command)?)
         }
-        ParsedController::Shielded {
+        ControllerSpec::Shielded {
             settings,
             controller,
         } => Arc::new(ShieldedSource {
@@ -193,9 +193,9 @@ fn open_file(
                 file,
             });
         }
-        let known: Vec<_> = ControllerSpec::all()
+        let known: Vec<_> = BuiltInController::all()
             .iter()
-            .map(ControllerSpec::name)
+            .map(BuiltInController::name)
             .collect();
         return Err(UnknownController::UnknownName {
             name: name.to_owned(),

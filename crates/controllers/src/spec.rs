@@ -5,7 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use crumple_world::control::{
-    BuiltIn, ControllerSource, ControllerSpec, InvalidSetting, InvalidShieldSetting,
+    BuiltIn, BuiltInController, ControllerSource, InvalidSetting, InvalidShieldSetting,
     RetrainedPolicy, ShieldSettings, ShieldedSource,
 };
 use crumple_world::sim::NamedController;
@@ -16,16 +16,16 @@ const EXEC_PREFIX: &str = "exec:";
 /// `exec:python3 acc.py`, or one of these behind a shield, `shield,ahead=7:idm`.
 ///
 /// ```
-/// use crumple_controllers::ParsedController;
+/// use crumple_controllers::ControllerSpec;
 ///
-/// let parsed = ParsedController::parse("shield:acc-aeb,ttc_s=2.0").unwrap();
+/// let parsed = ControllerSpec::parse("shield:acc-aeb,ttc_s=2.0").unwrap();
 /// assert_eq!(parsed.to_string(), "shield:acc-aeb,ttc_s=2");
-/// assert!(ParsedController::parse("acc-aeb,ttc=2").is_err());
+/// assert!(ControllerSpec::parse("acc-aeb,ttc=2").is_err());
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub enum ParsedController {
-    /// A built-in controller with its settings ([`ControllerSpec::parse`]).
-    BuiltIn(ControllerSpec),
+pub enum ControllerSpec {
+    /// A built-in controller with its settings ([`BuiltInController::parse`]).
+    BuiltIn(BuiltInController),
     /// A path: a policy, a network, an FMU or a controller file.
     File(String),
     /// A process: its command, split into words as in a shell.
@@ -67,7 +67,7 @@ pub enum InvalidControllerName {
     },
 }
 
-impl ParsedController {
+impl ControllerSpec {
     /// Parses a name. Any text that is neither built in nor a command is a path.
     ///
     /// # Errors
@@ -88,7 +88,7 @@ impl ParsedController {
 
     fn parse_unshielded(name: &str) -> Result<Self, InvalidControllerName> {
         let name = &*present_name(name);
-        if let Some(spec) = ControllerSpec::parse(name) {
+        if let Some(spec) = BuiltInController::parse(name) {
             return Ok(Self::BuiltIn(spec?));
         }
         let Some(command) = name.strip_prefix(EXEC_PREFIX) else {
@@ -134,8 +134,8 @@ impl ParsedController {
     }
 }
 
-/// Prints the name in its shortest form, from which [`ParsedController::parse`] gives this value.
-impl fmt::Display for ParsedController {
+/// Prints the name in its shortest form, from which [`ControllerSpec::parse`] gives this value.
+impl fmt::Display for ControllerSpec {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::BuiltIn(spec) => out.write_str(&spec.to_arg()),
@@ -152,7 +152,7 @@ impl fmt::Display for ParsedController {
 /// Returns the built-in controller of this name, behind a shield or not. Reads no file and starts nothing.
 #[must_use]
 pub fn find_built_in(name: &str) -> Option<NamedController> {
-    ParsedController::parse(name).ok()?.built_in()
+    ControllerSpec::parse(name).ok()?.built_in()
 }
 
 /// Returns the name without names of earlier versions: version 0.1.0 calls the retrained policy `hardened`.
@@ -177,4 +177,33 @@ fn split_command(command: &str) -> Option<Vec<String>> {
     // Without processes, one word suffices.
     #[cfg(not(feature = "process"))]
     Some(vec![command.to_owned()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_parsed_as_they_are_printed() {
+        for (name, printed) in [
+            ("idm", "idm"),
+            ("hardened", "retrained"),
+            ("acc-aeb,ttc_s=2.0", "acc-aeb,ttc_s=2"),
+            ("a/b.toml", "a/b.toml"),
+            ("exec:sh 'a b'", "exec:sh 'a b'"),
+            ("shield,ahead=6.50:acc.onnx", "shield,ahead=6.5:acc.onnx"),
+        ] {
+            let parsed = ControllerSpec::parse(name).unwrap();
+            assert_eq!(parsed.to_string(), printed);
+            assert_eq!(ControllerSpec::parse(printed), Ok(parsed));
+        }
+    }
+
+    #[test]
+    fn a_shield_around_a_shield_is_refused() {
+        let name = "shield,ahead=3:shield,ahead=9:full-throttle";
+        let refused = ControllerSpec::parse(name);
+        assert_eq!(refused, Err(InvalidControllerName::NestedShields));
+        assert!(find_built_in(name).is_none());
+    }
 }

@@ -1,6 +1,8 @@
 //! Digests, rounded numbers, intervals of rates, quoted text, Markdown, progress, opening of files, and text files with
 //! errors that name a line, for every other crate of crumple.
 //!
+//! Each module uses only modules above it:
+//!
 //! | module | content |
 //! |---|---|
 //! | [`binomial`] | ends of exact Clopper-Pearson intervals |

@@ -1,5 +1,12 @@
 //! Conversion of files of other tools to scenarios (recorded traffic and OpenSCENARIO), and of scenarios to
 //! OpenSCENARIO.
+//!
+//! Each module uses only modules above it:
+//!
+//! | module | content |
+//! |---|---|
+//! | [`recording`] | recorded traffic, and scenarios of its braking episodes |
+//! | [`openscenario`] | import and export of ASAM OpenSCENARIO XML |
 
 mod number_text;
 pub mod openscenario;

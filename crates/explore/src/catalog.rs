@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crumple_controllers::Controllers;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario,
@@ -113,8 +113,9 @@ impl ExploreConfig {
         });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
-            controllers
-                .extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
+            controllers.extend(
+                BuiltInController::from_name(DEFAULT_CONTROLLER).map(NamedController::from),
+            );
         }
         let selected_controllers = controllers.len();
         for (name, _) in built_in_scenario_names() {
@@ -128,7 +129,10 @@ impl ExploreConfig {
                 });
             }
         }
-        for built_in in ControllerSpec::all().into_iter().map(NamedController::from) {
+        for built_in in BuiltInController::all()
+            .into_iter()
+            .map(NamedController::from)
+        {
             if !controllers
                 .iter()
                 .any(|offered| offered.name == built_in.name)
@@ -141,7 +145,7 @@ impl ExploreConfig {
             let name = campaign.reader.controller();
             if let (false, Some(Ok(spec))) = (
                 controllers.iter().any(|offered| offered.name == name),
-                ControllerSpec::parse(name),
+                BuiltInController::parse(name),
             ) {
                 controllers.push(spec.into());
             }

@@ -15,7 +15,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_explore::{CatalogScenario, ExploreConfig, Server};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -512,7 +512,7 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
         &NoDriverFiles,
     )
     .unwrap();
-    let baseline = ControllerSpec::from_name("baseline").unwrap();
+    let baseline = BuiltInController::from_name("baseline").unwrap();
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let again = simulate(
         &Run::new(&scenario, options).unwrap(),

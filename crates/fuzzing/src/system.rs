@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crumple_measure::ContactRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource, ShieldSettings};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource, ShieldSettings};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::Scenario;
@@ -57,7 +57,7 @@ pub trait System {
     /// Returns full throttle behind a shield.
     fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         ShieldedSource {
-            controller: ControllerSpec::FullThrottle(Default::default()).into_source(),
+            controller: BuiltInController::FullThrottle(Default::default()).into_source(),
             settings: ShieldSettings::default(),
         }
         .into_source()

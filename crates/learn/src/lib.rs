@@ -1,6 +1,8 @@
 //! Policies that are trained on the paper's task and retrained on counterexamples of a search, and controllers whose
 //! settings are tuned.
 //!
+//! Each module uses only modules above it:
+//!
 //! | module | content |
 //! |---|---|
 //! | [`rl`] | reinforcement learning: DDPG, its environment, its presets |

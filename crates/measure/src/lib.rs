@@ -7,6 +7,24 @@
 //! measures the growth of oscillations in it.
 //!
 //! All measures use the true motion, not the observations of a controller.
+//!
+//! Each module uses only modules above it:
+//!
+//! | module | content |
+//! |---|---|
+//! | `approach` | states of two successive vehicles up to their contact |
+//! | `comfort` | hardest deceleration and largest jerk |
+//! | `contact_role` | roles of vehicles under test in a contact |
+//! | `harm` | expected number of seriously injured drivers |
+//! | `severity` | impact speed and change of speed |
+//! | `demand` | deceleration that avoids a contact, and braking induced in a follower |
+//! | `exposure` | duration and integral of a short time to collision |
+//! | `proximity` | time to collision, time headway and time gap |
+//! | `gain` | growth of oscillations along a line of vehicles |
+//! | [`stl`] | formulas of signal temporal logic, and their monitor |
+//! | `usefulness` | progress, comfort, and unnecessary braking |
+//! | `driving_rule` | rules of conduct towards followers and passengers |
+//! | `specification` | specifications of a controller, and the robustness of a run |
 
 mod approach;
 mod comfort;

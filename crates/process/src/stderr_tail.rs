@@ -44,7 +44,7 @@ impl StderrTail {
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::MAX_CHARACTERS;
+    const MAX_CHARACTERS: usize = 300;
     use super::*;
 
     #[test]

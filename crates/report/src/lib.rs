@@ -1,5 +1,7 @@
 //! Figures, tables, and the assessment with its renderings.
 //!
+//! Each module uses only modules above it:
+//!
 //! | module | content |
 //! |---|---|
 //! | [`draw`] | figures of traces and curves |

@@ -1,5 +1,7 @@
 //! Falsification, and convex programs that decide if any driver could have avoided a failure.
 //!
+//! Each module uses only modules above it:
+//!
 //! | module | content |
 //! |---|---|
 //! | [`confirmation`] | replays of counterexamples and escapes with the multi-body plant |

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Base, ScenarioSpace, file};
-use crumple_world::control::{ControllerSpec, HumanSettings};
+use crumple_world::control::{BuiltInController, HumanSettings};
 use crumple_world::scenario::file::ScenarioFileError;
 use crumple_world::scenario::{Driver, NoDriverFiles, OpenDriver};
 
@@ -143,7 +143,7 @@ pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
         name.to_owned(),
         format!("A scenario of the space `{name}`."),
     );
-    let human = ControllerSpec::Human(HumanSettings::default());
+    let human = BuiltInController::Human(HumanSettings::default());
     scenario.vehicles.last_mut()?.driver = Driver::Controller(human);
     ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).ok()
 }

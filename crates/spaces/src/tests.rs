@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crumple_measure::UsefulnessMeasures;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
@@ -373,7 +373,7 @@ fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
         ("policy", 80, 200),
         ("retrained", 160, 200),
     ] {
-        let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
+        let options = RunOptions::new(BuiltInController::from_name(name).unwrap());
         let runs: Vec<_> = scenarios
             .iter()
             .map(|scenario| Run::new(scenario, options.clone()).unwrap())

@@ -1,5 +1,7 @@
 //! Run folders: atomic files, a manifest of every file, and a lock.
 //!
+//! Each module uses only modules above it:
+//!
 //! | module | content |
 //! |---|---|
 //! | [`disk`] | atomic files: a reader finds the whole file or none |

@@ -6,7 +6,7 @@ use std::{env, fs, panic, thread};
 use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::Scenario;
@@ -385,7 +385,7 @@ impl ControllerCheck {
             test_name()
         );
         let source = &self.controller.source;
-        let name = match source.downcast_ref::<ControllerSpec>() {
+        let name = match source.downcast_ref::<BuiltInController>() {
             Some(spec) => Some(spec.to_arg()),
             None => source
                 .file()

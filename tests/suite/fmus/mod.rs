@@ -11,7 +11,7 @@ use std::process::Command;
 
 use crumple_controllers::find_for_user;
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::{NamedController, SimulationResult};
+use crumple_world::sim::SimulationResult;
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;

@@ -2,7 +2,7 @@
 
 mod unanswered;
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_controllers::{Controllers, ExternalPrograms};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -453,7 +453,7 @@ fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
     refused("simulate driven.toml --allow-external", message);
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let plan = AssessmentPlan::load(&folder.path().join("a.toml"))
+    let plan = AssessmentPlan::load(&folder.path().join("a.toml"), Controllers::default())
         .unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(
         plan.first_without_identity()
@@ -464,17 +464,19 @@ fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
 
 #[test]
 fn a_scenario_may_have_a_process_as_a_driver() {
-    allow_external();
+    let controllers = Controllers {
+        external: ExternalPrograms::Allowed,
+    };
     let folder = bad_process_folder("be good", LISTED_FILES);
     let text = driven_by("bad.toml");
-    let driven = file::from_toml(&text, &folder.path().join("driven.toml"), &NoDriverFiles)
+    let driven = file::from_toml(&text, &folder.path().join("driven.toml"), &controllers)
         .unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
     let under_test = simulate_with_truth(
         &find_controller("bad.toml", folder.path()).source,
         &short_scenario(),
     );
-    let idm = crumple_world::control::ControllerSpec::from_name("idm").unwrap();
+    let idm = crumple_world::control::BuiltInController::from_name("idm").unwrap();
     assert_eq!(simulate_with_truth(&idm.into_source(), &driven), under_test);
 }
 

@@ -6,7 +6,6 @@ use std::path::Path;
 use crumple_controllers::Controllers;
 use crumple_suites::{SuiteRunError, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 use serde_json::Value;
 
 use super::{

@@ -10,7 +10,7 @@ use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Optimality, avoid,
 };
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
@@ -162,7 +162,7 @@ fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec
 }
 
 fn script_options() -> RunOptions {
-    RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+    RunOptions::new(BuiltInController::MatchLeader(Default::default()))
         .with_estimator(EstimatorKind::Truth)
 }
 

@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use super::RecordedPlatoon;
 use super::episode::EpisodeVehicle;
 use super::motion::{SpeedSample, platoon_segments};
 use super::series::round_to_milli;
+use super::{RecordedPlatoon, RecordedTraffic, Recording};
 
 /// Vehicle ahead of a braking vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +37,19 @@ pub(super) trait LeadVehicle {
     fn event(&self) -> Option<&str>;
     /// Returns the times at which braking belongs to this part of the recording.
     fn core_ms(&self) -> Range<i64>;
+}
+
+impl Recording {
+    /// Returns all vehicles with a follower, front to rear.
+    pub(super) fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
+        let in_platoons = self.platoons.iter().flat_map(|platoon| {
+            let leads = 0..platoon.vehicles.len().saturating_sub(1);
+            leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
+        });
+        in_platoons
+            .chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles))
+            .collect()
+    }
 }
 
 /// A vehicle of a platoon, whose order never changes.

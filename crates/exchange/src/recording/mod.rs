@@ -76,8 +76,6 @@ pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
 pub use load::{ReadProgress, load, load_first_part, load_parts, read};
-
-use lead_vehicles::{LeadVehicle, PlatoonLead};
 pub use parts::{PartSink, merge_dropped};
 pub use preview::{
     HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking,
@@ -110,19 +108,6 @@ pub struct Recording {
     pub traffic: Option<RecordedTraffic>,
     /// Parts dropped while reading.
     pub dropped: Vec<DroppedItem>,
-}
-
-impl Recording {
-    /// Returns all vehicles with a follower, front to rear.
-    fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
-        let in_platoons = self.platoons.iter().flat_map(|platoon| {
-            let leads = 0..platoon.vehicles.len().saturating_sub(1);
-            leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
-        });
-        in_platoons
-            .chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles))
-            .collect()
-    }
 }
 
 /// A line of recorded vehicles with the gaps between them, on one time base.

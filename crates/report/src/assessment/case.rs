@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
-use super::commands::controller_arg;
+use super::controller_arg::controller_arg;
 use super::table::CellMark;
 use crumple_measure::{ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;

@@ -9,17 +9,14 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::controller_arg::{controller_arg, network_path, policy_path, process_folder};
 use super::parts::scenario_path;
 use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
 use crumple_controllers::controller_file;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_networks::NetworkController;
-use crumple_process::ProcessController;
-use crumple_world::control::{ControllerSource, ControllerSpec, PolicySource};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
@@ -68,43 +65,6 @@ impl fmt::Display for CrumpleCommand {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "crumple {}", self.shell_quoted())
     }
-}
-
-/// Returns the controller's command-line argument in the report folder; `None` for an external controller, and for a
-/// process that copies of its files do not determine.
-pub(super) fn controller_arg(source: &dyn ControllerSource) -> Option<String> {
-    if let Some(shield) = source.as_shield() {
-        let inner = controller_arg(&*shield.controller)?;
-        return Some(format!("shield{}:{inner}", shield.settings.to_arg()));
-    }
-    if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
-        return Some(spec.to_arg());
-    }
-    if let Some(network) = source.downcast_ref::<NetworkController>() {
-        return Some(network_path(&controller_file::file_name(network)));
-    }
-    if let Some(process) = source.downcast_ref::<ProcessController>() {
-        let (folder, file) = (process_folder(process)?, process.portable_file()?);
-        return Some(format!("{folder}/{file}"));
-    }
-    let policy = source.downcast_ref::<PolicySource>()?;
-    Some(policy_path(&policy.shared()))
-}
-
-fn process_folder(process: &ProcessController) -> Option<String> {
-    Some(format!("controllers/{}", process.identity()?.get(..16)?))
-}
-
-fn network_path(name: &str) -> String {
-    format!("controllers/{name}")
-}
-
-fn policy_path(policy: &Policy) -> String {
-    let digest = policy.digest();
-    format!(
-        "controllers/{}.safetensors",
-        digest.get(..16).unwrap_or(&digest)
-    )
 }
 
 impl NamedSpace {

@@ -10,6 +10,7 @@ mod case;
 mod claims;
 mod commands;
 mod config;
+mod controller_arg;
 mod document;
 mod followers;
 mod gate;

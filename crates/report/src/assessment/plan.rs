@@ -18,7 +18,7 @@ use crumple_core::digest::sha256;
 use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::control::{ControllerSource, ControllerSpec};
+use crumple_world::control::{BuiltInController, ControllerSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, built_in_scenario_names, file};
@@ -292,7 +292,7 @@ fn default_subject(controllers: &[NamedController]) -> usize {
 }
 
 fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate> {
-    let reference = ControllerSpec::Policy(Default::default()).identity();
+    let reference = BuiltInController::Policy(Default::default()).identity();
     if !controllers
         .iter()
         .any(|controller| controller.source.identity().as_deref() == reference.as_deref())

@@ -95,7 +95,7 @@ pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use batch_query::{BatchQuery, decide_by_query};
 pub(crate) use built_in::AnyController;
-pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub use built_in::{BuiltIn, BuiltInController, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use decision_timer::DecisionTimer;
@@ -331,7 +331,7 @@ pub(crate) mod tests {
             ahead: None,
             behind: None,
         };
-        for spec in ControllerSpec::all() {
+        for spec in BuiltInController::all() {
             let command = AnyController::from_spec(&spec, &EGO, 0)
                 .decide(&alone)
                 .unwrap();
@@ -346,7 +346,7 @@ pub(crate) mod tests {
 
     #[test]
     fn words_and_files_stand_for_one_specification() {
-        for mut spec in ControllerSpec::all() {
+        for mut spec in BuiltInController::all() {
             let plain = (spec.identity(), spec.to_arg());
             assert_eq!(plain.1, spec.name());
             let fields = spec.fields();
@@ -355,7 +355,7 @@ pub(crate) mod tests {
                     0.3 * field.typical_range[0] + 0.7 * field.typical_range[1];
             }
             assert_eq!(
-                ControllerSpec::parse(&spec.to_arg()),
+                BuiltInController::parse(&spec.to_arg()),
                 Some(Ok(spec.clone()))
             );
             assert_eq!(
@@ -370,12 +370,12 @@ pub(crate) mod tests {
     #[test]
     fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
         let problem = |words: &str| {
-            ControllerSpec::parse(words)
+            BuiltInController::parse(words)
                 .unwrap()
                 .unwrap_err()
                 .to_string()
         };
-        assert_eq!(ControllerSpec::parse("no-such,ttc_s=1"), None);
+        assert_eq!(BuiltInController::parse("no-such,ttc_s=1"), None);
         assert_eq!(
             problem("baseline,ttc=1"),
             "`ttc=1` is not a setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"

@@ -9,7 +9,7 @@ use super::Scenario;
 use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
 use crate::control::{
-    self, BuiltIn, ControllerSource, ControllerSpec, StartRefusal, with_controllers,
+    self, BuiltIn, BuiltInController, ControllerSource, StartRefusal, with_controllers,
 };
 
 /// The source of a vehicle's acceleration.
@@ -23,7 +23,7 @@ pub enum Driver {
     /// Scripted motion, independent of other vehicles.
     Profile(LeadProfile),
     /// Named controller, the same in every run.
-    Controller(ControllerSpec),
+    Controller(BuiltInController),
     /// Controller from a file.
     File(FileDriver),
 }
@@ -207,8 +207,8 @@ macro_rules! define_form {
                     F::BrakeToSpeed(profile) => Self::Profile(LeadProfile::BrakeToSpeed(profile)),
                     F::Pieces(profile) => Self::Profile(LeadProfile::Pieces(profile)),
                     F::Recorded(profile) => Self::Profile(LeadProfile::Recorded(profile)),
-                    $(F::$rule(settings) => Self::Controller(ControllerSpec::$rule(settings)),)*
-                    $(F::$policy(settings) => Self::Controller(ControllerSpec::$policy(settings)),)*
+                    $(F::$rule(settings) => Self::Controller(BuiltInController::$rule(settings)),)*
+                    $(F::$policy(settings) => Self::Controller(BuiltInController::$policy(settings)),)*
                     F::File(file) => Self::File(file),
                 }
             }
@@ -224,8 +224,8 @@ macro_rules! define_form {
                     Driver::Profile(LeadProfile::BrakeToSpeed(profile)) => Self::BrakeToSpeed(profile),
                     Driver::Profile(LeadProfile::Pieces(profile)) => Self::Pieces(profile),
                     Driver::Profile(LeadProfile::Recorded(profile)) => Self::Recorded(profile),
-                    $(Driver::Controller(ControllerSpec::$rule(settings)) => Self::$rule(settings),)*
-                    $(Driver::Controller(ControllerSpec::$policy(settings)) => Self::$policy(settings),)*
+                    $(Driver::Controller(BuiltInController::$rule(settings)) => Self::$rule(settings),)*
+                    $(Driver::Controller(BuiltInController::$policy(settings)) => Self::$policy(settings),)*
                     Driver::File(file) => Self::File(file),
                 }
             }
@@ -252,7 +252,7 @@ impl Driver {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,
             Self::Profile(_) | Self::File(_) => false,
             Self::Controller(controller) => {
-                ControllerSpec::from_name(controller.name()).as_ref() == Some(controller)
+                BuiltInController::from_name(controller.name()).as_ref() == Some(controller)
             }
         }
     }
@@ -311,7 +311,7 @@ impl schemars::JsonSchema for Driver {
     fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
         let with_settings = generator.subschema_for::<DriverForm>();
         let mut names = vec!["under-test", "constant-speed"];
-        names.extend(ControllerSpec::all().iter().map(ControllerSpec::name));
+        names.extend(BuiltInController::all().iter().map(BuiltInController::name));
         schemars::json_schema!({
             "description": "Who drives: a bare name, or one name with its settings.",
             "anyOf": [{ "enum": names }, with_settings],

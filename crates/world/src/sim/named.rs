@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::control::{
-    ControllerFailure, ControllerSource, ControllerSpec, PolicySource, ShieldSettings,
+    BuiltInController, ControllerFailure, ControllerSource, PolicySource, ShieldSettings,
     ShieldedSource,
 };
 use crate::policy::Policy;
@@ -131,7 +131,7 @@ impl NamedController {
 
 /// True if a name identifies the controller, together with the digest of a policy.
 fn is_identified_by_name(source: &dyn ControllerSource, name: &str) -> bool {
-    if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+    if let Some(spec) = source.downcast_ref::<BuiltInController>() {
         return name == spec.to_arg();
     }
     if let Some(shield) = source.as_shield() {
@@ -142,8 +142,8 @@ fn is_identified_by_name(source: &dyn ControllerSource, name: &str) -> bool {
     source.downcast_ref::<PolicySource>().is_some()
 }
 
-impl From<ControllerSpec> for NamedController {
-    fn from(spec: ControllerSpec) -> Self {
+impl From<BuiltInController> for NamedController {
+    fn from(spec: BuiltInController) -> Self {
         Self {
             name: spec.to_arg(),
             source: Arc::new(spec),

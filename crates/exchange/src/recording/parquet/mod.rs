@@ -4,6 +4,7 @@
 
 mod codec;
 mod column;
+mod error;
 mod footer;
 mod pages;
 #[cfg(test)]
@@ -22,33 +23,12 @@ use super::text_rows::Fields;
 use column::Column;
 use footer::{Footer, RowGroup};
 
+pub use error::ParquetError;
+
 /// A file, or its bytes.
 pub(super) trait ParquetSource: Read + Seek {}
 
 impl<S: Read + Seek> ParquetSource for S {}
-
-/// Reason why a Parquet file cannot be read.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ParquetError {
-    /// The system cannot read the file.
-    #[error("{0}")]
-    Read(String),
-    /// A part that breaks the rules of the format.
-    #[error("it is damaged: {0}")]
-    Damaged(&'static str),
-    /// A part of the format that this release does not read.
-    #[error("crumple does not read {0}")]
-    Unsupported(String),
-    /// A file that needs more memory or time than files of its size should.
-    #[error("it has more than {limit} {what}: split it, or compress it less")]
-    TooLarge {
-        /// Limit.
-        limit: u64,
-        /// Unit of the limit.
-        what: &'static str,
-    },
-}
 
 /// Bytes of a file, and the work that it may still cause.
 pub(super) struct FileBytes {
@@ -168,11 +148,5 @@ impl BinaryRows for ParquetRows {
             texts.push_field(text);
         }
         Ok(true)
-    }
-}
-
-impl From<std::io::Error> for ParquetError {
-    fn from(error: std::io::Error) -> Self {
-        Self::Read(error.to_string())
     }
 }

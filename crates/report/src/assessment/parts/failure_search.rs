@@ -8,7 +8,7 @@ use super::ScenarioCases;
 use super::distinct_failure::{DistinctFailure, MethodResult, involves_vehicle_under_test};
 use super::search_campaign::{run_campaign, simulate_failures};
 use crate::assessment::case::largest;
-use crate::assessment::commands::controller_arg;
+use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};

@@ -7,7 +7,7 @@ use super::certificates::{
     CertificateStatus, CheckedCertificate, check_certificate, rate_strength,
 };
 use crate::assessment::claims::Strength;
-use crate::assessment::commands::controller_arg;
+use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};

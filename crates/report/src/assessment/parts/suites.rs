@@ -10,7 +10,7 @@ use super::distinct_failure::EscapeFile;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
 };
-use crate::assessment::commands::controller_arg;
+use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::planned_suite::PlannedSuite;

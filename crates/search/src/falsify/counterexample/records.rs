@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{ExpectedFile, ExpectedVerdict, ReplayError};
-use crumple_controllers::{Controllers, ParsedController, UnknownController};
+use crumple_controllers::{ControllerSpec, Controllers, UnknownController};
 use crumple_core::text_file::FileError;
 use crumple_world::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
 use crumple_world::sim::NamedController;
@@ -107,9 +107,9 @@ impl<'a> RecordedVerdicts<'a> {
         verdict: &ExpectedVerdict,
         controllers: Controllers,
     ) -> Result<NamedController, ReplayError> {
-        let parsed = ParsedController::parse(&verdict.controller).ok();
+        let parsed = ControllerSpec::parse(&verdict.controller).ok();
         let (own, current) = (self.folder.clone(), PathBuf::new());
-        let folders = match parsed.as_ref().and_then(ParsedController::file) {
+        let folders = match parsed.as_ref().and_then(ControllerSpec::file) {
             None => vec![current, own],
             Some(file) => {
                 let has_hash =
