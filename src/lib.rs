@@ -15,14 +15,16 @@
 //!
 //! ## Map
 //!
-//! This crate re-exports the crates of this table, and the names that a first program needs. `docs/architecture.md` states
-//! which crate uses which others. `crumple-core` (digests, progress, quoted text) has no short name here, because that is
-//! the name of Rust's `core`.
+//! This crate re-exports the crates of this table, and the names that a first program needs. `docs/architecture.md`
+//! states which crate uses which others. `crumple-core` (digests, progress, quoted text) has no short name here,
+//! because that is the name of Rust's `core`.
 //!
 //! | crate | contents |
 //! |---|---|
 //! | [`store`] | run folders: atomic files, manifests |
-//! | [`world`] | scenarios, drivers, estimators, engines with identical results |
+//! | [`world`] | scenarios, built-in controllers, estimators, engines with identical results |
+//! | [`networks`] | networks as controllers |
+//! | [`controllers`] | controllers by name: built-in, policies, networks, programs, FMUs, shields |
 //! | [`measure`] | measures of a run, signal temporal logic |
 //! | [`spaces`] | scenario spaces: parameters with ranges and distributions |
 //! | [`exchange`] | scenarios from recordings and from OpenSCENARIO |
@@ -49,10 +51,12 @@
 //! # }
 //! ```
 
+pub use crumple_controllers as controllers;
 pub use crumple_evidence as evidence;
 pub use crumple_exchange as exchange;
 pub use crumple_learn as learn;
 pub use crumple_measure as measure;
+pub use crumple_networks as networks;
 pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_spaces as spaces;

@@ -295,7 +295,7 @@ fn scenario_files_take_drivers_from_files() {
 #[test]
 fn the_schema_of_controller_files_is_committed_and_accepts_the_corpus() {
     let schema = controller_file_schema();
-    assert_committed("crates/world/src/scenario/controller.schema.json", &schema);
+    assert_committed("crates/controllers/src/controller.schema.json", &schema);
     for name in [
         "acc.toml",
         "stacked.toml",

@@ -119,7 +119,9 @@ proptest! {
             // Files store positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
-            let multi_body = file::load(&folder.path().join(&found.file), &NoDriverFiles).unwrap().with_plant(PlantKind::MultiBody);
+            let original_file = folder.path().join(&found.file);
+            let original_scenario = file::load(&original_file, &NoDriverFiles).unwrap();
+            let multi_body = original_scenario.with_plant(PlantKind::MultiBody);
             let replay = campaign.specification.evaluate_scenario(&multi_body.unwrap(), options(&campaign));
             prop_assert_eq!(found.survives_multi_body, replay.ok().map(|verdict| verdict.is_violation()));
             // The file of an escape avoids the collision, without a vehicle under test.

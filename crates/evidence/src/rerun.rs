@@ -135,8 +135,8 @@ impl Confirmation {
 }
 
 impl Rerun {
-    /// Prepares a confirmation. Controllers that are not built in must be in `given`. `opener` opens the drivers that the
-    /// space names as files.
+    /// Prepares a confirmation. Controllers that are not built in must be in `given`. `opener` opens the drivers that
+    /// the space names as files.
     ///
     /// # Errors
     /// [`RerunError`] if the counts cannot be repeated.

@@ -74,7 +74,8 @@ mod tests {
             let stem = saved.file_name.strip_suffix(".toml").unwrap();
             let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
             prop_assert!(!stem.is_empty() && stem.chars().all(is_plain));
-            prop_assert_eq!(file::from_toml(&saved.toml, Path::new(&saved.file_name), &NoDriverFiles).unwrap(), scenario);
+            let path = Path::new(&saved.file_name);
+            prop_assert_eq!(file::from_toml(&saved.toml, path, &NoDriverFiles).unwrap(), scenario);
         }
     }
 }

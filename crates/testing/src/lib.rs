@@ -44,6 +44,7 @@ mod shrink;
 
 pub use check::{ControllerCheck, check};
 pub use controller::ControllerUnderTest;
+pub use crumple_controllers as controllers;
 pub use crumple_measure as measure;
 pub use crumple_spaces as spaces;
 pub use crumple_world as world;

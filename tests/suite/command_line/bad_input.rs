@@ -187,7 +187,7 @@ fn files_that_cannot_be_read_are_named() {
             "nowhere",
             "error: `nowhere` is neither a built-in scenario (paper-1, paper-2, paper-3) nor a file",
         ),
-        ("", "error: `` is neither a built-in scenario"),
+        ("", "error: a value is required for '<SCENARIO>...'"),
         ("missing.toml", "error: missing.toml: "),
         ("folder.toml", "error: folder.toml: "),
         (
@@ -423,7 +423,7 @@ fn presets_that_cannot_be_used_are_named() {
         ("missing.toml", "error: missing.toml: "),
         ("no-space.toml", &*no_space),
         ("no-file.toml", &*no_file),
-        ("", "error: --preset: the name of the preset is empty"),
+        ("", "error: a value is required for '--preset <PRESET>'"),
     ];
     let names = "there are fast, paper, paper-net, road";
     let slow = format!("error: there is no preset `slow`, and no such file; {names}");

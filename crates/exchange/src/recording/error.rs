@@ -197,10 +197,8 @@ pub enum ColumnProblem {
         /// Existing names, truncated to 40 characters.
         known: String,
     },
-    /// A unit in the file that crumple does not know.
-    #[error(
-        "the file states the unit `{unit}`, which crumple does not know (it knows {known}): {remedy}"
-    )]
+    /// A unit in the file that is none of the quantity, or that crumple does not know.
+    #[error("the file states the unit `{unit}`, which is not one of {known}: {remedy}")]
     UnknownUnit {
         /// Name of the unit.
         unit: String,

@@ -453,13 +453,12 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         (
             "gap [mm]",
             "",
-            "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know (it knows m, ft, cm)",
+            "a.csv:1: gap [mm]: the file states the unit `mm`, which is not one of m, ft, cm",
         ),
         (
             "gap [furlong]",
             "",
-            "a.csv:1: gap [furlong]: the file states the unit `furlong`, which crumple does not know (it knows \
-             m, ft, cm)",
+            "a.csv:1: gap [furlong]: the file states the unit `furlong`, which is not one of m, ft, cm",
         ),
         (
             "gap [ftt]",
@@ -469,12 +468,12 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         (
             "gap [m/s]",
             "",
-            "a.csv:1: gap [m/s]: the file states the unit `m/s`, which crumple does not know (it knows m, ft, cm)",
+            "a.csv:1: gap [m/s]: the file states the unit `m/s`, which is not one of m, ft, cm",
         ),
         (
             "gap_km",
             "",
-            "a.csv:1: gap_km: the file states the unit `km`, which crumple does not know (it knows m, ft, cm)",
+            "a.csv:1: gap_km: the file states the unit `km`, which is not one of m, ft, cm",
         ),
         (
             "gap_km",
@@ -484,8 +483,7 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         (
             "gap (ego)",
             "",
-            "a.csv:1: gap (ego): the file states the unit `ego`, which crumple does not know (it knows m, ft, \
-             cm): state the unit in the map",
+            "a.csv:1: gap (ego): the file states the unit `ego`, which is not one of m, ft, cm: state the unit in the map",
         ),
     ] {
         let message = read_with(header, unit)

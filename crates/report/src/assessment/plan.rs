@@ -133,8 +133,8 @@ impl AssessmentPlan {
         loading.build_plan(config, controllers)
     }
 
-    /// Reads a configuration file and everything that it names. `controllers` opens the controllers that the named files
-    /// name.
+    /// Reads a configuration file and everything that it names. `controllers` opens the controllers that the named
+    /// files name.
     ///
     /// # Errors
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.

@@ -174,7 +174,8 @@ pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 /// use crumple_world::sim::RunOptions;
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
-/// let options = RunOptions::new(BuiltInController::from_name("baseline").unwrap()).with_estimator(EstimatorKind::Truth);
+/// let baseline = BuiltInController::from_name("baseline").unwrap();
+/// let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
 /// let envelope = Envelope::from_scenario(&scenario);
 /// let result = attack(&scenario, &options, AttackObjective::Mildest, envelope, 100, &Quiet).unwrap();
 /// // The paper's leader brakes at 3 m/s².

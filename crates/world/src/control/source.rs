@@ -317,12 +317,12 @@ pub trait BatchController: Send + Sync {
 
 /// Returns a controller that fails at its first decision, in place of one that did not start.
 pub(crate) fn not_started(failure: ControllerFailure) -> Box<dyn Controller> {
-    Box::new(NotStarted(failure))
+    Box::new(UnstartedController(failure))
 }
 
-struct NotStarted(ControllerFailure);
+struct UnstartedController(ControllerFailure);
 
-impl Controller for NotStarted {
+impl Controller for UnstartedController {
     fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
         Err(self.0.clone())
     }
