@@ -11,9 +11,9 @@ use std::process::Command;
 use std::{fs, iter};
 
 use crumple_controllers::find_for_user;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Scenario, built_in_scenario};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crumple::report::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, assess};
+use crumple::sim::control::Ego;
 use crumple::store::disk;
-use crumple::world::control::Ego;
 use crumple::{
     Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController,
     Observation, Quiet, RecordingLevel, Run, RunOptions, built_in_scenario, built_in_space, sha256,

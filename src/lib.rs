@@ -22,7 +22,7 @@
 //! | crate | contents |
 //! |---|---|
 //! | [`store`] | run folders: atomic files, manifests |
-//! | [`world`] | scenarios, built-in controllers, estimators, engines with identical results |
+//! | [`sim`] | scenarios, built-in controllers, estimators, engines with identical results |
 //! | [`networks`] | networks as controllers |
 //! | [`controllers`] | controllers by name: built-in, policies, networks, programs, FMUs, shields |
 //! | [`measure`] | measures of a run, signal temporal logic |
@@ -59,21 +59,21 @@ pub use crumple_measure as measure;
 pub use crumple_networks as networks;
 pub use crumple_report as report;
 pub use crumple_search as search;
+pub use crumple_sim as sim;
 pub use crumple_spaces as spaces;
 pub use crumple_store as store;
 pub use crumple_suites as suites;
 pub use crumple_verify as verify;
-pub use crumple_world as world;
 
 pub use crumple_core::digest::sha256;
 pub use crumple_core::observer::{Observer, Quiet};
 pub use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-pub use crumple_spaces::{ScenarioSpace, built_in_space};
-pub use crumple_world::control::{
+pub use crumple_sim::control::{
     BuiltInController, Controller, ControllerFailure, ControllerSource,
 };
-pub use crumple_world::observation::{EstimatorKind, Observation};
-pub use crumple_world::scenario::{Scenario, built_in_scenario};
-pub use crumple_world::sim::{
+pub use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+pub use crumple_sim::observation::{EstimatorKind, Observation};
+pub use crumple_sim::scenario::{Scenario, built_in_scenario};
+pub use crumple_spaces::{ScenarioSpace, built_in_space};

@@ -4,11 +4,11 @@ use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::built_in_space;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::wall_time_s;
 use crate::table::Measurement;

@@ -4,9 +4,9 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use crumple_learn::rl::{EvaluationSet, Learner, Trainer, TrainingConfig};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::random::{Purpose, stream};
-use crumple_world::sim::{RecordingLevel, simulate_batch};
+use crumple_sim::engine::{RecordingLevel, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::random::{Purpose, stream};
 
 use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
 use crate::limits::register_operations_per_second;

@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use crumple_world::random::{NormalSampler, Purpose, stream};
+use crumple_sim::random::{NormalSampler, Purpose, stream};
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::clock::min_cpu_time_s;
@@ -91,7 +91,7 @@ pub fn processor_model() -> String {
             .map_or("?", str::trim)
     };
     let (name, family, model) = (of("model name"), of("cpu family"), of("model"));
-    let lanes = crumple_world::policy::f64_lanes();
+    let lanes = crumple_sim::policy::f64_lanes();
     format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
 }
 

@@ -7,14 +7,14 @@ use std::sync::Arc;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan};
 use crumple_search::worst_case::{AvoidOptions, avoid};
-use crumple_world::scenario::PAPER_STEP_S;
+use crumple_sim::scenario::PAPER_STEP_S;
 
 use crate::clock::{cpu_time_s, min_cpu_time_s};
 use crate::table::Measurement;
 use crate::work::networks::widened_reference;
 
 pub fn measure(say: &mut dyn FnMut(Measurement)) {
-    let scenario = crumple_world::scenario::built_in_scenario("paper-1").expect("built in");
+    let scenario = crumple_sim::scenario::built_in_scenario("paper-1").expect("built in");
     for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
         let options = AvoidOptions {
             grid_s: Some(grid_s),

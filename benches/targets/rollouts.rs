@@ -1,8 +1,8 @@
 //! Rollouts with built-in controllers, on one and on two threads.
 
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Brake, Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, simulate_batch};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Brake, Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
 
 use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
 use crate::limits::normals_per_second;

@@ -1,12 +1,12 @@
 //! Networks for benches of inference and training, and their matrix products.
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::{
     ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN,
 };
-use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::PAPER_STEP_S;
+use crumple_sim::random::{Purpose, stream};
+use crumple_sim::scenario::PAPER_STEP_S;
 use rand::RngExt;
 
 /// Side of the matrix product that measures the machine's limit.

@@ -1,10 +1,10 @@
 //! Rollouts for benches: random scenarios of the paper's distribution with its noise; every vehicle but the leader is
 //! under test.
 
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, PaperDistribution, Scenario};
 use std::sync::Arc;
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {

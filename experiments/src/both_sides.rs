@@ -25,12 +25,12 @@ use crumple::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::report::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Svg,
 };
-use crumple::spaces::{BUILT_IN_SPACES, built_in_space};
-use crumple::world::observation::EstimatorKind;
-use crumple::world::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
-use crumple::world::sim::{
+use crumple::sim::engine::{
     NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
+use crumple::sim::observation::EstimatorKind;
+use crumple::sim::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
+use crumple::spaces::{BUILT_IN_SPACES, built_in_space};
 
 const SEED: u64 = 0x626f_7468;
 /// Scenarios simulated at once: each keeps its trace.

@@ -9,8 +9,8 @@
 //! accelerations of neighbours combine the ego's estimates and those of the gap filter, whose noise is independent.
 
 use crate::ExperimentError;
-use crumple_world::estimate::EgoTuning;
-use crumple_world::scenario::built_in_scenario;
+use crumple_sim::estimate::EgoTuning;
+use crumple_sim::scenario::built_in_scenario;
 
 /// Number of standard deviations, as for the shield.
 const DEVIATIONS: f64 = 6.0;

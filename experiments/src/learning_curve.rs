@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 use crate::ExperimentError;
 use crumple_report::figures::{StatedConvergence, draw_learning_curve_with_reference};
-use crumple_world::policy::{COLLISION_FREE_REWARD, LearningCurve};
+use crumple_sim::policy::{COLLISION_FREE_REWARD, LearningCurve};
 
 /// A row of the table; other columns are ignored.
 #[derive(serde::Deserialize)]

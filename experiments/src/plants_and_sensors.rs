@@ -7,11 +7,11 @@
 use crumple_controllers::Controllers;
 use std::path::Path;
 
-use crumple::spaces::{ScenarioSpace, built_in_space};
-use crumple::world::scenario::{GhostObject, PlantKind, Scenario, SensorFaults, built_in_scenario};
-use crumple::world::sim::{
+use crumple::sim::engine::{
     AfterContact, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
+use crumple::sim::scenario::{GhostObject, PlantKind, Scenario, SensorFaults, built_in_scenario};
+use crumple::spaces::{ScenarioSpace, built_in_space};
 use crumple_core::interval::RateInterval;
 
 use crate::ExperimentError;

@@ -9,8 +9,8 @@ use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
 use rand_distr::{Distribution, StandardNormal};
 
 use crumple_learn::rl::{Batch, Learner, LearningConfig, Losses, Td3Config, TrainableNetwork};
-use crumple_world::policy::Network;
-use crumple_world::random::Stream;
+use crumple_sim::policy::Network;
+use crumple_sim::random::Stream;
 
 /// Actor, critics and targets on candle.
 pub struct ReferenceLearner {

@@ -3,8 +3,8 @@
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_oracle::ReferenceLearner;
-use crumple_world::policy::Network;
-use crumple_world::random::{Purpose, stream};
+use crumple_sim::policy::Network;
+use crumple_sim::random::{Purpose, stream};
 use proptest::prelude::*;
 
 #[path = "../../crates/learn/src/rl/tests/update/fixture.rs"]

@@ -6,11 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crumple_controllers::find_for_user;
 use crumple_controllers::{Controllers, ExternalPrograms};
-use crumple_world::control::{
-    BatchController, Controller, ControllerFailure, ControllerSource, Ego,
-};
-use crumple_world::observation::{Neighbour, Observation as Seen};
-use crumple_world::sim::NamedController;
+use crumple_sim::control::{BatchController, Controller, ControllerFailure, ControllerSource, Ego};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::{Neighbour, Observation as Seen};
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;

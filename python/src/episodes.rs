@@ -7,9 +7,9 @@ use crumple_learn::rl::{
     EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode,
     action_bounds, unsuitability,
 };
-use crumple_world::control::{BuiltInController, NoSettings};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Run, RunOptions};
+use crumple_sim::control::{BuiltInController, NoSettings};
+use crumple_sim::engine::{Run, RunOptions};
+use crumple_sim::scenario::Scenario;
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -215,7 +215,7 @@ impl Episodes {
     #[getter]
     fn decision_s(&self) -> f64 {
         f64::from(self.task.config.environment().action_repeat)
-            * crumple_world::scenario::PAPER_STEP_S
+            * crumple_sim::scenario::PAPER_STEP_S
     }
 
     /// Accelerations of the actions -1 and 1, in m/s².

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use crumple_core::quoting::shorten_message;
 use crumple_core::text_file::FileError;
+use crumple_sim::scenario::InvalidField;
+use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_spaces::FindSpaceError;
-use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::file::ScenarioFileError;
 use pyo3::prelude::*;
 
 /// Exceptions, without the end `Error` of their names.

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crumple_report::draw::{self, MotionFigure, PanelArrangement};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Impact, Trace};
+use crumple_sim::engine::{Impact, Trace};
+use crumple_sim::scenario::Scenario;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 

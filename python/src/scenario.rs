@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::controller::controllers;
+use crumple_sim::scenario::{self, built_in_scenario, built_in_scenario_names, file};
 use crumple_spaces::find_space;
-use crumple_world::scenario::{self as world, built_in_scenario, built_in_scenario_names, file};
 use pyo3::prelude::*;
 
 use crate::errors::{self, ExceptionClass};
@@ -13,7 +13,7 @@ use crate::values::serialize_to_python;
 /// Valid scenario.
 #[pyclass(name = "Scenario", frozen, eq, module = "crumple")]
 #[derive(PartialEq)]
-pub(crate) struct PyScenario(pub(crate) world::Scenario);
+pub(crate) struct PyScenario(pub(crate) scenario::Scenario);
 
 #[pymethods]
 impl PyScenario {
@@ -121,7 +121,7 @@ impl PyScenario {
 impl PyScenario {
     fn from_read(
         py: Python<'_>,
-        read: Result<world::Scenario, file::ScenarioFileError>,
+        read: Result<scenario::Scenario, file::ScenarioFileError>,
     ) -> PyResult<Self> {
         read.map(Self)
             .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Scenario, &error))

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use crumple_measure::Specification;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
@@ -48,9 +48,9 @@ pub(crate) struct PyTrace {
 
 impl PyTrace {
     /// Moves the samples without a copy.
-    fn new(py: Python<'_>, trace: sim::Trace) -> PyResult<Self> {
+    fn new(py: Python<'_>, trace: engine::Trace) -> PyResult<Self> {
         let array = |samples: Vec<f64>| PyArray1::from_vec(py, samples).unbind();
-        let track = |track: sim::Track| {
+        let track = |track: engine::Track| {
             let track = PyTrack {
                 length_m: track.length_m,
                 mass_kg: track.mass_kg,
@@ -72,13 +72,13 @@ impl PyTrace {
     }
 
     /// Copies the present samples; the caller may have changed the arrays.
-    fn to_native(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+    fn to_native(&self, py: Python<'_>) -> PyResult<engine::Trace> {
         let samples = |array: &Py<PyArray1<f64>>| {
             Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec())
         };
         let track = |track: &Py<PyTrack>| {
             let track = track.get();
-            Ok(sim::Track {
+            Ok(engine::Track {
                 length_m: track.length_m,
                 mass_kg: track.mass_kg,
                 position_m: samples(&track.position_m)?,
@@ -88,7 +88,7 @@ impl PyTrace {
             })
         };
         let vehicles = self.vehicles.iter().map(track).collect::<PyResult<_>>()?;
-        Ok(sim::Trace {
+        Ok(engine::Trace {
             time_s: samples(&self.time_s)?,
             vehicles,
         })
@@ -237,7 +237,7 @@ impl Simulation {
 }
 
 impl Simulation {
-    fn native_trace(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+    fn native_trace(&self, py: Python<'_>) -> PyResult<engine::Trace> {
         let missing = "the simulation kept no trace: simulate with trace=True";
         match &self.trace {
             Some(trace) => trace.get().to_native(py),

@@ -6,7 +6,7 @@ use arrow_array::builder::Float64Builder;
 use arrow_array::ffi_stream::FFI_ArrowArrayStream;
 use arrow_array::{ArrayRef, Float64Array, RecordBatch, RecordBatchIterator, UInt32Array};
 use arrow_schema::{ArrowError, DataType, Field, Schema};
-use crumple_world::sim::{Trace, Track};
+use crumple_sim::engine::{Trace, Track};
 
 /// Returns the table of `crumple simulate --trace`: by sample, then vehicle. The first one has no gap.
 pub(crate) fn arrow_stream(trace: &Trace) -> Result<FFI_ArrowArrayStream, ArrowError> {

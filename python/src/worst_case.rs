@@ -2,7 +2,7 @@
 
 use crumple_core::observer::RunProgress;
 use crumple_search::worst_case::{AttackObjective, AttackReport, Envelope, attack};
-use crumple_world::sim::RunOptions;
+use crumple_sim::engine::RunOptions;
 use pyo3::prelude::*;
 
 use crate::controller;

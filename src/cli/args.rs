@@ -9,13 +9,13 @@ use super::{CliError, output};
 use crumple_controllers::Controllers;
 use crumple_controllers::find_for_user;
 use crumple_measure::Specification;
-use crumple_spaces::{ScenarioSpace, find_space};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
-use crumple_world::sim::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
     NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
+use crumple_spaces::{ScenarioSpace, find_space};
 
 /// Returns the built-in scenario that an argument names.
 pub(super) fn find_built_in_scenario(name: &Path) -> Option<Scenario> {

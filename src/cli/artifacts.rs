@@ -9,9 +9,9 @@ use super::CliError;
 use super::output;
 use super::output_format::OutputFormat;
 use super::simulate;
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::scenario::{Scenario, file};
 use crumple_store::disk::StagedFiles;
-use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::SimulationResult;
 
 /// Output options.
 #[derive(Args)]

@@ -17,8 +17,8 @@ use crumple_search::worst_case::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy,
     Optimality, UndecidedReason, avoid, certify,
 };
+use crumple_sim::scenario::Scenario;
 use crumple_store::disk::StagedFiles;
-use crumple_world::scenario::Scenario;
 
 /// Decide whether a collision was avoidable: find an escape, or prove that none exists
 #[derive(Args)]

@@ -19,9 +19,9 @@ use crumple_evidence::{
     checker_file, report_json, report_text,
 };
 use crumple_networks::network::NetworkFile;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::Scenario;
 
 /// Accept or reject certificates with the small checker alone
 #[derive(Args)]

@@ -16,11 +16,11 @@ use crumple_learn::retrain::RetrainError;
 use crumple_learn::tune::TuneError;
 use crumple_report::assessment::{AssessConfigError, AssessError, CacheError};
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_sim::engine::{RefusedController, RunError};
+use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_suites::SuiteError;
-use crumple_world::scenario::file::ScenarioFileError;
-use crumple_world::sim::{RefusedController, RunError};
 
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CliError {

@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, value_enums};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 
 /// Explore scenarios and campaigns interactively in a browser
 #[derive(Args)]

@@ -14,10 +14,10 @@ use crumple_controllers::Controllers;
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::openscenario::export::{self as openscenario, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
-use crumple_world::control::{BuiltInController, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::{BuiltInController, IntoSource};
+use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]

@@ -17,10 +17,10 @@ use crumple_search::falsify::campaign::{
     MAX_SEED, MethodSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_store::disk::StagedFiles;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
 #[derive(Args)]

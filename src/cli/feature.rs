@@ -6,7 +6,7 @@ use super::CliError;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
 use crumple_report::draw::{PNG_SCALE, Svg, WRITES_PNG};
 use crumple_report::export::{WRITES_PARQUET, to_parquet};
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 #[derive(Serialize)]
 pub(super) struct Feature {

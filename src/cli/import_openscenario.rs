@@ -17,8 +17,8 @@ use crumple_exchange::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError,
     Variation,
 };
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::{self, MAX_FOLDER_BYTES};
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::{self, MAX_FOLDER_BYTES};
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]

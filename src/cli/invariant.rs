@@ -21,9 +21,9 @@ use crumple_evidence::{
     InvariantSpec, InvariantStage,
 };
 use crumple_report::figures::draw_invariant_set;
+use crumple_sim::engine::NamedController;
+use crumple_sim::scenario::Scenario;
 use crumple_store::disk::StagedFiles;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::NamedController;
 
 /// Own speeds of a picture.
 const PICTURE_LINES: u32 = 5;

@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::built_in_scenario_names;
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::built_in_scenario_names;
 
 const SHIELD_ENTRY: (&str, &str) = (
     "shield:policy",

@@ -14,7 +14,7 @@ use crumple_store::disk::{self, StagedFiles};
 /// version to install.
 const NAME: &str = "my-controller";
 const MODULE: &str = "my_controller";
-const RUST_SIMULATOR: &str = r#"crumple-world = { git = "https://github.com/crumple-rs/crumple" }"#;
+const RUST_SIMULATOR: &str = r#"crumple-sim = { git = "https://github.com/crumple-rs/crumple" }"#;
 const RUST_HARNESS: &str = r#"crumple-testing = { git = "https://github.com/crumple-rs/crumple" }"#;
 const PYTHON_SOURCE: &str = "git+https://github.com/crumple-rs/crumple#subdirectory=python";
 const INSTALLATION: &str = "--git https://github.com/crumple-rs/crumple crumple";
@@ -183,7 +183,7 @@ impl New {
             |name: &str| format!("crumple-{name} = {{ path = \"{path}/crates/{name}\" }}");
         let python = format!("file://{}/python", percent_encoded(path));
         Ok([
-            dependency("world"),
+            dependency("sim"),
             dependency("testing"),
             python,
             installation,

@@ -14,7 +14,7 @@ use super::output_format::OutputFormat;
 use super::{CliError, args, progress};
 use crumple_core::text_file;
 use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCounts, VolumeShares};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 /// Prove from which part of a box of initial states a policy or a network avoids every collision
 #[derive(Args)]

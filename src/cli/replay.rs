@@ -15,8 +15,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_evidence::exposure::IntervalEstimate;
 use crumple_exchange::recording::replay::{ReplayedBraking, ReplayedDrive, replay};
 use crumple_exchange::recording::{HardestSearch, TextFormat, load_parts, merge_dropped};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{NamedController, RunOptions};
+use crumple_sim::engine::{NamedController, RunOptions};
+use crumple_sim::observation::EstimatorKind;
 
 /// Maximum number of brakings that the text lists; the hardest ones.
 const MAX_LISTED: usize = 20;

@@ -23,7 +23,7 @@ use crumple_learn::retrain::{
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::falsify::Method;
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 

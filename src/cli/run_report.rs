@@ -7,8 +7,8 @@ use serde::Serialize;
 use crumple_core::quoting::TerminalText;
 use crumple_measure::stl::FormulaPart;
 use crumple_measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasures};
-use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
-use crumple_world::sim::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
+use crumple_sim::engine::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
+use crumple_sim::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
 
 #[derive(Serialize)]
 pub(super) struct RunReport<'a> {

@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use crumple_core::quoting::TerminalText;
 use crumple_measure::ContactRole;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::Outcome;
+use crumple_sim::engine::Outcome;
+use crumple_sim::scenario::Scenario;
 
 /// End of a run, by its first collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -14,10 +14,10 @@ use super::{CliError, output, show};
 use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::rl::PRESETS;
 use crumple_search::falsify::Method;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::built_in_scenario_names;
 use crumple_spaces::built_in_space_names;
 use crumple_suites::SHIPPED_SUITES;
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::built_in_scenario_names;
 
 /// Print a completion script for a shell
 #[derive(Args)]

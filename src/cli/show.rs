@@ -9,11 +9,11 @@ use crumple_controllers::find_built_in;
 use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
-use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
-use crumple_suites::SHIPPED_SUITES;
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
 };
+use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
+use crumple_suites::SHIPPED_SUITES;
 
 /// Print a built-in item as a file that a user could write
 #[derive(Args)]

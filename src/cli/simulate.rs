@@ -21,13 +21,13 @@ use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
-use crumple_store::disk::StagedFiles;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PlantKind, Scenario, file};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
     simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{PlantKind, Scenario, file};
+use crumple_store::disk::StagedFiles;
 
 /// Run scenarios and print their outcomes
 #[derive(Args)]

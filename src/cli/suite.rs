@@ -10,13 +10,13 @@ use super::{CliError, args, output, suite_folder, value_enums};
 use crumple_controllers::find_built_in;
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
+use crumple_sim::control::{BuiltInController, Role};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{
     ControllerResult, DISCLAIMER, FailedPoint, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
     UNSHIPPED_DOCUMENTS, run,
 };
-use crumple_world::control::{BuiltInController, Role};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 /// Run suites of tests that are modelled on regulations
 #[derive(Args)]

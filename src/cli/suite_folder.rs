@@ -6,9 +6,9 @@ use std::path::Path;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
+use crumple_sim::scenario::file;
 use crumple_store::disk::DiskError;
 use crumple_suites::{ControllerResult, FailedPoint, SuiteResult};
-use crumple_world::scenario::file;
 
 /// Opens the folder, and reads the listing of an earlier run. Its extension keeps it from being read as a scenario.
 pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {

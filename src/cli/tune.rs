@@ -13,7 +13,7 @@ use crumple_learn::tune::{
     TuningSpace,
 };
 use crumple_search::falsify::Method;
-use crumple_world::observation::EstimatorKind;
+use crumple_sim::observation::EstimatorKind;
 
 /// Fit the settings of a built-in controller to scenario spaces and everyday traffic
 #[derive(Args)]

@@ -5,9 +5,9 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_exchange::recording::LeaderSelection;
 use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::AttackObjective;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::PlantKind;
-use crumple_world::sim::AfterContact;
+use crumple_sim::engine::AfterContact;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::PlantKind;
 
 /// A value, its name, and its description in the long help.
 type ArgValue<T> = (T, &'static str, &'static str);

@@ -20,9 +20,9 @@ use crumple_evidence::{
     SampleSizeError, report_json, required_runs, shipped_kernels,
 };
 use crumple_measure::Specification;
+use crumple_sim::engine::{FailedControllerRuns, NamedController};
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]

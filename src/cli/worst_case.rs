@@ -17,9 +17,9 @@ use crumple_search::worst_case::{
     SearchedSizes, SensorAttackResult, SensorFailure, attack, attack_sensors,
     max_sensor_simulations,
 };
+use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
 use crumple_store::disk::StagedFiles;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
 #[derive(Args)]

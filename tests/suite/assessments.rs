@@ -1,6 +1,6 @@
 //! Assessments do not claim more than their evidence supports, such as certificates of other subjects.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -13,10 +13,10 @@ use crumple_report::assessment::{
     CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_verify::{Certificate, Statement};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
 
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
@@ -272,11 +272,10 @@ fn every_command_of_a_report_runs_in_its_folder() {
     )
     .expect("writes");
     fs::create_dir(folder.path().join("episodes")).expect("made");
-    let episode = crumple_world::scenario::built_in_scenario("paper-2")
+    let episode = crumple_sim::scenario::built_in_scenario("paper-2")
         .expect("built in")
         .edited(|spec| spec.name = "an episode".to_owned());
-    let episode =
-        crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
+    let episode = crumple_sim::scenario::file::to_toml(&episode.expect("valid")).expect("written");
     fs::write(folder.path().join("episodes/e.toml"), episode).expect("writes");
     let mut asked = config(&["baseline", policy, &format!("shield,ahead=8:{policy}")]);
     asked.search.spaces = Some(vec!["own space.toml".to_owned()]);

@@ -5,7 +5,7 @@ use crumple_report::assessment::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Ledger, Property, Rounded,
     Strength, Subject, UncomparedText,
 };
-use crumple_world::observation::EstimatorKind;
+use crumple_sim::observation::EstimatorKind;
 use proptest::prelude::*;
 use proptest::sample::select;
 use serde_json::Value;

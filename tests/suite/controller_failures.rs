@@ -9,17 +9,17 @@ use crumple_report::assessment::{
     AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess,
 };
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-use crumple_spaces::{ScenarioSpace, built_in_space};
-use crumple_world::control::{
+use crumple_sim::control::{
     Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
     ShieldSettings,
 };
-use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions,
     ShieldedSource, simulate, simulate_batch,
 };
+use crumple_sim::observation::{EstimatorKind, Observation};
+use crumple_sim::scenario::{Driver, Scenario, built_in_scenario};
+use crumple_spaces::{ScenarioSpace, built_in_space};
 use proptest::prelude::*;
 
 use crate::generate::with_cases;

@@ -1,10 +1,10 @@
 //! Properties of every built-in controller for any observation.
 
 use crumple_measure::ttc_s;
-use crumple_world::control::{
+use crumple_sim::control::{
     AebSettings, Baseline, BuiltIn, BuiltInController, Controller, ControllerSource, Ego, Role,
 };
-use crumple_world::observation::{Neighbour, Observation};
+use crumple_sim::observation::{Neighbour, Observation};
 use proptest::prelude::*;
 
 use crate::generate::{any_controller, with_cases};

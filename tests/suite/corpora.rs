@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use crumple_controllers::Controllers;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::file::{EXPECTED_FILE_NAME, load};
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::file::{EXPECTED_FILE_NAME, load};
 
 fn scenario_corpus() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpora/scenarios")

@@ -16,11 +16,11 @@ use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFo
 use crumple_measure::Specification;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::built_in_scenario;
 use crumple_spaces::built_in_space;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::built_in_scenario;
 use tempfile::TempDir;
 
 /// Changed positions per file, one at a time, unless the variable `FLIPS` overrides it.

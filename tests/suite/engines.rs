@@ -3,10 +3,12 @@
 
 use crumple_fuzzing::RunSetup;
 use crumple_fuzzing::oracle::result_bits;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
+    AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+};
+use crumple_sim::scenario::{PaperDistribution, Scenario};
 use crumple_testing::generator::{DriverKind, ScenarioShape};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{PaperDistribution, Scenario};
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
 use crate::generate::{any_after_contact, any_scenario_of_shape, any_setup, any_shape, with_cases};

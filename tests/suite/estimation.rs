@@ -9,12 +9,12 @@ mod world;
 use std::sync::Arc;
 
 use crumple_fuzzing::oracle::estimates_within_bounds;
-use crumple_world::control::BuiltInController;
-use crumple_world::estimate::{Accelerometer, EgoEstimator, EgoTuning, Filter, Sensor, TrueState};
-use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
-use crumple_world::random::Purpose;
-use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in_scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, Stepper};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, Stepper};
+use crumple_sim::estimate::{Accelerometer, EgoEstimator, EgoTuning, Filter, Sensor, TrueState};
+use crumple_sim::observation::{EstimatorKind, Neighbour, Observation};
+use crumple_sim::random::Purpose;
+use crumple_sim::scenario::{PaperDistribution, Scenario, Sensors, built_in_scenario};
 use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 

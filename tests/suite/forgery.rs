@@ -10,13 +10,13 @@ use crumple_evidence::{
     check_covers_scenario, shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
+use crumple_sim::control::{BuiltInController, IntoSource};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{Scenario, built_in_scenario};
 use crumple_spaces::built_in_space;
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{BuiltInController, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::NamedController;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;

@@ -4,7 +4,7 @@ use crumple_fuzzing::formula_from_bytes;
 use crumple_measure::stl::{
     Formula, SampledSignals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
 };
-use crumple_world::sim::{AfterContact, Trace, Track};
+use crumple_sim::engine::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
 use crate::generate::{any_test_case, simulate_traced, with_cases};

@@ -9,15 +9,15 @@ use crumple_fuzzing::{
     Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SETUP_BYTES, TEST_CASE_BYTES,
     TestCase,
 };
-use crumple_testing::generator::{self, SCENARIO_BYTES, ScenarioShape};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
+    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
+use crumple_sim::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
     VehicleSpec,
 };
-use crumple_world::sim::{
-    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
-};
+use crumple_testing::generator::{self, SCENARIO_BYTES, ScenarioShape};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;

@@ -7,10 +7,10 @@ use crumple_measure::harm_of_pair;
 use crumple_report::assessment::HarmConfig;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, SearchObjective};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::file;
 use crumple_spaces::{HUMAN_SPACES, built_in_space};
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::file;
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 use crate::assessments::{config, run};
 
@@ -110,7 +110,7 @@ fn as_index(vehicle: u32) -> usize {
 #[test]
 fn a_human_behind_idm_collides_in_no_everyday_traffic() {
     let space = built_in_space(HUMAN_SPACES[1].0).expect("built in");
-    let options = RunOptions::new(crumple_world::control::BuiltInController::Idm(
+    let options = RunOptions::new(crumple_sim::control::BuiltInController::Idm(
         Default::default(),
     ));
     let runs: Vec<_> = (0..200)

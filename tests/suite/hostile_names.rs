@@ -1,13 +1,13 @@
 //! Names, files and texts of users with special characters for a terminal, Markdown, HTML or a shell.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 
 use crumple_core::quoting::is_hidden;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{built_in_scenario, file};
 use crumple_spaces::{built_in_space, file as space_file};
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{built_in_scenario, file};
 use pulldown_cmark::{Event, Options, Parser, Tag};
 use saphyr::LoadableYamlNode;
 

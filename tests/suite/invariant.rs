@@ -8,12 +8,12 @@ use crumple_core::observer::Quiet;
 use crumple_evidence::{
     InvariantOptions, InvariantPlan, InvariantSet, InvariantSpec, check_binding,
 };
+use crumple_sim::control::{BuiltInController, ControllerSource, Ego, IntoSource};
+use crumple_sim::observation::{Neighbour, Observation};
+use crumple_sim::scenario::built_in_scenario;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::HeightTable;
 use crumple_verify::{Certificate, InvariantClaim, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{BuiltInController, ControllerSource, Ego, IntoSource};
-use crumple_world::observation::{Neighbour, Observation};
-use crumple_world::scenario::built_in_scenario;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 

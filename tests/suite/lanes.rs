@@ -12,9 +12,9 @@ use crumple_fuzzing::{
     Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, LaneChange};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
+use crumple_sim::scenario::{Driver, LaneChange};
 use proptest::prelude::*;
 
 use crate::generate::{any_lane_case, check_oracle, first_values, with_cases};

@@ -11,12 +11,12 @@ use crumple_controllers::Controllers;
 use crumple_controllers::controller_file::controller_file_schema;
 use crumple_networks::NetworkController;
 use crumple_networks::network::NetworkFile;
-use crumple_world::control::{ControllerSource, IntoSource};
-use crumple_world::policy::{Policy, Workspace};
-use crumple_world::scenario::{PaperDistribution, Scenario, file};
-use crumple_world::sim::{
+use crumple_sim::control::{ControllerSource, IntoSource};
+use crumple_sim::engine::{
     RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
+use crumple_sim::policy::{Policy, Workspace};
+use crumple_sim::scenario::{PaperDistribution, Scenario, file};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Deserialize;
@@ -240,7 +240,7 @@ fn scenario_files_take_drivers_from_files() {
     )
     .unwrap();
     let truth = |controller: Arc<dyn ControllerSource>| {
-        RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
+        RunOptions::new(controller).with_estimator(crumple_sim::observation::EstimatorKind::Truth)
     };
     let run = |scenario, controller| {
         simulate(

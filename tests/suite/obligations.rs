@@ -9,11 +9,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crumple_world::control::{
+use crumple_sim::control::{
     ErrorBounds, ShieldParams, ShieldState, ViabilityKernel, distance_and_speed_after,
     max_closing_m,
 };
-use crumple_world::scenario::VehicleClass;
+use crumple_sim::scenario::VehicleClass;
 
 use term::Term;
 
@@ -230,7 +230,7 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
         }
     }
     // Theorems that the derivation of the margin uses. Other names are shorter.
-    let derivation = read("crates/world/src/control/shield/rounding.rs");
+    let derivation = read("crates/sim/src/control/shield/rounding.rs");
     let names = derivation
         .split('`')
         .skip(1)

@@ -5,12 +5,12 @@ use std::iter;
 use crumple_exchange::openscenario::export::{
     OpenScenarioError, export_actions, export_trajectories,
 };
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{AfterContact, RunOptions, Trace};
+use crumple_sim::scenario::{
     Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario,
     built_in_scenario, built_in_scenario_names,
 };
-use crumple_world::sim::{AfterContact, RunOptions, Trace};
 use proptest::prelude::*;
 use roxmltree::{Document, Node};
 

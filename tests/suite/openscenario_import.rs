@@ -4,10 +4,10 @@ use std::fs;
 
 use crumple_exchange::openscenario::OpenScenarioSource;
 use crumple_exchange::openscenario::export::{OpenScenario, export_actions, export_trajectories};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names};
-use crumple_world::sim::{AfterContact, RunOptions, Trace};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{AfterContact, RunOptions, Trace};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names};
 use proptest::prelude::*;
 use tempfile::TempDir;
 

@@ -1,11 +1,11 @@
 //! Results of the paper, and those of further controllers.
 
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
     AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Scenario, built_in_scenario};
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 

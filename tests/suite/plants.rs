@@ -7,13 +7,13 @@ use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
     AvoidOptions, AvoidanceVerdict, SensorFailure, attack_sensors, avoid, covers_scenario,
 };
-use crumple_verify::Assumption;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
+use crumple_sim::engine::{NamedController, Run, RunOptions};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
     Driver, LeadProfile, PlantKind, Scenario, ScenarioSpec, SensorFaults, VehicleClass,
     VehicleSpec, built_in_scenario,
 };
-use crumple_world::sim::{NamedController, Run, RunOptions};
+use crumple_verify::Assumption;
 
 fn find(controller: &str) -> NamedController {
     Controllers::default()

@@ -1,8 +1,8 @@
 //! The simulator and the checker accept the same policy files: a certificate must not be about a file that cannot
 //! drive.
 
+use crumple_sim::policy::Policy;
 use crumple_verify::reach::NeuralController;
-use crumple_world::policy::Policy;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;

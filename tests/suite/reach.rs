@@ -10,15 +10,15 @@ use crumple_networks::network::{Elementwise, FeedForward, Linear, NetworkFile, N
 use crumple_networks::{
     HistoryPadding, InputMapping, Mapping, NetworkController, OutputMapping, Squash,
 };
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource, ObservedQuantity};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::Driver;
 use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachProblem, reach_with_tube,
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource, ObservedQuantity};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::Driver;
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;

@@ -4,12 +4,10 @@
 //! `utility/models.py`, `utility/comparison_cut_in.py`), and shares nothing with crumple's driver. [`CUT_INS`] was
 //! computed once with that code (Python 3, numpy 2.4.6), and the oracle must reproduce its numbers.
 
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
-    Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec,
-};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 
 use crate::generate::scenario_spec;
 

@@ -1,7 +1,7 @@
 //! The committed report is current.
 
 use crumple_controllers::Controllers;
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
@@ -321,8 +321,8 @@ fn the_goal_structure_has_no_dangling_reference() {
 /// Every listed counterexample collides when its file is replayed alone, and matches its row.
 #[test]
 fn every_counterexample_of_the_report_collides() {
-    use crumple_world::scenario::file;
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::file;
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN_ASSESSMENT
@@ -544,7 +544,7 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
         .scenarios;
     assert_eq!(
         scenarios.len(),
-        crumple_world::scenario::built_in_scenario_names().len()
+        crumple_sim::scenario::built_in_scenario_names().len()
     );
     for scenario in scenarios {
         let Some(RoundedAvoidance::Avoidable {

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use crumple_controllers::Controllers;
 use crumple_core::digest::{Sha256, sha256};
 use crumple_learn::retrain::{Cases, RetrainingReport, TestSetResults, training_preset};
+use crumple_sim::control::{ControllerSource, IntoSource};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{PaperDistribution, Scenario, built_in_scenario};
 use crumple_spaces::{ScenarioSpace, built_in_space};
-use crumple_world::control::{ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn corpora_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use crumple_learn::rl::TrainingConfig;
 use crumple_measure::UsefulnessMeasures;
+use crumple_sim::control::{BuiltInController, IntoSource};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{Scenario, built_in_scenario};
 use crumple_spaces::built_in_space;
-use crumple_world::control::{BuiltInController, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 #[test]
 fn the_preset_is_that_of_the_policy() {

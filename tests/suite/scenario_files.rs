@@ -3,7 +3,7 @@
 
 use crumple_fuzzing::ScenarioFormat;
 use crumple_fuzzing::targets::error_line;
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, json_schema};
+use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names, json_schema};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, with_cases};
@@ -129,7 +129,7 @@ proptest! {
 #[test]
 fn the_committed_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
     let schema = json_schema();
-    assert_committed("crates/world/src/scenario/scenario.schema.json", &schema);
+    assert_committed("crates/sim/src/scenario/scenario.schema.json", &schema);
     let check = |value: &serde_json::Value| validate(&schema, &schema, value, "scenario");
     for (name, _) in built_in_scenario_names() {
         check(&serde_json::to_value(built_in_scenario(name).unwrap().spec()).unwrap()).unwrap();

@@ -1,6 +1,6 @@
 //! Searches: files confirm the summary of a campaign, and frequent failures are found.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_controllers::Controllers;
@@ -10,10 +10,10 @@ use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method};
+use crumple_sim::engine::RunOptions;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{PlantKind, file};
 use crumple_spaces::{ScenarioSpace, built_in_space};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PlantKind, file};
-use crumple_world::sim::RunOptions;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 

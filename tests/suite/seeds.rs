@@ -2,7 +2,7 @@
 //!
 //! `fuzz/renew-seeds` writes them to `fuzz/fresh/` and keeps those that reach new code.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,12 +11,12 @@ use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
 use crumple_fuzzing::{self, LANE_CASE_BYTES, ScenarioFormat, TEST_CASE_BYTES, TestCase};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
+use crumple_sim::engine::{RecordingLevel, Run, simulate};
+use crumple_sim::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::load_all;
 use crumple_verify::reach::{BoxDimension, PartitionCell};
 use crumple_verify::{Certificate, ReachClaim, Statement};
-use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::load_all;
-use crumple_world::sim::{RecordingLevel, Run, simulate};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, any_test_case, first_values};

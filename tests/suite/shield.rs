@@ -1,15 +1,15 @@
 //! A shielded controller never hits the vehicle ahead, whatever that vehicle does within its brake limit.
 
-use crumple_world::control::{
+use crumple_sim::control::{
     BuiltInController, ControllerSource, ErrorBounds, IntoSource, ShieldSettings, ViabilityKernel,
 };
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
-    Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
-};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource,
     SimulationResult, simulate, simulate_batch,
+};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
+    Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -104,7 +104,7 @@ impl Chase {
         vehicles[1].actuator_lag_s = self.lag_s;
         let spec = ScenarioSpec {
             seed: self.seed,
-            environment: crumple_world::scenario::Environment {
+            environment: crumple_sim::scenario::Environment {
                 friction: self.friction,
             },
             ..scenario_spec("chase", 0.01, 15.0, vehicles)
@@ -322,7 +322,7 @@ fn unsupported_shields_are_refused() {
 #[test]
 fn a_vehicle_far_behind_is_no_conflict() {
     let conflict = |behind_m: f64, speed_mps: f64| {
-        let scenario = crumple_world::scenario::built_in_scenario("paper-1")
+        let scenario = crumple_sim::scenario::built_in_scenario("paper-1")
             .unwrap()
             .edited(|spec| {
                 spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
@@ -343,7 +343,7 @@ fn a_vehicle_far_behind_is_no_conflict() {
 #[test]
 fn a_livelier_vehicle_ahead_is_kept_farther_away() {
     let first_s = |accel_mps2: f64, noise_mps2: f64| {
-        let scenario = crumple_world::scenario::built_in_scenario("paper-1")
+        let scenario = crumple_sim::scenario::built_in_scenario("paper-1")
             .unwrap()
             .edited(|spec| {
                 spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);

@@ -2,13 +2,13 @@
 
 use std::ops::ControlFlow;
 
-use crumple_spaces::{BUILT_IN_SPACES, built_in_space};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
-use crumple_world::sim::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
     AfterContact, Motion, RecordingLevel, Run, RunOptions, StepView, Stepper,
 };
+use crumple_sim::observation::{EstimatorKind, Observation};
+use crumple_sim::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
+use crumple_spaces::{BUILT_IN_SPACES, built_in_space};
 
 /// Command of an external driver: depends on most of the observation and causes some collisions.
 fn test_command_mps2(seen: &Observation) -> f64 {

@@ -7,8 +7,8 @@ use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
     AssessmentGate, AssessmentPlan, EvidenceCache, Property, Strength, SuiteConfig, assess,
 };
+use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{MarginEnd, SweepFailure, TestSuite, run};
-use crumple_world::observation::EstimatorKind;
 
 use crate::assessments::config;
 use crate::command_line::{run_ok, temp_folder};

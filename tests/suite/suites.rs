@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use crumple_controllers::Controllers;
+use crumple_sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::LaneChange;
 use crumple_suites::{
     ControllerResult, LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention,
     ReferenceRun, SHIPPED_SUITES, SweepFailure, TestParameter, TestSuite, TestVerdict,
     UNSHIPPED_DOCUMENTS, json_schema, run,
 };
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::LaneChange;
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
 use crate::command_line::{
     assert_refused, exit_code, run_crumple, run_ok, run_on_threads, stdout, temp_folder,

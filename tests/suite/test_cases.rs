@@ -2,7 +2,7 @@
 
 mod fault_injection;
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crumple_fuzzing::oracle::{
 };
 use crumple_fuzzing::targets::{self, TARGETS};
 use crumple_fuzzing::{CollisionSearch, ORACLES, TEST_CASE_BYTES, TestCase, behaviour};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
 
 use self::fault_injection::{Fault, FaultySystem};
@@ -92,9 +92,8 @@ fn a_violation_brings_a_scenario_file() {
         .check(metrics_agree, &FaultySystem(Fault::ContactForgotten))
         .expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
-    let read =
-        crumple_world::scenario::file::from_toml(&violation.reproducer, path, &NoDriverFiles)
-            .expect("a scenario file");
+    let read = crumple_sim::scenario::file::from_toml(&violation.reproducer, path, &NoDriverFiles)
+        .expect("a scenario file");
     assert_eq!(read, test_case.scenario);
     assert!(
         violation
@@ -124,7 +123,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
                     .all(|&feature| feature < behaviour::FEATURE_COUNT)
         );
     }
-    let mut files = crumple_world::scenario::file::load_all(folder.path(), &NoDriverFiles)
+    let mut files = crumple_sim::scenario::file::load_all(folder.path(), &NoDriverFiles)
         .expect("scenario files");
     assert_eq!(
         files.len(),
@@ -136,7 +135,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
         path.file_name().unwrap(),
         "baseline-1-of-3-hit-by-baseline-at-10-mps.toml"
     );
-    let baseline = crumple_world::control::BuiltInController::from_name("baseline").unwrap();
+    let baseline = crumple_sim::control::BuiltInController::from_name("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(
         simulate(&run, RecordingLevel::Summary)

@@ -8,7 +8,7 @@ From Coq Require Import Reals Lra Psatz.
 Open Scope R_scope.
 
 (** Distance covered, and speed, [t] after speed [u] while braking at rate [r], at most to standstill:
-    `distance_and_speed_after` in crates/world/src/control/shield/kernel.rs with the acceleration -r. *)
+    `distance_and_speed_after` in crates/sim/src/control/shield/kernel.rs with the acceleration -r. *)
 Definition covered (u r t : R) : R :=
   if Rle_dec (r * t) u then u * t - r * t * t / 2 else u * u / (2 * r).
 Definition braked (u r t : R) : R :=

@@ -102,7 +102,7 @@ Qed.
 
 (** * A step of motion *)
 
-(** `motion::advance` in crates/world/src/sim/motion.rs, operation by operation: position and speed. *)
+(** `motion::advance` in crates/sim/src/engine/motion.rs, operation by operation: position and speed. *)
 Definition end_speed (v a dt : R) : R := fl (v + fl (a * dt)).
 Definition advanced (x v a dt : R) : R :=
   if Rlt_dec (end_speed v a dt) 0 then fl (x + fl (fl (v * v) / fl (-2 * a)))
@@ -1014,7 +1014,7 @@ Proof.
     assert (4.41 * u * (u * (A * t * t)) <= / 1000 * (u * (A * t * t))) by (apply Rmult_le_compat_r; lra). lra.
 Qed.
 
-(** `distance_and_speed_after` in crates/world/src/control/shield/kernel.rs is `motion::advance` from 0; `ShieldParams::after` computes
+(** `distance_and_speed_after` in crates/sim/src/control/shield/kernel.rs is `motion::advance` from 0; `ShieldParams::after` computes
     the gap a step later from it. *)
 Definition predicted_gap (gap w c v a h : R) : R := fl (fl (gap + advanced 0 w (- c) h) - advanced 0 v a h).
 

@@ -21,8 +21,8 @@ use crumple_networks::{
 use crumple_process::{
     FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission,
 };
-use crumple_world::control::{ControllerSource, PolicySource, SourceFile, StartRefusal};
-use crumple_world::policy::{Policy, PolicyError};
+use crumple_sim::control::{ControllerSource, PolicySource, SourceFile, StartRefusal};
+use crumple_sim::policy::{Policy, PolicyError};
 
 pub use draft::ControllerFileDraft;
 

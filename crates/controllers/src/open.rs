@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use crumple_networks::network::NetworkFile;
 use crumple_process::{ExternalPrograms, NameOrigin, ProcessController, ProcessSetup};
-use crumple_world::control::{BuiltInController, ControllerSource, ShieldedSource, StartRefusal};
-use crumple_world::policy::PolicyError;
-use crumple_world::scenario::{DriverProblem, OpenDriver};
-use crumple_world::sim::{NamedController, NotStarted};
+use crumple_sim::control::{BuiltInController, ControllerSource, ShieldedSource, StartRefusal};
+use crumple_sim::engine::{NamedController, NotStarted};
+use crumple_sim::policy::PolicyError;
+use crumple_sim::scenario::{DriverProblem, OpenDriver};
 
 use super::controller_file::{self, ControllerFileError, is_regular_file};
 use super::spec::{ControllerSpec, InvalidControllerName};

@@ -4,11 +4,11 @@ use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
-use crumple_world::control::{
+use crumple_sim::control::{
     BuiltIn, BuiltInController, ControllerSource, InvalidSetting, InvalidShieldSetting,
     RetrainedPolicy, ShieldSettings, ShieldedSource,
 };
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 const EXEC_PREFIX: &str = "exec:";
 

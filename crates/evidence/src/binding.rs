@@ -17,11 +17,11 @@ use crumple_controllers::find_built_in;
 use crumple_core::digest::sha256;
 use crumple_core::text_file::{FileError, parse_toml};
 use crumple_search::worst_case::covers_scenario;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::file::{self, ScenarioFileError};
+use crumple_sim::scenario::{Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::{self, ScenarioFileError};
-use crumple_world::scenario::{Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names};
-use crumple_world::sim::NamedController;
 
 /// Reason why a statement does not match its texts.
 #[derive(Debug, thiserror::Error)]

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_core::digest::Sha256;
-use crumple_world::sim::{FailedController, FailedControllerRuns, Outcome, SimulationResult};
+use crumple_sim::engine::{FailedController, FailedControllerRuns, Outcome, SimulationResult};
 
 const HASH_PREFIX: &str = "crumple runs 2\n";
 

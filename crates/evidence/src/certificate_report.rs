@@ -4,10 +4,10 @@ use super::binding::read_space;
 use super::{BindingError, Confirmation, check_binding, count_omitted_vehicles};
 use crumple_controllers::Controllers;
 use crumple_core::quoting::TerminalText;
+use crumple_sim::scenario::{PlantKind, built_in_scenario, file};
 use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
 use crumple_verify::{Certificate, ProvedClaim, Scope, Statement, WorkLimit, check, check_with};
-use crumple_world::scenario::{PlantKind, built_in_scenario, file};
 use serde::Serialize;
 
 /// Report of the checker on a certificate.

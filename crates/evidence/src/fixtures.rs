@@ -1,10 +1,10 @@
 //! Plans and folders for tests.
 
 use crumple_measure::Specification;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 use crate::rare::{RarePlan, SplittingConfig};
 use crate::{CountTally, RateConfig, RatePlan};

@@ -4,8 +4,8 @@ use crumple_verify::Interval;
 use crumple_verify::reach::{AccAebLaw, FollowerLaw, IdmLaw, InitialRanges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
 
 const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
 const FOLLOWER_FIELD: &str = "follower_drives";
@@ -233,7 +233,7 @@ fn check_leader_limit(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::{PlantKind, built_in_scenario};
+    use crumple_sim::scenario::{PlantKind, built_in_scenario};
 
     #[test]
     fn other_plants_and_sensor_faults_are_refused() {

@@ -3,8 +3,8 @@
 use crumple_verify::{Certificate, Statement};
 
 use super::certificate_without_scenario;
-use crumple_world::control::{MIN_MARGIN_M, ViabilityKernel};
-use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
+use crumple_sim::control::{MIN_MARGIN_M, ViabilityKernel};
+use crumple_sim::scenario::{PAPER_STEP_S, VehicleClass};
 
 /// Returns the certificates of all pairs of vehicle classes on a dry road, by names such as `light-behind-heavy`.
 #[must_use]

@@ -319,8 +319,8 @@ fn correct_by_holm(mut tests: Vec<&mut PairedTest>) {
 mod tests {
     use super::*;
     use crumple_core::observer::Quiet;
+    use crumple_sim::control::BuiltInController;
     use crumple_spaces::built_in_space;
-    use crumple_world::control::BuiltInController;
 
     fn result(name: &str, simulations: &[Option<u64>]) -> MethodRuns {
         let run = |&simulations: &Option<u64>| FirstFailure {

@@ -12,12 +12,12 @@ use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
-use crumple_spaces::{ScenarioSpace, file};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::InvalidField;
+use crumple_spaces::{ScenarioSpace, file};
 
 /// Runs that are simulated together, rounded down to whole blocks, but at least one block.
 const BATCH_SIZE: u64 = 1000;
@@ -160,8 +160,8 @@ impl RatePlan {
     /// ```
     /// use crumple_core::observer::Quiet;
     /// use crumple_evidence::{RateConfig, RatePlan};
-    /// use crumple_world::control::BuiltInController;
-    /// use crumple_world::observation::EstimatorKind;
+    /// use crumple_sim::control::BuiltInController;
+    /// use crumple_sim::observation::EstimatorKind;
     /// use crumple_spaces::built_in_space;
     ///
     /// let plan = RatePlan::new(RateConfig {

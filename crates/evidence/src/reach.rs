@@ -22,14 +22,14 @@ use crumple_core::observer::{Observer, Stopped};
 use crumple_core::text_file::{self, FileError};
 use crumple_networks::{InvalidMapping, NetworkController};
 use crumple_search::worst_case::build_certificate;
-use crumple_world::control::{ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{
+use crumple_sim::control::{ControllerSource, IntoSource};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
     built_in_scenario_names, file,
 };
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Allowance for rounding of the simulator in double precision, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::CountedBlock;
 use crumple_core::binomial;
 use crumple_search::worst_case::build_certificate;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 
 /// Registration of a count, and its space as a file.
 #[derive(Debug, Clone, PartialEq)]

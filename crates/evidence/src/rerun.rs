@@ -11,7 +11,7 @@ use super::binding::{self, BindingError};
 use super::{CountedBlock, RateError, RatePlan};
 use crumple_core::digest::Sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 /// Selection of the blocks to count again.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! Check of scripted leaders against a limit of free braking.
 
+use crumple_sim::scenario::{Driver, LeadProfile, RecordedSpeeds, VehicleSpec};
 use crumple_verify::Interval;
-use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, VehicleSpec};
 
 /// Reason why a profile exceeds the limits of a claim.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -145,7 +145,7 @@ fn hull(ranges: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::{
+    use crumple_sim::scenario::{
         Brake, BrakeToSpeed, PiecewiseAcceleration, RampBrake, VehicleClass,
     };
 

@@ -1,10 +1,10 @@
 //! Avoidability of a collision.
 
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use serde::Serialize;
 
 use crate::error::RequestError;

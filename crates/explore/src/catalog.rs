@@ -5,13 +5,13 @@ use std::sync::{Mutex, PoisonError};
 
 use crumple_controllers::Controllers;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
     Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario,
     built_in_scenario_names,
 };
-use crumple_world::sim::NamedController;
 
 use crate::campaign::CatalogCampaign;
 use crate::error::RequestError;

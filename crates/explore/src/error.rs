@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use crumple_core::text_file::FileError;
-use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::file::ScenarioFileError;
+use crumple_sim::scenario::InvalidField;
+use crumple_sim::scenario::file::ScenarioFileError;
 use hyper::StatusCode;
 use serde_json::{Value, json};
 

@@ -3,8 +3,8 @@
 use crumple_core::quoting::TerminalText;
 use crumple_report::PAGE_STYLE;
 use crumple_report::draw;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::VehicleClass;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};
 

@@ -5,10 +5,10 @@ use crumple_measure::UnnecessaryBraking;
 use crumple_report::draw::{
     self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
 };
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use maud::html;
 use serde::Serialize;
 

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crumple_core::text_file::parse_json;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass,
 };
 use serde::Deserialize;

@@ -3,8 +3,8 @@
 use std::sync::{Mutex, TryLockError};
 
 use crumple_core::quoting::TerminalText;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::ScenarioSpec;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::ScenarioSpec;
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! A scenario as a file for the browser.
 
 use crumple_core::quoting::{ShellWord, TerminalText};
-use crumple_world::scenario::{Scenario, file};
+use crumple_sim::scenario::{Scenario, file};
 use serde::Serialize;
 
 use crate::error::RequestError;
@@ -56,11 +56,11 @@ fn file_stem(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use crumple_world::scenario::NoDriverFiles;
+    use crumple_sim::scenario::NoDriverFiles;
     use std::path::Path;
 
     use super::*;
-    use crumple_world::scenario::built_in_scenario;
+    use crumple_sim::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     proptest! {

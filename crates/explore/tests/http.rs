@@ -7,7 +7,7 @@
     reason = "everything here is a test"
 )]
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
@@ -15,10 +15,10 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_explore::{CatalogScenario, ExploreConfig, Server};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{built_in_scenario, file};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{built_in_scenario, file};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 

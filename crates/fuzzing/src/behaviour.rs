@@ -6,8 +6,8 @@ use std::path::Path;
 
 use super::TestCase;
 use crumple_measure::ContactRole;
-use crumple_world::scenario::Driver;
-use crumple_world::sim::{SimulationResult, Track};
+use crumple_sim::engine::{SimulationResult, Track};
+use crumple_sim::scenario::Driver;
 
 const GAP_BINS_M: [f64; 12] = [
     16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0,

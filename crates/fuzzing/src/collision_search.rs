@@ -6,9 +6,9 @@ use std::{fs, io};
 
 use super::{Crumple, ORACLES, RUN_ORACLES, TestCase, TestedController, Violation, behaviour};
 use crumple_controllers::UnknownController;
+use crumple_sim::engine::{RefusedController, Run, RunError, SimulationResult};
+use crumple_sim::scenario::InvalidField;
 use crumple_testing::generator::with_compatible_step;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{RefusedController, Run, RunError, SimulationResult};
 
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
 /// run.

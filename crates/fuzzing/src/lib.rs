@@ -29,9 +29,9 @@ pub use setup::{ControllerByName, RunSetup, SETUP_BYTES, TestedController};
 pub use system::{Crumple, ObservationSample, ScenarioFormat, System};
 pub use violation::{Invariant, Violation};
 
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::scenario::Scenario;
 use crumple_testing::generator::{LANE_BYTES, SCENARIO_BYTES, read_scenario, with_lane_changes};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::SimulationResult;
 
 /// Bytes of a test case.
 pub const TEST_CASE_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;

@@ -10,9 +10,9 @@ use crumple_controllers::Controllers;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space;
 use crumple_store::run_folder::{FolderExamination, examine};
-use crumple_world::observation::EstimatorKind;
 
 type FolderContents = BTreeMap<String, Vec<u8>>;
 

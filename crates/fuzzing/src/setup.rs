@@ -8,13 +8,13 @@ use arbitrary::Unstructured;
 
 use crumple_controllers::{UnknownController, find_and_try};
 use crumple_core::digest::sha256;
-use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
-use crumple_world::control::{
+use crumple_sim::control::{
     AebSettings, BuiltInController, Controller, ControllerFailure, ControllerSource, Ego,
     IntoSource,
 };
-use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::sim::{AfterContact, NamedController, RefusedController, RunOptions};
+use crumple_sim::engine::{AfterContact, NamedController, RefusedController, RunOptions};
+use crumple_sim::observation::{EstimatorKind, Observation};
+use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 
 /// Bytes of a setup.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;

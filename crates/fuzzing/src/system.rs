@@ -6,26 +6,26 @@ use std::sync::Arc;
 use crumple_measure::ContactRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource, ShieldSettings};
-use crumple_world::observation::Observation;
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::{ScenarioFileError, from_json, from_toml, to_toml};
-use crumple_world::sim::{
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource, ShieldSettings};
+use crumple_sim::engine::{
     self, Contact, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
 };
+use crumple_sim::observation::Observation;
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::{ScenarioFileError, from_json, from_toml, to_toml};
 
 /// The parts of the program that oracles check. Every method defaults to crumple's implementation. A test of an oracle
 /// overrides one with a faulty implementation, which the oracle must detect.
 pub trait System {
     /// Simulates one run, step by step.
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
-        sim::simulate(run, keep)
+        engine::simulate(run, keep)
     }
 
     /// Simulates runs as a batch.
     fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<SimulationResult> {
-        sim::simulate_batch(runs, keep, |_, simulated| simulated)
+        engine::simulate_batch(runs, keep, |_, simulated| simulated)
     }
 
     /// Passes the observation of every vehicle at every step to `each`, until it returns false.

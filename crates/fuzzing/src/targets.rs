@@ -19,11 +19,11 @@ use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
 use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_networks::network::NetworkFile;
-use crumple_world::policy::{Policy, Workspace};
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::file::{from_toml, to_toml};
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate};
+use crumple_sim::policy::{Policy, Workspace};
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::file::{from_toml, to_toml};
+use crumple_sim::scenario::{Scenario, built_in_scenario};
 
 /// A fuzz target: checks the input that bytes encode.
 pub type FuzzTarget = fn(&[u8]) -> Result<(), Violation>;

@@ -2,11 +2,11 @@
 
 use super::{TestCase, TestedController};
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Driver;
-use crumple_world::scenario::file::to_toml;
-use crumple_world::sim::AfterContact;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::AfterContact;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Driver;
+use crumple_sim::scenario::file::to_toml;
 
 /// An invariant that must hold in every test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]

@@ -1,6 +1,6 @@
 //! The approach of a vehicle to its leader, from which measures of a pair are computed.
 
-use crumple_world::sim::{
+use crumple_sim::engine::{
     Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m,
 };
 

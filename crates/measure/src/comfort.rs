@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crumple_world::sim::Track;
+use crumple_sim::engine::Track;
 
 /// Time window of [`peak_jerk_mps3`], in seconds.
 ///

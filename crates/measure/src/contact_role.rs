@@ -1,7 +1,7 @@
 //! Roles of the vehicles under test in a contact.
 
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::Contact;
+use crumple_sim::engine::Contact;
+use crumple_sim::scenario::Scenario;
 
 /// Role of the vehicles under test in a contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::approach::Approach;
-pub use crumple_world::required_brake::required_brake_mps2;
-use crumple_world::sim::{Impact, Trace};
+use crumple_sim::engine::{Impact, Trace};
+pub use crumple_sim::required_brake::required_brake_mps2;
 
 /// Returns the deceleration rate to avoid a crash in m/s²: the constant deceleration of the follower that just avoids
 /// contact with a leader of constant speed, `DRAC = (closing speed)² / (2 gap)`.

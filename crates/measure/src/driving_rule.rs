@@ -5,8 +5,8 @@ use std::str::FromStr;
 
 use super::demand::InducedBraking;
 use super::usefulness::{SpeedAmplification, UnnecessaryBraking};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::SimulationResult;
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::scenario::Scenario;
 
 /// A rule that every vehicle under test must obey until its first impact, based on the measures of an assessment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,9 +126,9 @@ impl FromStr for DrivingRule {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::PaperDistribution;
-    use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::PaperDistribution;
     use proptest::prelude::*;
 
     #[test]

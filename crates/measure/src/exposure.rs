@@ -79,7 +79,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{driven_track, impact, pair_trace, trace};
-    use crumple_world::sim::Trace;
+    use crumple_sim::engine::Trace;
 
     #[test]
     fn a_steady_approach_by_hand() {

@@ -10,7 +10,7 @@
 //! (rear-end), which overstates the harm of touching at walking speed. No curve for lorries could be read, so that they
 //! use the same curves. The mass of a lorry makes its Δv against a car small.
 
-use crumple_world::sim::Impact;
+use crumple_sim::engine::Impact;
 
 const MPH_PER_MPS: f64 = 3600.0 / 1609.344;
 

@@ -1,9 +1,9 @@
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{
-    Brake, Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
-};
-use crumple_world::sim::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{
     AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
+use crumple_sim::scenario::{
+    Brake, Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
 };
 use proptest::prelude::*;
 

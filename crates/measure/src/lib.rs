@@ -69,7 +69,7 @@ pub use usefulness::{
     UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
 };
 
-use crumple_world::sim::{Impact, Trace};
+use crumple_sim::engine::{Impact, Trace};
 
 /// Measures of a run for one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -170,7 +170,7 @@ mod tests {
 
     use super::testing::{driven_track, impact, pair_trace, trace};
     use super::*;
-    use crumple_world::sim::Track;
+    use crumple_sim::engine::Track;
 
     fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
         (0..trace.vehicles.len())

@@ -1,7 +1,7 @@
 //! Proximity: time to collision, time headway and time gap.
 
 use super::approach::{Approach, PairState};
-use crumple_world::sim;
+use crumple_sim::engine;
 
 /// Returns the time to collision in seconds at constant speeds, `TTC = gap / closing speed`.
 ///
@@ -11,7 +11,7 @@ use crumple_world::sim;
 /// 24-34.
 #[must_use]
 pub fn ttc_s(gap_m: f64, closing_mps: f64) -> Option<f64> {
-    Some(sim::ttc_s(gap_m, closing_mps)).filter(|ttc_s| ttc_s.is_finite())
+    Some(engine::ttc_s(gap_m, closing_mps)).filter(|ttc_s| ttc_s.is_finite())
 }
 
 /// Returns the time headway in seconds, from front bumper to front bumper at the own speed, `h = (gap + length of the

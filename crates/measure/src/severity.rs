@@ -1,6 +1,6 @@
 //! Severity: impact speeds, changes of speed, and involved vehicles.
 
-use crumple_world::sim::Impact;
+use crumple_sim::engine::Impact;
 
 /// Returns the impacts that involve vehicle `index`: those in which it is among the vehicles that stick together.
 pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Impact> {
@@ -38,7 +38,7 @@ mod tests {
 
     use super::*;
     use crate::testing::impact;
-    use crumple_world::sim::Contact;
+    use crumple_sim::engine::Contact;
 
     #[test]
     fn a_truck_into_a_car_by_hand() {

@@ -8,18 +8,18 @@ use super::stl::{
     motion_signal_names, motion_signals, signal_column,
 };
 use super::{ContactRole, DrivingRule};
-use crumple_world::scenario::{Scenario, VehicleClass};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::scenario::{Scenario, VehicleClass};
 
 /// A requirement of every run.
 ///
 /// ```
-/// use crumple_world::control::BuiltInController;
+/// use crumple_sim::control::BuiltInController;
 /// use crumple_measure::Specification;
-/// use crumple_world::scenario::built_in_scenario;
-/// use crumple_world::sim::RunOptions;
+/// use crumple_sim::scenario::built_in_scenario;
+/// use crumple_sim::engine::RunOptions;
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
 /// let headway = Specification::parse("always v1.time_gap_s > 0.3", &scenario).unwrap();

@@ -1,6 +1,6 @@
 //! Traces for tests of the measures.
 
-use crumple_world::sim::{Contact, Impact, Trace, Track};
+use crumple_sim::engine::{Contact, Impact, Trace, Track};
 
 /// Creates a track that holds each acceleration for its time, in steps that divide those times, and never reverses.
 pub(super) fn driven_track(

@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::mapping::{InputMapping, OutputMapping, Squash};
 use super::{InvalidMapping, NetworkController};
 use crate::network::{Elementwise, Linear, NetworkFormat, NetworkStep};
-use crumple_world::control::ObservedQuantity;
-use crumple_world::observation::EMPTY_GAP_M;
+use crumple_sim::control::ObservedQuantity;
+use crumple_sim::observation::EMPTY_GAP_M;
 
 const METADATA_KEY: &str = "crumple_network";
 const VERSION: u32 = 1;

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use crumple_core::digest::sha256;
-use crumple_world::control::{
+use crumple_sim::control::{
     BatchQuery, Controller, ControllerFailure, ControllerSource, DecisionTimer, Ego, SourceFile,
     VehicleInRun, decide_by_query,
 };
-use crumple_world::observation::Observation;
-use crumple_world::policy::Workspace;
+use crumple_sim::observation::Observation;
+use crumple_sim::policy::Workspace;
 
 use super::history::InputHistory;
 use super::network::{FeedForward, NetworkError, NetworkFile};

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::control::ObservedQuantity;
-use crumple_world::observation::Observation;
-use crumple_world::policy::{ActionBounds, ObservationScaling};
+use crumple_sim::control::ObservedQuantity;
+use crumple_sim::observation::Observation;
+use crumple_sim::policy::{ActionBounds, ObservationScaling};
 
 /// Default clipping limit of network inputs.
 const INPUT_CLIP: f64 = 1e6;

@@ -13,11 +13,11 @@ use crumple_core::digest::{Sha256, sha256};
 use crumple_core::quoting::ShellWord;
 use crumple_core::regular_file;
 use crumple_networks::{InputMapping, InvalidMapping, Mapping};
-use crumple_world::control::{
+use crumple_sim::control::{
     Controller, ControllerFailure, ControllerSource, Ego, ProcessFailure, ProcessProblem,
     SourceFile, VehicleInRun, escaped_excerpt,
 };
-use crumple_world::random::{self, Purpose};
+use crumple_sim::random::{self, Purpose};
 use rand::Rng as _;
 use serde::Serialize;
 

@@ -1,6 +1,6 @@
 //! Permission to start programs: the user named the program, or allowed programs that files name.
 
-use crumple_world::control::StartRefusal;
+use crumple_sim::control::StartRefusal;
 
 /// Programs and FMUs that only a file names: a scenario, space, suite, campaign, certificate or report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -3,9 +3,9 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crumple_world::control::{ProcessProblem, escaped_excerpt};
+use crumple_sim::control::{ProcessProblem, escaped_excerpt};
 
-pub(crate) use crumple_world::control::PROTOCOL_VERSION as VERSION;
+pub(crate) use crumple_sim::control::PROTOCOL_VERSION as VERSION;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct HelloRequest<'a> {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crumple_networks::{InvalidMapping, Mapping};
-use crumple_world::control::SourceFile;
+use crumple_sim::control::SourceFile;
 
 const MAX_COMMAND_WORDS: usize = 1000;
 const MAX_FILES: usize = 1000;

@@ -1,6 +1,6 @@
 //! The last lines of a program's standard error.
 
-use crumple_world::control::escaped_excerpt;
+use crumple_sim::control::escaped_excerpt;
 
 /// Maximum number of lines returned, and of bytes kept.
 const MAX_LINES: usize = 8;

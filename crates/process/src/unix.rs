@@ -17,7 +17,7 @@ use rustix::io::ioctl_fionbio;
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use crate::stderr_tail::StderrTail;
-use crumple_world::control::ProcessProblem;
+use crumple_sim::control::ProcessProblem;
 
 const MAX_LINE_BYTES: usize = 1 << 20;
 

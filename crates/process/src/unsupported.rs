@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use crumple_world::control::ProcessProblem;
+use crumple_sim::control::ProcessProblem;
 
 /// Uninhabited type: no program runs.
 pub(crate) enum ChildProcess {}

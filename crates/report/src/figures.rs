@@ -11,7 +11,7 @@ use crate::draw::{
     Stroke, Svg, extent, pad_interval,
 };
 use crumple_exchange::recording::{HardestBrakingResult, Preview, SpeedLine};
-use crumple_world::policy::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
+use crumple_sim::policy::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 
 /// Width of a figure, and height of its panel, in pixels.
 const FIGURE_WIDTH: f64 = 720.0;

@@ -9,10 +9,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crumple_core::interval::RateInterval;
-use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
-use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::{PlantKind, Scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::{Controller, ControllerFailure, ControllerSource, Ego};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::{EstimatorKind, Observation};
+use crumple_sim::scenario::{PlantKind, Scenario};
 
 /// Plant of the replays.
 pub const CONFIRMING_PLANT: PlantKind = PlantKind::MultiBody;

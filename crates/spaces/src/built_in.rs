@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{Base, ScenarioSpace, file};
-use crumple_world::control::{BuiltInController, HumanSettings};
-use crumple_world::scenario::file::ScenarioFileError;
-use crumple_world::scenario::{Driver, NoDriverFiles, OpenDriver};
+use crumple_sim::control::{BuiltInController, HumanSettings};
+use crumple_sim::scenario::file::ScenarioFileError;
+use crumple_sim::scenario::{Driver, NoDriverFiles, OpenDriver};
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [

@@ -9,9 +9,9 @@ use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
 use crumple_core::digits::format_compact;
-use crumple_world::control::StartRefusal;
-use crumple_world::scenario::file::ScenarioFileError;
-use crumple_world::scenario::{
+use crumple_sim::control::StartRefusal;
+use crumple_sim::scenario::file::ScenarioFileError;
+use crumple_sim::scenario::{
     FieldProblem, InvalidField, OpenDriver, Scenario, VehicleClass, built_in_scenario,
     built_in_scenario_names, file,
 };
@@ -416,7 +416,7 @@ fn is_overlapping(a: &str, b: &str) -> bool {
 
 /// Returns true for problems that several fields cause jointly.
 fn is_joint_problem(invalid: &InvalidField) -> bool {
-    use crumple_world::scenario::FieldProblem as P;
+    use crumple_sim::scenario::FieldProblem as P;
     matches!(
         invalid.problem,
         P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. }

@@ -1,5 +1,5 @@
 use super::*;
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use proptest::prelude::*;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! Fields that set several numbers of a vehicle consistently.
 
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec,
 };
 

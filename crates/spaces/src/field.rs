@@ -7,7 +7,7 @@ use super::numeric_fields::{
     pieces_mut, setting_mut,
 };
 use super::spec::{DriverName, ValueKind};
-use crumple_world::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_sim::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum FieldTarget {

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
-use crumple_world::scenario::file::ScenarioFileError;
-use crumple_world::scenario::{InvalidField, OpenDriver};
+use crumple_sim::scenario::file::ScenarioFileError;
+use crumple_sim::scenario::{InvalidField, OpenDriver};
 
 /// Reads and checks a space file.
 ///

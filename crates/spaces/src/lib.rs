@@ -88,8 +88,8 @@ use self::field::FieldTarget;
 use self::marginal::CoordinateMarginal;
 use self::region::LikelihoodRegion;
 use self::spec::ValueKind;
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 
 /// A search space in which every point is a valid scenario.
 ///

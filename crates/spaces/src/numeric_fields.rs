@@ -1,7 +1,7 @@
 //! Numeric fields of a scenario that may vary, by path.
 
 use super::field::VehicleField;
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Driver, GhostObject, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec,
 };
 

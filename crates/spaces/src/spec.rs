@@ -6,8 +6,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::copula::Dependence;
 use super::observed::{DrivingExposure, ObservedData};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{ScenarioSpec, VehicleClass};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{ScenarioSpec, VehicleClass};
 
 /// Space file version that this release reads and writes.
 pub const SPACE_VERSION: u32 = 1;

@@ -1,13 +1,13 @@
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::path::Path;
 
 use proptest::prelude::*;
 
 use super::*;
 use crumple_measure::UsefulnessMeasures;
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
 
 fn space(name: &str) -> ScenarioSpace {
     built_in_space(name).expect("built in")

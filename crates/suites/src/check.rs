@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crumple_core::digits::format_compact;
 use crumple_core::text_file::FileError;
-use crumple_world::scenario::InvalidField;
+use crumple_sim::scenario::InvalidField;
 
 use super::SUITE_VERSION;
 use super::parameter::{ImpactLimit, ParameterKind, ParameterUnit, TestParameter};

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::control::STANDARD_GRAVITY_MPS2;
+use crumple_sim::control::STANDARD_GRAVITY_MPS2;
 
 /// Quantity of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

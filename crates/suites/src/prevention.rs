@@ -1,9 +1,9 @@
 //! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether a driver that
 //! knows the future could.
 
-use crumple_world::control::{BuiltInController, IntoSource, Role};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
+use crumple_sim::control::{BuiltInController, IntoSource, Role};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

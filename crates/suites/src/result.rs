@@ -1,8 +1,8 @@
 //! Results of a suite: clauses, tests, verdicts and margins.
 
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 use super::margin::Margin;

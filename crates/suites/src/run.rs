@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crumple_world::control::{ControllerSource, STANDARD_GRAVITY_MPS2};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{InvalidField, Scenario};
-use crumple_world::sim::{
+use crumple_sim::control::{ControllerSource, STANDARD_GRAVITY_MPS2};
+use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult,
     Trace, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{InvalidField, Scenario};
 
 use super::TestSuite;
 use super::margin::find_margins;

@@ -1,6 +1,6 @@
 //! Conversion of a point of a test to a scenario.
 
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Brake, Driver, Environment, GhostObject, InvalidField, LaneChange, LeadProfile, RampBrake,
     SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec,
 };

@@ -9,9 +9,9 @@ use super::result::{FailedPoint, TestVerdict};
 use super::run::{ControllerSetup, Criterion, RunResult};
 use super::spec::TestSpec;
 use crumple_core::digest::sha256;
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::Scenario;
 
 /// Number of uniform samples; a grid with more points has one sample per point. The search then makes [`REFINEMENTS`]
 /// rounds of [`SAMPLES_PER_REFINEMENT`] samples near the worst point.

@@ -6,11 +6,11 @@ use std::{env, fs, panic, thread};
 use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::{BuiltInController, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::{load_all, to_toml};
+use crumple_sim::control::{BuiltInController, IntoSource};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::random::{Purpose, stream};
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::{load_all, to_toml};
 use rayon::prelude::*;
 
 use super::failure::{CheckError, CheckSummary, PropertyFailure};
@@ -40,8 +40,8 @@ pub struct ControllerCheck {
     controllers: Controllers,
 }
 
-/// Creates a test of a controller: a built-in one, one that [`NamedController`](crumple_world::sim::NamedController)
-/// finds, an `Arc` of a [`ControllerSource`](crumple_world::control::ControllerSource), or a function
+/// Creates a test of a controller: a built-in one, one that [`NamedController`](crumple_sim::engine::NamedController)
+/// finds, an `Arc` of a [`ControllerSource`](crumple_sim::control::ControllerSource), or a function
 /// ([`stateless`](super::stateless)).
 ///
 /// The test has 256 cases in any scenarios, and by default the property [`Property::no_avoidable_collision`].

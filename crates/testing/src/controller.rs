@@ -4,12 +4,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
-use crumple_world::control::ControllerSource;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::control::ControllerSource;
+use crumple_sim::engine::{
     AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 
 use super::drawing;
 use super::generator::with_compatible_step;

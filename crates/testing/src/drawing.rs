@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
+use crumple_sim::scenario::Scenario;
 
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 const COLUMNS: usize = 60;
@@ -24,7 +24,7 @@ pub(super) fn curves(scenario: &Scenario, trace: &Trace) -> Vec<Curve> {
         .iter()
         .enumerate()
         .filter(|(index, _)| scenario.is_under_test(*index));
-    let of_vehicle = |(index, track): (usize, &crumple_world::sim::Track)| {
+    let of_vehicle = |(index, track): (usize, &crumple_sim::engine::Track)| {
         let gaps_m: Vec<f64> = trace.gaps_m(index).into_iter().flatten().collect();
         let gap = Curve {
             name: format!("gap ahead of vehicle {index}, m"),

@@ -4,8 +4,8 @@ use std::fmt::{self, Write};
 use std::io;
 use std::path::PathBuf;
 
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::ScenarioFileError;
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::ScenarioFileError;
 
 use super::ScenariosError;
 

@@ -27,8 +27,8 @@
 //! A failing test writes the simplest scenario found to a folder, which the next run evaluates first
 //! ([`ControllerCheck::corpus`]).
 //!
-//! The feature `process` adds controllers that are [processes](crumple_world::process) or FMUs, by name or file
-//! ([`NamedController`](crumple_world::sim::NamedController)). It needs Unix.
+//! The feature `process` adds controllers that are [processes](crumple_sim::process) or FMUs, by name or file
+//! ([`NamedController`](crumple_sim::engine::NamedController)). It needs Unix.
 #![cfg_attr(doctest, doc = include_str!("../../../docs/testing.md"))]
 
 mod check;
@@ -46,9 +46,9 @@ pub use check::{ControllerCheck, check};
 pub use controller::ControllerUnderTest;
 pub use crumple_controllers as controllers;
 pub use crumple_measure as measure;
+pub use crumple_sim as sim;
+pub use crumple_sim::control::{ServingError, StatelessController, serve, stateless};
 pub use crumple_spaces as spaces;
-pub use crumple_world as world;
-pub use crumple_world::control::{ServingError, StatelessController, serve, stateless};
 pub use failure::{CheckError, CheckSummary, PropertyFailure};
 pub use metamorphic::MetamorphicRelation;
 pub use property::{Property, PropertyVerdict};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crumple_world::scenario::{Driver, Scenario, ScenarioSpec};
+use crumple_sim::scenario::{Driver, Scenario, ScenarioSpec};
 
 /// A change that should make no scenario worse. A scenario violates the relation if it fails, although its partner with
 /// less of the change passes.
@@ -83,7 +83,7 @@ impl fmt::Display for MetamorphicRelation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in_scenario;
+    use crumple_sim::scenario::built_in_scenario;
 
     #[test]
     fn partners_differ_only_as_the_relation_requires() {

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario};
 use crumple_spaces::{
     Base, DistributionSpec, InvalidSpace, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec,
     UniformSpec,
 };
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario};
 
 /// Largest change of a number, as a share of it.
 const SHARE: f64 = 0.25;

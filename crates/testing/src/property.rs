@@ -11,9 +11,9 @@ use crumple_measure::{
     peak_jerk_mps3,
 };
 use crumple_search::falsify::counterexample::Avoidability;
-use crumple_world::control::IntoSource;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RunError, SimulationResult};
+use crumple_sim::control::IntoSource;
+use crumple_sim::engine::{RunError, SimulationResult};
+use crumple_sim::scenario::Scenario;
 
 use super::{ControllerUnderTest, MetamorphicRelation};
 
@@ -55,7 +55,7 @@ impl Property {
     /// spaces.
     ///
     /// ```
-    /// use crumple_testing::world::control::BuiltInController;
+    /// use crumple_testing::sim::control::BuiltInController;
     /// use crumple_testing::{Property, PropertyVerdict, check};
     ///
     /// let keeps_distance = Property::new("keeps a gap of 0.5 m", |controller, scenario| {

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use arbitrary::Unstructured;
 use crumple_controllers::Controllers;
+use crumple_sim::scenario::file::{ScenarioFileError, load_all};
+use crumple_sim::scenario::{Scenario, speed_dip};
 use crumple_spaces::{FindSpaceError, InvalidSpace, ScenarioSpace, find_space};
-use crumple_world::scenario::file::{ScenarioFileError, load_all};
-use crumple_world::scenario::{Scenario, speed_dip};
 use proptest::strategy::{NewTree, Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use rand::Rng;

@@ -3,7 +3,7 @@
 use crumple_search::falsify::counterexample::{
     ChangedParameter, rounder_values, shrink as shrink_values,
 };
-use crumple_world::scenario::{Scenario, ScenarioSpec};
+use crumple_sim::scenario::{Scenario, ScenarioSpec};
 use serde_json::Value;
 
 use super::Scenarios;

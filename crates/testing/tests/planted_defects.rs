@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crumple_measure::SpecificationError;
-use crumple_testing::world::observation::{EstimatorKind, Observation};
-use crumple_testing::world::scenario::Scenario;
+use crumple_testing::sim::observation::{EstimatorKind, Observation};
+use crumple_testing::sim::scenario::Scenario;
 use crumple_testing::{
     CheckError, MetamorphicRelation, Property, PropertyFailure, PropertyVerdict, Scenarios, check,
     stateless,

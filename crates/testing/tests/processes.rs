@@ -8,7 +8,7 @@
 use crumple_controllers::{find_and_try, find_for_user};
 use std::path::Path;
 
-use crumple_testing::world::scenario::{built_in_scenario, file};
+use crumple_testing::sim::scenario::{built_in_scenario, file};
 use crumple_testing::{CheckError, ControllerCheck, Property, Scenarios, check};
 
 /// A process that always answers with the acceleration of its argument, in m/s².

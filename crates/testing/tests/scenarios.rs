@@ -2,7 +2,7 @@
 #![expect(clippy::panic, reason = "a test may panic, also in its functions")]
 
 use crumple_testing::Scenarios;
-use crumple_testing::world::scenario::{Scenario, built_in_scenario, file};
+use crumple_testing::sim::scenario::{Scenario, built_in_scenario, file};
 use proptest::prelude::*;
 use proptest::test_runner::{TestError, TestRunner};
 

@@ -115,7 +115,7 @@ impl ReplayCar {
 mod tests {
     use super::*;
     use crate::work::chasing_cars::{SPECIFICATIONS, robustness};
-    use crumple_world::random::{Purpose, stream};
+    use crumple_sim::random::{Purpose, stream};
     use rand::RngExt;
 
     #[test]

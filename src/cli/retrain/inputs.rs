@@ -7,8 +7,8 @@ use super::super::{CliError, args, output};
 use crate::cli::global_options::GlobalOptions;
 use crumple_controllers::Controllers;
 use crumple_learn::rl::unsuitability;
+use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_spaces::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 
 /// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out
 /// scenarios of a folder that no policy can be trained on.

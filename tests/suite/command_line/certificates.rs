@@ -1,11 +1,11 @@
 //! `crumple check` against forged certificates.
 
+use crumple_sim::scenario::{
+    Driver, LeadProfile, PiecewiseAcceleration, PlantKind, RampBrake, built_in_scenario, file,
+};
 use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
 use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
-use crumple_world::scenario::{
-    Driver, LeadProfile, PiecewiseAcceleration, PlantKind, RampBrake, built_in_scenario, file,
-};
 
 use super::*;
 

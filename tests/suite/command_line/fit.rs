@@ -1,6 +1,6 @@
 //! `crumple fit`, and failure rates in fitted spaces.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fmt::Write;
 
 use super::*;

@@ -30,7 +30,7 @@ use crumple_core::digest::sha256;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
 use crumple_report::draw::WRITES_PNG;
 use crumple_report::export::WRITES_PARQUET;
-use crumple_world::control::BuiltInController;
+use crumple_sim::control::BuiltInController;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 

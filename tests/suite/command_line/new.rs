@@ -65,7 +65,7 @@ fn names_that_cannot_be_built_are_refused() {
         ("proc-macro", "rust", "a crate of Rust's standard library"),
         ("f64", "rust", "a type of Rust"),
         ("libfuzzer-sys", "rust", "a crate of the fuzz target"),
-        ("crumple-world", "rust", "begin with crumple"),
+        ("crumple-sim", "rust", "begin with crumple"),
         ("brake-", "python", "do not end with -"),
         ("logging", "python", "a module of Python's standard library"),
         (
@@ -106,7 +106,7 @@ fn a_project_depends_on_one_version_and_its_controller_on_no_test_harness() {
     run_ok(folder.path(), "new aeb");
     let manifest: toml::Table = read("aeb/Cargo.toml").parse().unwrap();
     for (section, package) in [
-        ("dependencies", "crumple-world"),
+        ("dependencies", "crumple-sim"),
         ("dev-dependencies", "crumple-testing"),
     ] {
         let dependencies = manifest[section].as_table().unwrap();
@@ -134,10 +134,10 @@ fn a_project_depends_on_one_version_and_its_controller_on_no_test_harness() {
     let path = folder.path().canonicalize().unwrap().join(source);
     run_ok(folder.path(), &format!("new acc --crumple \"{source}\""));
     let manifest: toml::Table = read("acc/Cargo.toml").parse().unwrap();
-    let world = manifest["dependencies"]["crumple-world"]["path"]
+    let world = manifest["dependencies"]["crumple-sim"]["path"]
         .as_str()
         .unwrap();
-    assert_eq!(Path::new(world), path.join("crates/world"));
+    assert_eq!(Path::new(world), path.join("crates/sim"));
     run_ok(
         folder.path(),
         &format!("new acc-python --template python --crumple \"{source}\""),

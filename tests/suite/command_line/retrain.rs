@@ -36,7 +36,7 @@ mod tier_2 {
                 .join("through/rounds")
                 .join(round)
                 .join("candidate.safetensors");
-            let header = crumple_world::policy::Policy::load(&path)
+            let header = crumple_sim::policy::Policy::load(&path)
                 .unwrap()
                 .header()
                 .training
@@ -259,7 +259,7 @@ fn mistakes_are_reported_before_anything_is_written() {
     let differ = "and the training preset `road` differ in the observation or its scaling";
     assert!(retrain("--preset road").contains(differ));
     let road = format!(
-        "{}/crates/world/src/policy/road.safetensors",
+        "{}/crates/sim/src/policy/road.safetensors",
         env!("CARGO_MANIFEST_DIR")
     );
     let differ = "and the training preset `retrain` differ in";

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use crumple_world::scenario::VehicleClass;
+use crumple_sim::scenario::VehicleClass;
 
 use super::*;
 

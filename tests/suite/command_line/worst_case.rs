@@ -1,6 +1,6 @@
 //! `avoid`, `check` and `worst-case` on the command line.
 
-use crumple_world::scenario::{Driver, built_in_scenario, file};
+use crumple_sim::scenario::{Driver, built_in_scenario, file};
 
 use super::*;
 

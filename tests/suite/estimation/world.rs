@@ -1,8 +1,8 @@
 //! The motion model that the filter assumes.
 
-use crumple_world::estimate::{EgoTuning, Filter, Tuning};
-use crumple_world::random::{Purpose, Stream, stream};
-use crumple_world::scenario::Sensors;
+use crumple_sim::estimate::{EgoTuning, Filter, Tuning};
+use crumple_sim::random::{Purpose, Stream, stream};
+use crumple_sim::scenario::Sensors;
 use nalgebra::{Matrix3, Vector3};
 use rand_distr::{Distribution, StandardNormal};
 

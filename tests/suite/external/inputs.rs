@@ -5,7 +5,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crumple_world::scenario::{built_in_scenario, file};
+use crumple_sim::scenario::{built_in_scenario, file};
 use tempfile::TempDir;
 
 use crate::command_line::{exit_code, run_crumple, temp_folder};

@@ -10,8 +10,8 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_controllers::find_for_user;
-use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::SimulationResult;
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::scenario::built_in_scenario;
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;

@@ -103,7 +103,7 @@ const PARAMETERS: &str = "version = 1\nfmu = \"follower.fmu\"\nparameters = { ti
 
 fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64 {
     let (one, other) = (one.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());
-    let positions = |trace: &crumple_world::sim::Trace| trace.vehicles[1].position_m.clone();
+    let positions = |trace: &crumple_sim::engine::Trace| trace.vehicles[1].position_m.clone();
     positions(one)
         .iter()
         .zip(positions(other))

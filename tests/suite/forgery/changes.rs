@@ -2,9 +2,9 @@
 //! sums and the canonical form are repaired.
 
 use crumple_core::digest::sha256;
+use crumple_sim::scenario::Scenario;
 use crumple_verify::Certificate;
 use crumple_verify::certificate::FIRST_VERSION;
-use crumple_world::scenario::Scenario;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_xoshiro::Xoshiro256PlusPlus;

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
-use crumple_world::control::Real;
+use crumple_sim::control::Real;
 
 thread_local! {
     /// Text of every term of this thread.

@@ -1,10 +1,10 @@
 //! Stopping distances and collision times against closed forms, to 1e-9.
 
 use crumple_fuzzing::RunSetup;
-use crumple_world::scenario::{
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::scenario::{
     Brake, Driver, LeadProfile, PiecewiseAcceleration, Scenario, VehicleClass, VehicleSpec,
 };
-use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;

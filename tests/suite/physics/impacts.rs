@@ -2,9 +2,9 @@
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
 use crumple_fuzzing::{RunSetup, TestCase};
+use crumple_sim::engine::AfterContact;
+use crumple_sim::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple_testing::generator::make_scripted;
-use crumple_world::scenario::{LeadProfile, Scenario, ScenarioSpec};
-use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
 
 use super::trace_of;
@@ -52,14 +52,14 @@ proptest! {
         let trace = trace_of(&result);
         for k in 0..trace.len() - 1 {
             let dt_s = trace.time_s[k + 1] - trace.time_s[k];
-            let brakes_to_standstill = |track: &crumple_world::sim::Track| {
+            let brakes_to_standstill = |track: &crumple_sim::engine::Track| {
                 let (v, a) = (track.speed_mps[k], track.acceleration_mps2[k]);
                 a < 0.0 && v + a * dt_s <= 0.0 || track.speed_mps[k + 1] == 0.0 && v > 0.0
             };
             if trace.vehicles.iter().any(brakes_to_standstill) {
                 continue;
             }
-            let sum = |of: &dyn Fn(&crumple_world::sim::Track) -> f64| {
+            let sum = |of: &dyn Fn(&crumple_sim::engine::Track) -> f64| {
                 trace.vehicles.iter().map(|track| track.mass_kg * of(track)).sum::<f64>()
             };
             let (before, after) = (sum(&|t| t.speed_mps[k]), sum(&|t| t.speed_mps[k + 1]));

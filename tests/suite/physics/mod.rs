@@ -7,7 +7,7 @@ mod symmetry;
 use crumple_fuzzing::oracle::{
     metrics_agree, monitor_agrees, motion_is_physical, step_size_changes_nothing,
 };
-use crumple_world::sim::{SimulationResult, Trace};
+use crumple_sim::engine::{SimulationResult, Trace};
 use proptest::prelude::*;
 
 use crate::generate::{any_test_case, check_oracle, with_cases};

@@ -2,12 +2,12 @@
 
 use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
 use crumple_fuzzing::{RunSetup, TestedController};
-use crumple_testing::generator::{DriverKind, ScenarioShape, make_scripted};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
+use crumple_sim::engine::SimulationResult;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
     Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
-use crumple_world::sim::SimulationResult;
+use crumple_testing::generator::{DriverKind, ScenarioShape, make_scripted};
 use proptest::prelude::*;
 
 use super::trace_of;

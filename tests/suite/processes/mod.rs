@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 
 use crumple_controllers::find_for_user;
 use crumple_report::assessment::AssessmentPlan;
-use crumple_spaces::built_in_space;
-use crumple_world::control::{ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
-use crumple_world::sim::{
+use crumple_sim::control::{ControllerSource, IntoSource};
+use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
     simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, Scenario, built_in_scenario, file};
+use crumple_spaces::built_in_space;
 
 use crate::command_line::{
     assert_refused, json_objects, run_crumple, spawn, stderr, stdout, temp_folder,
@@ -476,7 +476,7 @@ fn a_scenario_may_have_a_process_as_a_driver() {
         &find_controller("bad.toml", folder.path()).source,
         &short_scenario(),
     );
-    let idm = crumple_world::control::BuiltInController::from_name("idm").unwrap();
+    let idm = crumple_sim::control::BuiltInController::from_name("idm").unwrap();
     assert_eq!(simulate_with_truth(&idm.into_source(), &driven), under_test);
 }
 

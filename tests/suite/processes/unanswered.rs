@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use crumple_controllers::Controllers;
+use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{SuiteRunError, TestSuite, run};
-use crumple_world::observation::EstimatorKind;
 use serde_json::Value;
 
 use super::{

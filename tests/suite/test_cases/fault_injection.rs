@@ -16,14 +16,14 @@ use crumple_fuzzing::{
 use crumple_measure::ContactRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{self, Avoidance};
-use crumple_verify::Certificate;
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
-use crumple_world::observation::Observation;
-use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::ScenarioFileError;
-use crumple_world::sim::{
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
+use crumple_sim::engine::{
     self, Contact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::observation::Observation;
+use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::file::ScenarioFileError;
+use crumple_verify::Certificate;
 use proptest::prelude::*;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
@@ -122,7 +122,7 @@ impl System for FaultySystem {
     }
 
     fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<SimulationResult> {
-        let mut results = sim::simulate_batch(runs, keep, |_, simulated| simulated);
+        let mut results = engine::simulate_batch(runs, keep, |_, simulated| simulated);
         match self.0 {
             Fault::BatchOffByOne => results.rotate_left(1),
             Fault::BatchSeed => {
@@ -135,7 +135,7 @@ impl System for FaultySystem {
                     .zip(runs)
                     .map(|(s, run)| Run::new(s, run.options().clone()).unwrap())
                     .collect();
-                results = sim::simulate_batch(&runs, keep, |_, simulated| simulated);
+                results = engine::simulate_batch(&runs, keep, |_, simulated| simulated);
             }
             Fault::BatchSample => {
                 for trace in results

@@ -1,14 +1,14 @@
 //! The mildest attacks: against samples, and replayed from files.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
 use crumple_search::worst_case::{Attack, AttackObjective, Envelope, attack};
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, built_in_scenario, file};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario, built_in_scenario, file};
 
 use super::scenes::with_pieces;
 

@@ -10,14 +10,14 @@ mod scenes;
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, UndecidedReason, avoid, certify, covers_scenario,
 };
-use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
-use crumple_world::control::{AebSettings, BuiltInController};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::NoDriverFiles;
-use crumple_world::scenario::{
+use crumple_sim::control::{AebSettings, BuiltInController};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::{
     Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file,
 };
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use serde_json::Value;
 
 use scenes::{random_scenario, scenario_of_scene, small_scenario, with_pieces};
@@ -498,7 +498,7 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
 
 #[test]
 fn unmodelled_scenarios_are_undecided_or_still_proved() {
-    let reason = |change: &dyn Fn(&mut crumple_world::scenario::ScenarioSpec)| {
+    let reason = |change: &dyn Fn(&mut crumple_sim::scenario::ScenarioSpec)| {
         let changed = built_in_scenario("paper-1")
             .unwrap()
             .edited(|spec| change(spec))
@@ -509,10 +509,10 @@ fn unmodelled_scenarios_are_undecided_or_still_proved() {
         }
     };
     let idm = BuiltInController::from_name("idm").unwrap();
-    let idm = crumple_world::scenario::Driver::Controller(idm);
+    let idm = crumple_sim::scenario::Driver::Controller(idm);
     // With any leader, a collision-free script is an escape; without one there is no verdict.
     assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), None);
-    let wall = |s: &mut crumple_world::scenario::ScenarioSpec| {
+    let wall = |s: &mut crumple_sim::scenario::ScenarioSpec| {
         (s.vehicles[0].speed_mps, s.vehicles[0].driver) = (0.0, idm.clone());
     };
     assert_eq!(reason(&wall), Some(UndecidedReason::Leader));
@@ -556,7 +556,7 @@ fn too_many_vehicles_are_reported() {
         spec.vehicles[0].speed_mps = 0.0;
         for index in 1..17 {
             let position_m = ego.position_m - 20.0 * f64::from(index);
-            spec.vehicles.push(crumple_world::scenario::VehicleSpec {
+            spec.vehicles.push(crumple_sim::scenario::VehicleSpec {
                 position_m,
                 ..ego.clone()
             });

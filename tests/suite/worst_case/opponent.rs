@@ -3,17 +3,17 @@
 //! Shares no code with the optimiser: profiles are pieces with random knots, levels and held constants; half of them
 //! are random changes of the best ones so far.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Optimality, avoid,
 };
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Scenario, file};
 use crumple_spaces::built_in_space;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 use super::scenes::{Dice, with_pieces};
 

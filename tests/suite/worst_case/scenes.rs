@@ -1,12 +1,12 @@
 //! Random scenarios with an emergency.
 
-use crumple_verify::{ConstantPiece, Scene};
-use crumple_world::control::{AebSettings, BuiltInController};
-use crumple_world::random::derived_seed;
-use crumple_world::scenario::{
+use crumple_sim::control::{AebSettings, BuiltInController};
+use crumple_sim::random::derived_seed;
+use crumple_sim::scenario::{
     Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec,
     VehicleClass, VehicleSpec,
 };
+use crumple_verify::{ConstantPiece, Scene};
 
 use crate::generate::scenario_spec;
 

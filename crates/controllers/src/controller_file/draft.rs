@@ -2,7 +2,7 @@
 
 use crumple_networks::network::{NetworkFile, Normalisation, VecNormalizeUse};
 use crumple_networks::{Mapping, OutputMapping};
-use crumple_world::control::ObservedQuantity;
+use crumple_sim::control::ObservedQuantity;
 
 /// Default quantities of the inputs, in this order.
 const DEFAULT_QUANTITIES: [ObservedQuantity; 6] = [

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, Gamma, LogNormal, Poisson};
 use super::*;
 use crate::fit::{EpisodeSample, ExtractionConfig, fit};
 use crumple_exchange::recording::{LeaderSelection, MinBrake, read};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::random::{Purpose, Stream, stream};
 
 /// Time between rows of an episode, and its number of rows.
 const STEP_S: f64 = 0.25;

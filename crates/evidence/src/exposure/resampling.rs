@@ -6,8 +6,8 @@ use statrs::distribution::{Beta, ContinuousCDF};
 
 use crate::fit::{find_edit, refit, resample};
 use crate::rare::RareEstimate;
+use crumple_sim::random::{Purpose, derived_seed, stream};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::random::{Purpose, derived_seed, stream};
 
 /// Offset that separates random streams of posterior samples from those of resamples.
 const DRAW_STREAM_OFFSET: u64 = 1 << 40;

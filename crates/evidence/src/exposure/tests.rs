@@ -1,9 +1,9 @@
 use super::*;
 use crate::fit::refit;
 use crate::rare::Level;
+use crumple_sim::random::{Purpose, Stream, stream};
+use crumple_sim::scenario::NoDriverFiles;
 use crumple_spaces::{DrivingExposure, ObservedData, ObservedParameter, file};
-use crumple_world::random::{Purpose, Stream, stream};
-use crumple_world::scenario::NoDriverFiles;
 use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;

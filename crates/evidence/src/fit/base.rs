@@ -3,8 +3,8 @@
 use super::episodes::EpisodeSample;
 use super::space::median;
 use crumple_exchange::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
-use crumple_world::control::{AebSettings, BuiltInController};
-use crumple_world::scenario::{
+use crumple_sim::control::{AebSettings, BuiltInController};
+use crumple_sim::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors,
     VehicleClass, VehicleSpec,
 };

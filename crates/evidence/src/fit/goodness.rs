@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::family::FamilyFit;
+use crumple_sim::random::{Purpose, stream};
 use crumple_spaces::ParameterDistribution;
-use crumple_world::random::{Purpose, stream};
 
 /// Distances of values from a fitted distribution. Each p-value is the share of samples of the fit, fitted again, with
 /// at least that distance (a parametric bootstrap: Stute, González Manteiga and Presedo Quindimil, Metrika 40, 1993).

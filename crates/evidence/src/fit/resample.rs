@@ -2,8 +2,8 @@
 
 use rand::RngExt;
 
+use crumple_sim::random::{Purpose, stream};
 use crumple_spaces::{ObservedData, ObservedParameter};
-use crumple_world::random::{Purpose, stream};
 
 /// Returns the `index`-th resample: as many clusters as there are, drawn with replacement (Efron, Bootstrap methods:
 /// another look at the jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).

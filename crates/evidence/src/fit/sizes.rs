@@ -3,7 +3,7 @@
 use super::episodes::EpisodeFeature;
 use super::space::median;
 use crumple_exchange::recording::CAR_LENGTH_M;
-use crumple_world::scenario::VehicleClass;
+use crumple_sim::scenario::VehicleClass;
 
 /// Sizes of the vehicles at one position, over all episodes. A vehicle of a scenario is light or heavy, with the median
 /// length of that class. The length has no other effect, because gaps are measured between bumpers.

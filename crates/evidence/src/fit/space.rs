@@ -7,11 +7,11 @@ use rayon::prelude::*;
 use super::FitError;
 use super::dependence::{self, CopulaColumn};
 use super::marginal::FittedMarginal;
+use crumple_sim::scenario::NoDriverFiles;
 use crumple_spaces::{
     Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter,
     ParameterValue, ScenarioSpace, SpaceSpec,
 };
-use crumple_world::scenario::NoDriverFiles;
 
 /// Tolerance of a distribution or correlation that is fitted again, relative to the observed values: other machines
 /// round differently.

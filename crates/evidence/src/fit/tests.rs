@@ -1,4 +1,4 @@
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -10,12 +10,12 @@ use super::marginal::FamilyRanking;
 use super::*;
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::{LeaderSelection, MinBrake, Recording, read};
+use crumple_sim::random::{Purpose, stream};
+use crumple_sim::scenario::{Driver, LeadProfile, VehicleClass};
 use crumple_spaces::{
     Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter,
     ScenarioSpace, ShapeScaleSpec, UniformSpec, file,
 };
-use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
 fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2], [f64; 2])> {
     let range = [0.2, 12.0];

@@ -5,9 +5,9 @@ use crumple_verify::invariant::table::HeightTable;
 use serde::Serialize;
 
 use super::{InvalidBox, InvariantPlan};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario};
 
 /// Values per speed of the states that are tried, and shares of the boundary's height.
 const STATES_PER_SPEED: usize = 8;

@@ -9,11 +9,11 @@ mod shortfall;
 mod simulated;
 
 use super::InvariantStage;
+use crumple_sim::control::Controller;
+use crumple_sim::observation::{Neighbour, Observation};
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::{AXIS_COUNT, HEIGHT_UNIT_M, HeightTable};
-use crumple_world::control::Controller;
-use crumple_world::observation::{Neighbour, Observation};
 
 /// Maximum number of passes over the table.
 const MAX_PASSES: u32 = 4000;

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use crumple_core::digest::sha256;
 use crumple_core::text_file::{self, FileError};
+use crumple_sim::scenario::{Driver, Scenario};
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::table::TableAxis;
 use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
 use crumple_verify::reach::{NeuralController, controller_file_name};
-use crumple_world::scenario::{Driver, Scenario};
 use serde::{Deserialize, Serialize};
 
 use crate::initial_set::control_law;

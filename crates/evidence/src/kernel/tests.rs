@@ -4,8 +4,8 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::*;
+use crumple_sim::control::Real;
 use crumple_verify::{ProvedClaim, check};
-use crumple_world::control::Real;
 use proptest::prelude::*;
 
 /// Exact arithmetic for the shield's functions. Overflow panics; the numbers of the tests are short.

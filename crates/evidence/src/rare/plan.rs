@@ -9,13 +9,13 @@ use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_measure::{Specification, SpecificationError};
-use crumple_spaces::{ScenarioSpace, file};
-use crumple_store::run_folder::RunFolderError;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::InvalidField;
+use crumple_spaces::{ScenarioSpace, file};
+use crumple_store::run_folder::RunFolderError;
 
 /// An estimate of the failure rate of a controller in a space, for failures that are too rare to count. The margin of a
 /// run is its robustness. For collisions that is the smallest gap between any vehicles, in metres, and negative after a

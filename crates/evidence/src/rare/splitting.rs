@@ -11,7 +11,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::{Level, RareEstimate, SplittingConfig};
 use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
-use crumple_world::random::{NoiseShare, Purpose, Stream, stream};
+use crumple_sim::random::{NoiseShare, Purpose, Stream, stream};
 
 /// Minimum number of runs between checkpoints: writing one costs milliseconds.
 const MIN_RUNS_PER_WRITE: u64 = 500;

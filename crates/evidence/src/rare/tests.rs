@@ -12,13 +12,13 @@ use super::*;
 use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crumple_sim::estimate::{Filter, Sensor, Tuning};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::random::{NoiseShare, Purpose, Stream};
+use crumple_sim::scenario::Sensors;
 use crumple_spaces::built_in_space;
-use crumple_world::control::BuiltInController;
-use crumple_world::estimate::{Filter, Sensor, Tuning};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::random::{NoiseShare, Purpose, Stream};
-use crumple_world::scenario::Sensors;
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 struct ClosedFormLimitState {
     dimension: usize,

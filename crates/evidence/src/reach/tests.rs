@@ -1,7 +1,7 @@
 use super::*;
 use crumple_core::observer::Quiet;
+use crumple_sim::policy::Policy;
 use crumple_verify::{ProvedClaim, WorkLimit, check_with};
-use crumple_world::policy::Policy;
 
 fn plan(ranges: &str) -> ReachPlan {
     let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}");

@@ -11,8 +11,8 @@ use super::source::FileCache;
 use super::xml::{Node, SourceElement};
 use crate::number_text::format_number;
 use crumple_core::digits::format_compact;
+use crumple_sim::scenario::file::MAX_FILES;
 use crumple_spaces::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
-use crumple_world::scenario::file::MAX_FILES;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

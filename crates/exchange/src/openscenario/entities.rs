@@ -5,8 +5,8 @@ use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::{ElementPlace, Node};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, VehicleClass};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{Driver, VehicleClass};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crumple_core::observer::Stopped;
-use crumple_world::scenario::InvalidField;
+use crumple_sim::scenario::InvalidField;
 
 /// An error of importing OpenSCENARIO. Each names the file, and the line if there is one.
 #[derive(Debug, thiserror::Error)]

@@ -8,7 +8,7 @@ use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::{ElementPlace, Node};
 use crate::number_text::{format_fixed, format_number};
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Driver, InvalidField, LaneChange, Scenario, ScenarioSpec, VehicleSpec,
 };
 

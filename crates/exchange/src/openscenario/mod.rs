@@ -47,7 +47,7 @@ use self::road::RoadMap;
 use self::source::{FileCache, SourceFiles};
 use self::storyboard::Stories;
 use self::xml::{Node, SourceElement};
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

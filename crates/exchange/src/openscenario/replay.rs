@@ -15,7 +15,7 @@ use super::xml::Node;
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Step of the replay, in seconds: that of a scenario by default.
-pub(super) const REPLAY_STEP_S: f64 = crumple_world::scenario::PAPER_STEP_S;
+pub(super) const REPLAY_STEP_S: f64 = crumple_sim::scenario::PAPER_STEP_S;
 /// Maximum duration, in seconds.
 pub(super) const MAX_DURATION_S: f64 = 3600.0;
 /// Number of steps for which the work is computed together.

@@ -2,7 +2,7 @@
 
 use super::replay::{EntityMotion, Replay};
 use super::storyboard::StoryEvent;
-use crumple_world::scenario::{Brake, BrakeToSpeed, LeadProfile, RecordedSpeeds};
+use crumple_sim::scenario::{Brake, BrakeToSpeed, LeadProfile, RecordedSpeeds};
 
 /// Start and end of an element, if they were reached, and whether they depend on a controller.
 type ElementTimes = ([Option<f64>; 2], bool);

@@ -4,7 +4,7 @@
 //! at three values of each parameter show which.
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use serde_json::Value;
 
 use super::distribution::ParameterDistributionFile;

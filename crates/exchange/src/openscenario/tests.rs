@@ -1,9 +1,9 @@
 use super::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_core::observer::Quiet;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Driver, LaneChange, LeadProfile, Scenario};
 
 /// A road of two lanes of 3.5 m to the right of the reference line, which starts at x = 10 m.
 pub(super) const ROAD: &str = r#"<OpenDRIVE><road id="7" length="5000" junction="-1">

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::consistency::ColumnContradiction;
 use super::error::format_place;
 use crate::number_text::{format_fixed, format_number};
-use crumple_world::scenario::InvalidField;
+use crumple_sim::scenario::InvalidField;
 
 /// Advice about values that are possible, but not usual in traffic.
 pub(super) const CHECK_UNIT: &str = "more than is usual in traffic, so check the unit in the map";

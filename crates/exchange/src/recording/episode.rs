@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use crumple_world::control::{AebSettings, BuiltInController};
-use crumple_world::scenario::{
+use crumple_sim::control::{AebSettings, BuiltInController};
+use crumple_sim::scenario::{
     Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass,
     VehicleSpec,
 };

@@ -2,7 +2,7 @@
 
 use super::tests::{braking_platoon, dropped_of, read_text};
 use super::*;
-use crumple_world::scenario::{Driver, LeadProfile};
+use crumple_sim::scenario::{Driver, LeadProfile};
 
 fn episodes_of_first(text: &str) -> FoundEpisodes {
     find_episodes(

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crumple_world::scenario::{Scenario, file::to_toml};
+use crumple_sim::scenario::{Scenario, file::to_toml};
 
 use super::dropped::{DroppedItem, EpisodeProblem, Omission};
 use super::episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};

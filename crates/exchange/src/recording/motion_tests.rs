@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::tests::{HEADER, read_text};
 use super::*;
-use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds};
+use crumple_sim::scenario::{Driver, LeadProfile, RecordedSpeeds};
 
 /// Motion of a platoon: number of its first vehicle, and speeds and gaps of each row, some missing.
 #[derive(Debug, Clone)]

@@ -5,12 +5,12 @@ use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
 use crate::number_text::format_fixed;
 use crumple_measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
-use crumple_world::control::ControllerFailure;
-use crumple_world::observation::{Neighbour, Observation};
-use crumple_world::scenario::{
+use crumple_sim::control::ControllerFailure;
+use crumple_sim::engine::{Run, RunError, RunOptions};
+use crumple_sim::observation::{Neighbour, Observation};
+use crumple_sim::scenario::{
     Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
-use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// Time step, in seconds; states between samples are interpolated.
 const STEP_S: f64 = 0.05;

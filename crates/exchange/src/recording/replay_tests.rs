@@ -3,9 +3,9 @@ use std::sync::{Arc, Mutex};
 
 use super::read;
 use super::replay::replay;
-use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
-use crumple_world::observation::Observation;
-use crumple_world::sim::RunOptions;
+use crumple_sim::control::{Controller, ControllerFailure, ControllerSource, Ego};
+use crumple_sim::engine::RunOptions;
+use crumple_sim::observation::Observation;
 
 /// Brakes at a rate while the leader brakes, as the recorded driver does a second later.
 struct BrakesWithLeader(f64);

@@ -1,6 +1,6 @@
 //! Synthetic recordings in the formats of the published ones.
 
-use crumple_world::scenario::NoDriverFiles;
+use crumple_sim::scenario::NoDriverFiles;
 use std::path::Path;
 
 use super::*;
@@ -433,7 +433,7 @@ fn names_of_imported_scenarios_are_distinct_and_errors_end_the_import() {
         ]
     );
     for imported in &scenarios {
-        let read_back = crumple_world::scenario::file::from_toml(
+        let read_back = crumple_sim::scenario::file::from_toml(
             &imported.toml,
             Path::new(&imported.file_name),
             &NoDriverFiles,

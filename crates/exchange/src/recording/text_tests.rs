@@ -483,7 +483,8 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         (
             "gap (ego)",
             "",
-            "a.csv:1: gap (ego): the file states the unit `ego`, which is not one of m, ft, cm: state the unit in the map",
+            "a.csv:1: gap (ego): the file states the unit `ego`, which is not one of m, ft, cm: state \
+             the unit in the map",
         ),
     ] {
         let message = read_with(header, unit)

@@ -3,7 +3,7 @@
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_search::worst_case::AvoidanceVerdict;
-use crumple_world::sim::Outcome;
+use crumple_sim::engine::Outcome;
 
 /// Tolerance for rounding in the simulation, in metres: the proof holds in exact arithmetic.
 const ROUNDING_M: f64 = 1e-6;

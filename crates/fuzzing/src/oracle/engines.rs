@@ -2,8 +2,8 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Track};
+use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, Track};
+use crumple_sim::scenario::Scenario;
 
 /// Checks that the batch engine gives the results of the scalar engine to the last bit. The batch holds the test case
 /// twice, and variants with other noise, speeds and roads.

@@ -2,10 +2,10 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::estimate::EgoTuning;
-use crumple_world::observation::{BANDWIDTH_RAD_PER_S, EstimatorKind, Neighbour, Observation};
-use crumple_world::scenario::{Driver, VehicleSpec};
-use crumple_world::sim::Motion;
+use crumple_sim::engine::Motion;
+use crumple_sim::estimate::EgoTuning;
+use crumple_sim::observation::{BANDWIDTH_RAD_PER_S, EstimatorKind, Neighbour, Observation};
+use crumple_sim::scenario::{Driver, VehicleSpec};
 
 const TIME_TOLERANCE_S: f64 = 1e-9;
 

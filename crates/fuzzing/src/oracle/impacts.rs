@@ -2,7 +2,7 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::sim::{AfterContact, Impact, Trace};
+use crumple_sim::engine::{AfterContact, Impact, Trace};
 
 /// Largest gap between two vehicles that stick together, in metres.
 const CONTACT_TOLERANCE_M: f64 = 1e-8;

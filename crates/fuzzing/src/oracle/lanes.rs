@@ -4,8 +4,8 @@ use super::engines::result_bits;
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_measure::LeadMeasures;
-use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, SimulationResult, Track};
+use crumple_sim::engine::{AfterContact, RecordingLevel, Run, SimulationResult, Track};
+use crumple_sim::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 /// Tolerance of equal times and gaps, in seconds and metres.
 const TOLERANCE: f64 = 1e-6;

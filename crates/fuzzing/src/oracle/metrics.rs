@@ -3,8 +3,8 @@
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
 use crumple_measure::ContactRole;
-use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Outcome, VehiclePair};
+use crumple_sim::engine::{AfterContact, Outcome, VehiclePair};
+use crumple_sim::scenario::Driver;
 
 /// Checks that trace, outcome and role in the collision agree, and that no vehicle exceeds the limits of road and
 /// vehicle.
@@ -123,7 +123,7 @@ fn can_controller_fail(question: &OracleContext<'_>) -> bool {
 fn check_limits(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
-        let involved = |impact: &crumple_world::sim::Impact| impact.involves(index);
+        let involved = |impact: &crumple_sim::engine::Impact| impact.involves(index);
         let pushed = question.run.options().after_contact == AfterContact::Continue
             && question.result.impacts.iter().any(involved);
         if vehicle.acceleration_noise_mps2 > 0.0 || pushed {

@@ -13,7 +13,7 @@ mod shield;
 mod step_size;
 
 use super::{Invariant, System, TestCase, Violation};
-use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Trace};
+use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, Trace};
 
 pub use avoidability::avoidability_bound_holds;
 pub use engines::{engines_agree, result_bits};

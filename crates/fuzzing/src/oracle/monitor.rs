@@ -7,7 +7,7 @@ use crumple_measure::stl::{
     ComparisonOp, Formula, FormulaError, LinearPredicate, MonitorError, SampledSignals,
     SignalsError, TimeWindow, naive_robustness,
 };
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 /// Maximum number of samples for random formulas: evaluation by the definition takes quadratic time.
 const MAX_SAMPLES: usize = 40;

@@ -2,7 +2,7 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure};
 use crate::Invariant;
-use crumple_world::sim::SimulationResult;
+use crumple_sim::engine::SimulationResult;
 
 /// Checks that no vehicle reverses, that positions follow from speeds, and that braking never adds energy.
 ///

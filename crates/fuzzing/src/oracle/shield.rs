@@ -2,10 +2,10 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_world::control::{BuiltIn, FullThrottle};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions};
+use crumple_sim::control::{BuiltIn, FullThrottle};
+use crumple_sim::engine::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Driver;
 
 /// Checks that full throttle behind a shield with the true state hits its leader only if the collision was unavoidable
 /// when the shield first had to brake.

@@ -2,8 +2,8 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure, is_grazing};
 use crate::Invariant;
-use crumple_world::scenario::ScenarioSpec;
-use crumple_world::sim::{Impact, RecordingLevel, Run, SimulationResult, Trace};
+use crumple_sim::engine::{Impact, RecordingLevel, Run, SimulationResult, Trace};
+use crumple_sim::scenario::ScenarioSpec;
 
 const REFINEMENT: usize = 10;
 /// Tolerance for equal positions, in metres. It covers rounding over some hundred steps.

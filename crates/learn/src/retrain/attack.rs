@@ -12,9 +12,9 @@ use super::test_set::witnesses;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_search::worst_case::{AttackError, AttackObjective, Envelope, attack};
-use crumple_world::control::{ControllerSource, IntoSource};
-use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::RunOptions;
+use crumple_sim::control::{ControllerSource, IntoSource};
+use crumple_sim::engine::RunOptions;
+use crumple_sim::scenario::{Scenario, file};
 
 /// Objectives of the attacks: a collision that is easy to avoid, and one that is not.
 const OBJECTIVES: [AttackObjective; 2] = [AttackObjective::Mildest, AttackObjective::Severest];

@@ -8,7 +8,7 @@ use super::corpus::CORPUS_VERSION;
 use super::files::scenarios_sha256;
 use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
-use crumple_world::scenario::{Scenario, ScenarioSpec};
+use crumple_sim::scenario::{Scenario, ScenarioSpec};
 
 /// Avoidable scenarios in which the policy of some round collided: the file `retrained-on.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

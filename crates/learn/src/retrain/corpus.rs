@@ -10,13 +10,13 @@ use super::files::{read_json, scenarios_sha256, write_json};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use crate::rl::ScenarioSource;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
-use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::control::ControllerSource;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::control::ControllerSource;
+use crumple_sim::engine::{
     Contact, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
+use crumple_store::run_folder::{RunFolder, RunFolderError};
 
 /// Version of corpus files.
 pub(super) const CORPUS_VERSION: u32 = 1;

@@ -4,11 +4,11 @@ use crate::rl::TrainingError;
 use crumple_core::observer::Stopped;
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
+use crumple_sim::engine::RunError;
+use crumple_sim::policy::PolicyError;
+use crumple_sim::scenario::InvalidField;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::policy::PolicyError;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::RunError;
 
 /// Reason why a retraining stops.
 #[derive(Debug, thiserror::Error)]

@@ -5,9 +5,9 @@ use serde::de::DeserializeOwned;
 
 use super::RetrainError;
 use crumple_core::digest::{Sha256, sha256};
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::scenario::Scenario;
 
 pub(super) const REPORT_JSON: &str = "report.json";
 pub(super) const REPORT_MARKDOWN: &str = "report.md";

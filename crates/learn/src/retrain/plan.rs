@@ -15,11 +15,11 @@ use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
 use crumple_core::text_file::is_default;
 use crumple_search::falsify::Method;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::random::derived_seed;
+use crumple_sim::scenario::{PAPER_STEP_S, Scenario};
 use crumple_spaces::{ScenarioSpace, SpaceSpec};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::random::derived_seed;
-use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 
 /// Version of the file `retrain.toml`.
 pub(super) const RETRAIN_VERSION: u32 = 1;

@@ -9,10 +9,10 @@ use super::corpus::{Corpus, colliding_indices};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
 use super::regression_spaces::{RegressionSet, RegressionSpaceResult};
 use crate::rl::TrafficUsefulness;
-use crumple_world::control::IntoSource;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{
+use crumple_sim::control::IntoSource;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{
     PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names,
 };
 

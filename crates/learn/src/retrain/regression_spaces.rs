@@ -7,11 +7,11 @@ use super::RetrainError;
 use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
 use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
 use crumple_measure::UsefulnessMeasures;
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Significance level in a regression space, for collisions and for usefulness each.
 pub const SIGNIFICANCE: f64 = 0.01;
@@ -151,7 +151,7 @@ fn is_not_useful(found: UsefulnessMeasures) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crumple_world::scenario::NoDriverFiles;
+    use crumple_sim::scenario::NoDriverFiles;
     use std::path::Path;
     use std::sync::Arc;
 
@@ -164,8 +164,8 @@ mod tests {
     };
     use super::*;
     use crumple_search::falsify::Method;
+    use crumple_sim::policy::Policy;
     use crumple_spaces::{BUILT_IN_SPACES, built_in_space, file};
-    use crumple_world::policy::Policy;
 
     /// Standing vehicle 40 to 120 m ahead of an ego vehicle at 10 to 80 km/h, without a follower.
     const QUEUE: &str = include_str!("queue.toml");

@@ -15,10 +15,10 @@ use super::search::RoundFindings;
 use super::test_set::witnesses;
 use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
+use crumple_sim::control::IntoSource;
+use crumple_sim::engine::NamedController;
+use crumple_sim::policy::Policy;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::control::IntoSource;
-use crumple_world::policy::Policy;
-use crumple_world::sim::NamedController;
 
 /// Record of the training of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -14,8 +14,8 @@ use super::test_set::witnesses;
 use crate::rl::ScenarioSource;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_world::control::IntoSource;
-use crumple_world::scenario::{Scenario, file};
+use crumple_sim::control::IntoSource;
+use crumple_sim::scenario::{Scenario, file};
 
 const FINDINGS: &str = "found.json";
 const SEARCH: &str = "search";

@@ -3,10 +3,10 @@
 use super::RetrainError;
 use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
+use crumple_sim::control::ControllerSource;
+use crumple_sim::scenario::{DriverProblem, NoDriverFiles, OpenDriver};
+use crumple_sim::scenario::{InvalidField, Scenario};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::control::ControllerSource;
-use crumple_world::scenario::{DriverProblem, NoDriverFiles, OpenDriver};
-use crumple_world::scenario::{InvalidField, Scenario};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -9,8 +9,8 @@ use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use crumple_controllers::find_built_in;
 use crumple_evidence::RateInterval;
+use crumple_sim::engine::{Contact, NamedController};
 use crumple_store::run_folder::RunFolder;
-use crumple_world::sim::{Contact, NamedController};
 
 pub(super) const CONFIDENCE: f64 = 0.95;
 

@@ -12,8 +12,8 @@ use crate::rl::{
     CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingError,
     TrainingEvent, TrainingRecorder, train_with_recorder,
 };
+use crumple_sim::policy::Policy;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::policy::Policy;
 
 impl RoundContext<'_> {
     /// Returns the seed of the learner and its episodes so far. A new learner follows one that diverged.

@@ -2,7 +2,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::SimdClosure;
+use crumple_sim::policy::SimdClosure;
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;

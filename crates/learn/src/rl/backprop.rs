@@ -5,7 +5,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::{Lhs, Network, PackedPanels, Rhs, SimdClosure, multiply_vector};
+use crumple_sim::policy::{Lhs, Network, PackedPanels, Rhs, SimdClosure, multiply_vector};
 
 /// Activations of a forward pass for the backward pass, and working memory of both.
 #[derive(Debug, Clone, Default)]

@@ -15,8 +15,8 @@ use super::replay::ReplayBuffer;
 use super::source::ScenarioSource;
 use super::trainer::{BestPolicy, Trainer, TrainingError};
 use crumple_core::digest::Sha256;
+use crumple_sim::policy::Network;
 use crumple_store::program::{self, OTHER_BUILD_MESSAGE};
-use crumple_world::policy::Network;
 
 const METADATA_KEY: &str = "crumple_training";
 

@@ -15,7 +15,7 @@ use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_controllers::Controllers;
 use crumple_core::text_file::{self, is_default};
-use crumple_world::observation::EstimatorKind;
+use crumple_sim::observation::EstimatorKind;
 
 /// Version of the preset format that this release reads.
 pub const TRAINING_VERSION: u32 = 1;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crumple_world::policy::LearningCurve;
+use crumple_sim::policy::LearningCurve;
 use serde::Deserialize;
 
 #[derive(Deserialize)]

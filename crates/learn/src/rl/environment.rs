@@ -7,9 +7,9 @@ use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
 use crumple_measure::harm;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
-use crumple_world::sim::{Motion, Run, StepView, Stepper};
+use crumple_sim::engine::{Motion, Run, StepView, Stepper};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
 
 /// Time for which all vehicles must have stood before an episode ends at rest, in seconds. It spans several decisions.
 const MIN_REST_S: f64 = 0.5;

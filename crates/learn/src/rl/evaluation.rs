@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
 use super::trainer::TrainingError;
 use super::usefulness::{TrafficBenchmark, TrafficUsefulness};
-use crumple_world::control::IntoSource;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_sim::control::IntoSource;
+use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{PaperDistribution, Scenario, built_in_scenario};
 
 /// Seed of the validation scenarios of all trainings. Never a seed of training scenarios.
 const EVALUATION_SEED: u64 = 0x0068_656c_646f_7574;

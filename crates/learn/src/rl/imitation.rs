@@ -16,12 +16,12 @@ use super::serde_helpers::deserialize_f32_no_underflow;
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::text_file::is_default;
 use crumple_measure::EASY_BRAKE_MPS2;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{FrameStack, Policy, Workspace};
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Run, RunOptions};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{Run, RunOptions};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::{FrameStack, Policy, Workspace};
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::Scenario;
 
 /// Imitation of a controller (DAgger), and its weight in reinforcement learning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -12,8 +12,8 @@ use super::backprop::Tape;
 use super::config::{LearningConfig, Td3Config, TrainingConfig};
 use super::imitation::{ImitationBatch, ImitationConfig, ImitationLoss};
 use super::replay::{Batch, NO_EXPERT_ACTION};
-use crumple_world::policy::{Network, with_workers};
-use crumple_world::random::{self, Purpose, Stream};
+use crumple_sim::policy::{Network, with_workers};
+use crumple_sim::random::{self, Purpose, Stream};
 
 /// Network with its target network and its optimiser.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use super::serde_helpers::{is_one, one};
-use crumple_world::policy::{
+use crumple_sim::policy::{
     ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN,
 };
 
@@ -241,7 +241,7 @@ impl ObservationConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::observation::{Neighbour, Observation};
+    use crumple_sim::observation::{Neighbour, Observation};
 
     #[test]
     fn the_default_observation_is_unchanged_and_omitted_values_are_0() {

@@ -8,8 +8,8 @@ use super::config::PRIVILEGED_WIDTH;
 use super::environment::TrainingEpisode;
 use super::reward::FULL_BRAKE_MPS2;
 use super::source::EGO;
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{Driver, PAPER_STEP_S, Scenario};
 
 /// Times ahead at which the leader's acceleration is known, in seconds.
 const LOOKAHEAD_S: [f64; 2] = [1.0, 3.0];
@@ -80,9 +80,9 @@ impl<'s> PrivilegedInfo<'s> {
 mod tests {
     use super::*;
     use crate::rl::{EpisodeConstants, TrainingConfig};
+    use crumple_sim::engine::{Run, RunOptions};
+    use crumple_sim::scenario::built_in_scenario;
     use crumple_spaces::built_in_space;
-    use crumple_world::scenario::built_in_scenario;
-    use crumple_world::sim::{Run, RunOptions};
 
     #[test]
     fn a_critic_observes_road_drivers_and_future_leader_motion() {

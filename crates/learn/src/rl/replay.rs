@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use rand::RngExt;
 
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 
 /// One decision and its result.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -294,7 +294,7 @@ impl ReplayBuffer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::random::{Purpose, stream};
+    use crumple_sim::random::{Purpose, stream};
     use proptest::prelude::*;
 
     const LAYOUT: TransitionLayout = TransitionLayout {

@@ -6,7 +6,7 @@ use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
 use super::source::EGO;
 use crumple_measure::{PairState, justified_brake_mps2};
-use crumple_world::sim::{Motion, StepView, Stepper};
+use crumple_sim::engine::{Motion, StepView, Stepper};
 
 /// Full braking on a dry road, in m/s²: the reference of decelerations.
 pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
@@ -94,9 +94,9 @@ mod tests {
 
     use super::*;
     use crate::rl::TrainingConfig;
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::built_in_scenario;
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions};
+    use crumple_sim::scenario::built_in_scenario;
 
     /// Simulates one step of paper-1: 25 m/s, braking at 4 m/s², gap 16 m, leader of constant speed.
     fn relative_step_reward(costs: CostConfig) -> f64 {

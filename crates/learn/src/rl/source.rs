@@ -7,9 +7,9 @@ use rand::RngExt;
 
 use crumple_core::digest::{Sha256, sha256};
 
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 
 pub(super) const EGO: usize = 1;
 
@@ -226,7 +226,7 @@ pub fn unsuitability(scenario: &Scenario) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in_scenario;
+    use crumple_sim::scenario::built_in_scenario;
 
     #[test]
     fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {

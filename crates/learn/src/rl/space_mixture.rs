@@ -8,9 +8,9 @@ use super::serde_helpers::{is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_controllers::Controllers;
 use crumple_core::text_file::is_default;
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::{InvalidField, Scenario};
 use crumple_spaces::{ScenarioSpace, find_space};
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{InvalidField, Scenario};
 
 const MAX_COST_MULTIPLIER: f64 = 1e4;
 

@@ -16,15 +16,13 @@ use super::replay::{Batch, ReplayBuffer, Transition};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_core::digits::format_rounded;
 use crumple_core::observer::Stopped;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{Run, RunError, RunOptions};
+use crumple_sim::policy::{FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
+use crumple_sim::random::{self, Purpose};
+use crumple_sim::scenario::{InvalidField, PAPER_STEP_S, Scenario};
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::control::BuiltInController;
-use crumple_world::policy::{
-    FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader,
-};
-use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{InvalidField, PAPER_STEP_S, Scenario};
-use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// A batch whose mean value exceeds the largest possible value by this factor counts as diverged.
 const DIVERGENCE_FACTOR: f64 = 10.0;

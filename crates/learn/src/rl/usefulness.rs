@@ -4,13 +4,13 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 use crumple_measure::{SpeedAmplification, UsefulnessMeasures};
-use crumple_spaces::built_in_space;
-use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
-use crumple_world::sim::{
+use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
+use crumple_sim::engine::{
     RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
+use crumple_spaces::built_in_space;
 
 use super::source::EGO;
 
@@ -164,7 +164,7 @@ pub(crate) fn measure_usefulness(result: &SimulationResult) -> Option<Usefulness
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::policy::Policy;
+    use crumple_sim::policy::Policy;
 
     #[test]
     fn idm_is_useful_and_the_reference_policy_is_not() {

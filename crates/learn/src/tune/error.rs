@@ -2,11 +2,11 @@
 
 use crumple_core::observer::Stopped;
 use crumple_search::falsify::InvalidPoints;
+use crumple_sim::control::{BuiltInController, InvalidSetting};
+use crumple_sim::engine::RunError;
+use crumple_sim::scenario::InvalidField;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::control::{BuiltInController, InvalidSetting};
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::RunError;
 
 /// Reason why a tuning cannot start, or stops.
 #[derive(Debug, thiserror::Error)]

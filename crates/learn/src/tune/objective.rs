@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use super::TuneError;
 use crate::rl::{TrafficBenchmark, TrafficUsefulness};
+use crumple_sim::control::{BuiltInController, IntoSource};
+use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::control::{BuiltInController, IntoSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Number that a tuning minimises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

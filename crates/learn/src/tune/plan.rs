@@ -8,9 +8,9 @@ use super::objective::ScoringSet;
 use super::{SettingSearch, TuneError, TuningObjective, TuningSpace};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::random::derived_seed;
 use crumple_store::run_folder::{RunFolder, RunFolderOptions};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::random::derived_seed;
 
 /// Version of the files `tune.toml` and `report.json`.
 pub(super) const TUNE_VERSION: u32 = 1;

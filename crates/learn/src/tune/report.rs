@@ -12,7 +12,7 @@ use crumple_core::digest::sha256;
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownText;
 use crumple_evidence::RateInterval;
-use crumple_world::control::BuiltInController;
+use crumple_sim::control::BuiltInController;
 
 const CONFIDENCE: f64 = 0.95;
 
@@ -106,7 +106,7 @@ impl TuningReport {
     ) -> Result<Self, TuneError> {
         let default = BuiltInController::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
         let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
-            let field: &crumple_world::control::SettingField = field;
+            let field: &crumple_sim::control::SettingField = field;
             let searched = plan
                 .search
                 .searched()

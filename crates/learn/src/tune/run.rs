@@ -6,8 +6,8 @@ use super::objective::{ControllerScore, ScoringSet};
 use super::plan::{CANDIDATES, PLAN, REPORT_JSON, REPORT_MARKDOWN, SetKind};
 use super::{TuneError, TuningFinalist, TuningPlan, TuningReport};
 use crumple_core::observer::Observer;
+use crumple_sim::control::BuiltInController;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::control::BuiltInController;
 
 /// Number of candidates that the selection set compares with the initial settings.
 const FINALISTS: usize = 5;

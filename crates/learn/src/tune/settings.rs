@@ -2,7 +2,7 @@
 
 use super::TuneError;
 use crumple_search::falsify::{EmptyBlock, UnitCube};
-use crumple_world::control::{BuiltInController, SettingField};
+use crumple_sim::control::{BuiltInController, SettingField};
 
 /// A setting to search, by name, and its range; none for the typical one.
 #[derive(Debug, Clone, PartialEq)]

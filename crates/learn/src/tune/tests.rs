@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::*;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space;
-use crumple_world::observation::EstimatorKind;
 
 fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
     let request = |name: &&str| SettingRequest {

@@ -14,9 +14,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use self::run::LineRuns;
-use crumple_world::control::ControllerSource;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::RunError;
+use crumple_sim::control::ControllerSource;
+use crumple_sim::engine::RunError;
+use crumple_sim::scenario::InvalidField;
 
 /// Amplitude of the leader's speed, in m/s.
 pub const OSCILLATION_AMPLITUDE_MPS: f64 = 0.3;

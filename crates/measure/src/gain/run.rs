@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use super::amplitude::Wave;
 use super::{GainError, MeasuredGain, NoGain, OSCILLATION_AMPLITUDE_MPS, OperatingPoint};
-use crumple_world::control::ControllerSource;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
-use crumple_world::sim::{
+use crumple_sim::control::ControllerSource;
+use crumple_sim::engine::{
     Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, Track,
     simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{FollowingLine, PAPER_STEP_S, Scenario, SpeedOscillation};
 
 /// Vehicles under test in the line.
 const VEHICLES: usize = 3;

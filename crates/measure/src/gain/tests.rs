@@ -2,13 +2,13 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::*;
-use crumple_world::control::{
+use crumple_sim::control::{
     BuiltInController, Controller, ControllerFailure, ControllerSource, Ego, IdmSettings,
     IntoSource,
 };
-use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::{FollowingLine, SpeedOscillation};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::{EstimatorKind, Observation};
+use crumple_sim::scenario::{FollowingLine, SpeedOscillation};
 
 /// A linear law for gap, speed and closing speed: a = `stiffness` (gap - `time_gap` v) + `damping` (v_leader - v).
 #[derive(Clone, Copy)]

@@ -3,7 +3,7 @@
 use super::{SampledSignals, SignalsError};
 use crate::approach::PairState;
 use crate::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
 /// Signals of every vehicle but the first, towards its leader.
@@ -141,9 +141,9 @@ mod tests {
     use super::*;
     use crate::LeadMeasures;
     use crate::stl::Formula;
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::built_in_scenario;
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::built_in_scenario;
 
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 /// Largest deviation from the leader's speed at which vehicles count as driving at one speed, in m/s.
 pub const SETTLED_TOLERANCE_MPS: f64 = 0.5;
@@ -76,10 +76,10 @@ impl SpeedAmplification {
 mod tests {
     use super::*;
     use crate::testing::{driven_track, trace};
-    use crumple_world::control::BuiltInController;
-    use crumple_world::observation::EstimatorKind;
-    use crumple_world::scenario::{SPEED_DIP_ONSET_S, speed_dip};
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::observation::EstimatorKind;
+    use crumple_sim::scenario::{SPEED_DIP_ONSET_S, speed_dip};
 
     /// Creates a trace in which each vehicle brakes after a second at 20 m/s for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {

@@ -2,7 +2,7 @@
 
 use crate::approach::PairState;
 use crate::severity::impacts_of;
-use crumple_world::sim::{Impact, TIME_TOLERANCE_S, Trace};
+use crumple_sim::engine::{Impact, TIME_TOLERANCE_S, Trace};
 
 /// A step of a drive.
 #[derive(Debug, Clone, Copy)]

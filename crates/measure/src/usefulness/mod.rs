@@ -21,7 +21,7 @@ pub use unnecessary::{
 use super::comfort::JERK_WINDOW_S;
 use super::demand::InducedBraking;
 use super::proximity::time_gap_s;
-use crumple_world::sim::{Impact, Trace};
+use crumple_sim::engine::{Impact, Trace};
 
 /// Speed above which a vehicle moves, in m/s. Below it a time gap has no meaning, and falling behind a leader does not
 /// count.
@@ -156,9 +156,9 @@ mod tests {
 
     use super::*;
     use crate::testing::{driven_track, trace};
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::PaperDistribution;
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::PaperDistribution;
 
     #[test]
     fn how_a_vehicle_follows_by_hand() {

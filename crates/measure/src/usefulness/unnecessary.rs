@@ -7,8 +7,8 @@ use crate::approach::PairState;
 use crate::comfort::SlidingExtreme;
 use crate::demand::required_brake_mps2;
 use crate::proximity::time_gap_s;
-use crumple_world::control::{Idm, IdmSettings};
-use crumple_world::sim::{Impact, Trace};
+use crumple_sim::control::{Idm, IdmSettings};
+use crumple_sim::engine::{Impact, Trace};
 
 /// Deceleration beyond the justified one that makes braking unnecessary, in m/s².
 ///

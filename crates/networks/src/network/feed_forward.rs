@@ -1,7 +1,7 @@
 //! Feed-forward networks: sequences of matrix products and elementwise operations.
 
 use super::{Elementwise, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError};
-use crumple_world::policy::{PackedNetwork, Workspace};
+use crumple_sim::policy::{PackedNetwork, Workspace};
 
 /// An affine layer, h W + b.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,8 +24,8 @@ pub enum NetworkStep {
 /// A fully connected network.
 ///
 /// ```
-/// use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkStep};
-/// use crumple_world::policy::Workspace;
+/// use crumple_sim::network::{Elementwise, FeedForward, Linear, NetworkStep};
+/// use crumple_sim::policy::Workspace;
 ///
 /// let layer = Linear { weights: vec![1.0, -2.0], biases: vec![0.5] };
 /// let steps = vec![NetworkStep::Linear(layer), NetworkStep::Elementwise(Elementwise::Relu)];

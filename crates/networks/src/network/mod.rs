@@ -28,7 +28,7 @@ use serde::Serialize;
 
 use crumple_core::regular_file;
 
-pub use crumple_world::policy::Elementwise;
+pub use crumple_sim::policy::Elementwise;
 pub use error::NetworkError;
 pub use feed_forward::{FeedForward, Linear, NetworkStep};
 pub use sb3::{BoxSpace, Normalisation, SavedModel, VecNormalizeStats, VecNormalizeUse};

@@ -1,7 +1,7 @@
 //! Tests of ONNX graphs of a few bytes: results of supported graphs, errors of others.
 
 use super::*;
-use crumple_world::policy::Workspace;
+use crumple_sim::policy::Workspace;
 
 fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut all = vec![number << 3 | 2];

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use super::{ConnectedProcess, ProcessPool};
 use crate::protocol::{self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest};
 use crumple_networks::{InputHistory, Mapping};
-use crumple_world::control::{
+use crumple_sim::control::{
     BatchQuery, Controller, ControllerFailure, DecisionTimer, Ego, ProcessProblem, decide_by_query,
 };
-use crumple_world::observation::Observation;
+use crumple_sim::observation::Observation;
 
 /// A driver that queries a process once per decision interval and holds its answer in between.
 pub(super) struct ProcessDriver {

@@ -39,7 +39,7 @@ pub enum FmuProblem {
     )]
     MissingHost,
     /// A build without controller processes.
-    #[error("FMUs need the feature `process` of crumple-world or crumple-testing")]
+    #[error("FMUs need the feature `process` of crumple-sim or crumple-testing")]
     ProcessFeatureDisabled,
     /// A mapping that does not fit the FMU.
     #[error(transparent)]

@@ -8,7 +8,7 @@ use super::units::{convert_input, convert_output, convert_parameter};
 use super::{FmuConfig, FmuProblem};
 use crate::setup::ProcessSetup;
 use crumple_networks::{InputMapping, InvalidMapping, Mapping, OutputMapping};
-use crumple_world::control::ObservedQuantity;
+use crumple_sim::control::ObservedQuantity;
 
 const HOST_PROGRAM: &str = "crumple-fmu";
 /// Environment variable with another location of the program.

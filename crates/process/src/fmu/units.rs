@@ -5,7 +5,7 @@
 use crumple_fmu::{Conversion, UnitDimension, Variable};
 
 use crumple_networks::{InputMapping, OutputMapping};
-use crumple_world::control::ObservedQuantity;
+use crumple_sim::control::ObservedQuantity;
 
 /// Returns an input whose values are in the unit of its variable.
 ///

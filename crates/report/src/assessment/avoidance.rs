@@ -8,8 +8,8 @@ use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario,
 };
+use crumple_sim::scenario::{Scenario, file};
 use crumple_verify::{Certificate, ProvedClaim, check};
-use crumple_world::scenario::{Scenario, file};
 
 /// Mark of an escape that collides in a replay with the multi-body plant.
 pub(super) const COLLIDING_ESCAPE: &str = "multi-body: collides";

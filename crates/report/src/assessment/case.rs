@@ -6,12 +6,12 @@ use super::Rounded;
 use super::controller_arg::controller_arg;
 use super::table::CellMark;
 use crumple_measure::{ContactRole, Measures};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     AfterContact, Contact, FailedController, FailedControllerRuns, Impact, NamedController,
     RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 
 /// The result of one controller in one scenario. With several vehicles under test, each measure is the worst among
 /// them.

@@ -16,8 +16,8 @@ use super::{AssessmentPlan, CacheError};
 use crumple_controllers::controller_file;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::file;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,8 +8,8 @@ use super::gate::AssessmentGate;
 use super::planned_suite::SuiteConfig;
 use crumple_controllers::Controllers;
 use crumple_core::text_file::FileError;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::ScenarioFileError;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::file::ScenarioFileError;
 
 /// Version of the configuration format that this release reads.
 pub const CONFIG_VERSION: u32 = 1;

@@ -3,8 +3,8 @@
 use crumple_controllers::controller_file;
 use crumple_networks::NetworkController;
 use crumple_process::ProcessController;
-use crumple_world::control::{BuiltInController, ControllerSource, PolicySource};
-use crumple_world::policy::Policy;
+use crumple_sim::control::{BuiltInController, ControllerSource, PolicySource};
+use crumple_sim::policy::Policy;
 
 /// Returns the controller's command-line argument in the report folder; `None` for an external controller, and for a
 /// process that copies of its files do not determine.

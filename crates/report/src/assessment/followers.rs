@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 /// Returns the names of the drivers directly behind vehicles under test, in alphabetical order.
 pub(super) fn follower_drivers(scenarios: &[Scenario]) -> BTreeSet<String> {

@@ -9,7 +9,7 @@ use super::{
     CheckedCertificate, ControllerUsefulness, Rounded, RunEnds, ScenarioCases,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 
 /// The result of a gate.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 use super::cache::EvidenceCache;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::observer::ProgressCounter;
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 /// The plan, the cache and the progress counter of evidence that is being gathered.
 pub(super) struct GatherContext<'a> {

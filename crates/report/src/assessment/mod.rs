@@ -66,10 +66,10 @@ use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_measure::GainError;
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_sim::engine::{RefusedController, RunError};
+use crumple_sim::scenario::InvalidField;
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;
 
 /// Version of the JSON evidence that this release writes.
@@ -313,7 +313,7 @@ impl AssessmentPlan {
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
-        let scenarios = (crumple_world::scenario::built_in_scenario_names().len()
+        let scenarios = (crumple_sim::scenario::built_in_scenario_names().len()
             + self.file_scenarios.len()) as u64;
         // A search has a method and two reference searches.
         let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget;

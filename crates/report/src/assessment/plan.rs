@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crumple_controllers::Controllers;
+use crumple_sim::scenario::OpenDriver;
 use crumple_verify::Certificate;
-use crumple_world::scenario::OpenDriver;
 use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
@@ -17,12 +17,12 @@ use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
+use crumple_sim::control::{BuiltInController, ControllerSource};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::policy::Policy;
+use crumple_sim::scenario::{Scenario, built_in_scenario_names, file};
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::control::{BuiltInController, ControllerSource};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
-use crumple_world::scenario::{Scenario, built_in_scenario_names, file};
-use crumple_world::sim::NamedController;
 
 const MAX_DRAWS: u64 = 10_000_000;
 

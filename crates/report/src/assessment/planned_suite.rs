@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::AssessConfig;
 use super::claims::ContentId;
 use super::plan::not_among_controllers;
+use crumple_sim::engine::NamedController;
 use crumple_suites::{SHIPPED_SUITES, TestSuite};
-use crumple_world::sim::NamedController;
 
 const MAX_SUITES: usize = 20;
 

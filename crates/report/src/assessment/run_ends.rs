@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::case::CaseVerdict;
 use super::claims::Strength;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 
 /// Counts of how the runs of one controller end.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]

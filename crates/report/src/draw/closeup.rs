@@ -9,7 +9,7 @@ use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line};
 use super::path::Px;
 use super::scale::extent;
 use super::theme::{Ink, Stroke};
-use crumple_world::sim::{Trace, Track};
+use crumple_sim::engine::{Trace, Track};
 
 /// The subject of the inset: two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]

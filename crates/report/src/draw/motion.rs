@@ -12,7 +12,7 @@ use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, draw_
 use super::scale::extent;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
-use crumple_world::sim::{Contact, Impact, Trace, Track, VehiclePair};
+use crumple_sim::engine::{Contact, Impact, Trace, Track, VehiclePair};
 
 /// The data of a motion figure of one run.
 #[derive(Debug, Clone, Copy)]

@@ -3,7 +3,7 @@
 use super::axis::Axis;
 use super::motion::vehicle_pairs;
 use super::scale::{extent, pad_interval};
-use crumple_world::sim::{Trace, Track};
+use crumple_sim::engine::{Trace, Track};
 
 /// The ranges of the axes of time, position, speed and gap.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,12 +7,12 @@ use proptest::prelude::*;
 use resvg::{tiny_skia, usvg};
 
 use super::*;
-use crumple_world::control::{AebSettings, BuiltInController};
-use crumple_world::scenario::{
-    Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario,
-};
-use crumple_world::sim::{
+use crumple_sim::control::{AebSettings, BuiltInController};
+use crumple_sim::engine::{
     AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate,
+};
+use crumple_sim::scenario::{
+    Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario,
 };
 
 /// Simulates the paper's first scenario with these vehicles, 16 m apart. Followers brake fully below a time to

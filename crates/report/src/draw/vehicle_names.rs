@@ -1,6 +1,6 @@
 //! Names of vehicles in figures.
 
-use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
+use crumple_sim::scenario::{Driver, Scenario, VehicleSpec};
 
 /// Returns one name per vehicle, front to rear: `leader (light)`, `ego (light)`, `follower (heavy)`.
 #[must_use]

@@ -8,7 +8,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 
 use super::{ExportError, TraceRow, trace_rows};
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 const SCHEMA: &str = "message trace {
     REQUIRED DOUBLE time_s;

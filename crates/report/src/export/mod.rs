@@ -6,7 +6,7 @@
 #[cfg(feature = "parquet")]
 mod columnar;
 
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
 
 #[cfg(feature = "parquet")]
 pub use columnar::to_parquet;
@@ -109,9 +109,9 @@ mod tests {
     use super::*;
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use ::parquet::record::RowAccessor;
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::built_in_scenario;
-    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::built_in_scenario;
 
     #[test]
     fn both_formats_hold_the_same_numbers_as_the_trace() {

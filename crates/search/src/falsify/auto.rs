@@ -10,7 +10,7 @@ use super::plateau_bisection::{Plateaus, Segment};
 use super::simple_points::sample_simple_point;
 use super::surrogate::{MetricSelection, Surrogate};
 use super::{SearchAlgorithm, UnitCube};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::random::{Purpose, Stream, stream};
 
 /// Number of initial points with few pieces and many extreme values; they solve problems with extreme inputs.
 const INITIAL_POINTS: usize = 16;

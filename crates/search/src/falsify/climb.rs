@@ -2,7 +2,7 @@
 
 use crate::falsify::UnitCube;
 use crate::falsify::simple_points::sample_neighbour;
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 
 /// Number of unsuccessful moves that weigh as much as one rank.
 const MOVES_PER_RANK: f64 = 8.0;

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::method::nan_as_infinity;
 use super::{SearchAlgorithm, UnitCube};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::random::{Purpose, Stream, stream};
 
 /// Maximum population after restarts, as a multiple of the first one.
 const MAX_GROWTH: usize = 32;

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::method::nan_as_infinity;
 use super::{SearchAlgorithm, UnitCube};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::random::{Purpose, Stream, stream};
 
 const POPULATION: usize = 60;
 const ELITE_SIZE: usize = 6;

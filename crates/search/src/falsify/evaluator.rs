@@ -2,11 +2,11 @@
 
 use super::failure_criterion::FailureCriterion;
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Evaluator<'a> {

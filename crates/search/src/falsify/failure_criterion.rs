@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crumple_controllers::{Controllers, UnknownController};
 use crumple_measure::RunVerdict;
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 /// A condition that a partner simulation must satisfy for a failure to count.
 #[derive(Debug, Clone)]

@@ -3,7 +3,7 @@
 use rand::seq::SliceRandom;
 
 use super::{SearchAlgorithm, UnitCube};
-use crumple_world::random::{Purpose, stream};
+use crumple_sim::random::{Purpose, stream};
 
 const BATCH_SIZE: usize = 32;
 

@@ -11,7 +11,7 @@ use std::collections::{HashMap, HashSet};
 use rand::RngExt;
 
 use super::UnitCube;
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 
 /// Maximum number of halvings of a segment, to 1/256 of its length.
 const MAX_HALVINGS: u32 = 8;
@@ -145,7 +145,7 @@ impl Segment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::random::{Purpose, stream};
+    use crumple_sim::random::{Purpose, stream};
 
     #[test]
     fn no_segment_is_halved_twice() {

@@ -9,7 +9,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::UnitCube;
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 
 /// Numbers of pieces, drawn with equal probability up to the length of the signal.
 const PIECE_COUNTS: [usize; 8] = [1, 2, 3, 4, 5, 6, 8, 10];

@@ -3,7 +3,7 @@
 use rand::RngExt;
 
 use super::{SearchAlgorithm, UnitCube};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 32;
 

@@ -3,8 +3,8 @@
 use super::profile_simulator::ProfileSimulator;
 use super::sequential;
 use crumple_core::observer::{Observer, RunProgress, Stopped};
-use crumple_world::scenario::{Driver, InvalidField, Scenario};
-use crumple_world::sim::{Outcome, RunError, RunOptions};
+use crumple_sim::engine::{Outcome, RunError, RunOptions};
+use crumple_sim::scenario::{Driver, InvalidField, Scenario};
 
 /// Objective of an attack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -168,10 +168,10 @@ pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 /// ```
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::worst_case::{AttackObjective, Envelope, attack};
-/// use crumple_world::control::BuiltInController;
-/// use crumple_world::observation::EstimatorKind;
-/// use crumple_world::scenario::built_in_scenario;
-/// use crumple_world::sim::RunOptions;
+/// use crumple_sim::control::BuiltInController;
+/// use crumple_sim::observation::EstimatorKind;
+/// use crumple_sim::scenario::built_in_scenario;
+/// use crumple_sim::engine::RunOptions;
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
 /// let baseline = BuiltInController::from_name("baseline").unwrap();

@@ -10,7 +10,7 @@ use super::escape::{Escape, step_accelerations_mps2};
 use super::firing_search::FiringSearch;
 use super::program::Grid;
 use super::reason::UndecidedReason;
-use crumple_world::scenario::{MAX_MULTIPLE, Scenario, whole_multiple};
+use crumple_sim::scenario::{MAX_MULTIPLE, Scenario, whole_multiple};
 
 /// Options of the search for an escape.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -72,7 +72,7 @@ const MAX_OPEN_FIRINGS: usize = 8;
 ///
 /// ```
 /// use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
-/// use crumple_world::scenario::built_in_scenario;
+/// use crumple_sim::scenario::built_in_scenario;
 ///
 /// let found = avoid(&built_in_scenario("paper-1").unwrap(), AvoidOptions::default()).unwrap();
 /// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));

@@ -8,8 +8,8 @@ use crumple_verify::{Interval, SceneEgo, SceneFollower};
 
 use super::reason::UndecidedReason;
 use super::scripted_leader::ScriptedLeader;
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{Driver, Scenario, VehicleSpec};
 
 /// A leader, one or more egos, perhaps a follower, and a time grid.
 #[derive(Debug, Clone)]

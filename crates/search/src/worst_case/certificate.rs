@@ -10,7 +10,7 @@ use super::firing_search::FiringSearch;
 use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN, WeightedInstant};
 use super::reason::UndecidedReason;
 use crumple_core::digest::sha256;
-use crumple_world::scenario::{Scenario, file};
+use crumple_sim::scenario::{Scenario, file};
 
 fn build_scene(problem: &AvoidanceProblem) -> Scene {
     let AvoidanceProblem {

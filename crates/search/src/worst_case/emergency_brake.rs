@@ -1,8 +1,8 @@
 //! Emergency brakes behind the vehicles under test, read from a replay.
 
-use crumple_world::control::{AccAebSettings, AebSettings, BuiltInController};
-use crumple_world::scenario::{Driver, Scenario};
-use crumple_world::sim::Trace;
+use crumple_sim::control::{AccAebSettings, AebSettings, BuiltInController};
+use crumple_sim::engine::Trace;
+use crumple_sim::scenario::{Driver, Scenario};
 
 /// Emergency brakes behind the vehicles under test in a replay.
 #[derive(Debug, Clone, Copy, PartialEq)]

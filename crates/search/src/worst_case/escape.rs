@@ -3,12 +3,12 @@
 use super::avoidance_problem::AvoidanceProblem;
 use super::emergency_brake::EmergencyBrake;
 use super::firing_search::ModelEscape;
-use crumple_world::control::BuiltInController;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
     Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec,
 };
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Search that found an escape. A replay confirms it in any case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,10 +3,10 @@
 use super::attack::{Attack, AttackError, AttackObjective, Envelope};
 use super::escape::script_pieces;
 use crumple_core::observer::{Observer, RunProgress};
-use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
+use crumple_sim::scenario::{Driver, InvalidField, LeadProfile, Scenario};
 
 pub(super) struct ProfileSimulator<'a> {
     pub(super) scenario: &'a Scenario,
@@ -107,7 +107,7 @@ impl<'a> ProfileSimulator<'a> {
         })?;
         let run = Run::new(&scenario, self.options.clone())?;
         self.evaluations += 1;
-        let trial = ProfileOutcome::from_simulated(&crumple_world::sim::simulate(
+        let trial = ProfileOutcome::from_simulated(&crumple_sim::engine::simulate(
             &run,
             RecordingLevel::Summary,
         ));

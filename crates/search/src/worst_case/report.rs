@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::{AttackObjective, AttackResult};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{NamedController, Outcome};
+use crumple_sim::engine::{NamedController, Outcome};
+use crumple_sim::observation::EstimatorKind;
 
 /// Output of `crumple worst-case --format json`. Fields of the profile are absent if none was found.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -1,8 +1,8 @@
 //! Motion of a scripted leader, which reacts to no vehicle.
 
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
-use crumple_world::sim::{Motion, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{Motion, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 
 #[derive(Debug, Clone)]
 pub(super) struct ScriptedLeader {

@@ -11,8 +11,8 @@ use serde::Serialize;
 use super::attack::{AttackError, check_size};
 use crumple_core::observer::{Observer, RunProgress};
 use crumple_measure::UnnecessaryBraking;
-use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_sim::scenario::{GhostObject, Scenario, SensorFaults};
 
 /// Parts into which the search divides the step to the smallest size that fails.
 const PARTS: u32 = 10;

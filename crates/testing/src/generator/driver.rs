@@ -4,8 +4,8 @@ use std::sync::LazyLock;
 
 use super::choices::Choices;
 use super::shape::DriverKind;
-use crumple_world::control::{BuiltInController, Role};
-use crumple_world::scenario::{
+use crumple_sim::control::{BuiltInController, Role};
+use crumple_sim::scenario::{
     Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
     VehicleSpec,
 };

@@ -4,7 +4,7 @@ use arbitrary::Unstructured;
 
 use super::choices::Choices;
 use super::shape::MAX_VEHICLES;
-use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
+use crumple_sim::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 /// Bytes of one change: occurrence, trigger and value. Each vehicle has one for entering, then one for leaving.
 const CHANGE_BYTES: usize = 4;
@@ -50,7 +50,7 @@ fn read_lane_change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneCh
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in_scenario;
+    use crumple_sim::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     #[test]

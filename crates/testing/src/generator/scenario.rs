@@ -5,7 +5,7 @@ use arbitrary::Unstructured;
 use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
-use crumple_world::scenario::{
+use crumple_sim::scenario::{
     Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario,
     ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec, whole_multiple,
 };
@@ -231,7 +231,7 @@ fn read_vehicle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in_scenario;
+    use crumple_sim::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     #[test]

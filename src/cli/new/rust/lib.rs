@@ -1,6 +1,6 @@
 //! A controller: the Intelligent Driver Model. Replace `decide`.
 
-use crumple_world::observation::Observation;
+use crumple_sim::observation::Observation;
 
 /// Returns the commanded acceleration, in m/s².
 pub fn decide(seen: &Observation) -> f64 {

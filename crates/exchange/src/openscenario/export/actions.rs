@@ -8,9 +8,9 @@ use std::io;
 use super::polyline::simplify_polyline;
 use super::storyboard::{VehicleManeuver, write_speed_action};
 use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec};
 
 /// Maximum error of a speed profile, in m/s: one millimetre in a quarter of an hour.
 const PROFILE_TOLERANCE_MPS: f64 = 1e-6;

@@ -6,7 +6,7 @@ use super::{
     Xml, attribute_text, entity_name, format_number, round, write_element, write_empty_element,
 };
 use crate::openscenario::DELAY_PROPERTIES;
-use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
+use crumple_sim::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
 /// Distance of each axle from the bumper on its side, as a share of the length.
 pub(super) const REAR_OVERHANG_SHARE: f64 = 0.2;

@@ -20,8 +20,8 @@ use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
 use super::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
 use crumple_core::quoting::strip_unprintable;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
+use crumple_sim::scenario::Scenario;
 
 /// Maximum number of vertices of one file: 100 MB.
 pub(crate) const MAX_VERTICES: usize = 1_000_000;

@@ -6,7 +6,7 @@ use quick_xml::events::{BytesText, Event};
 
 use super::storyboard::VehicleManeuver;
 use super::{Xml, format_number, reference_point_m, write_element, write_empty_element};
-use crumple_world::sim::{Trace, Track};
+use crumple_sim::engine::{Trace, Track};
 
 /// Maximum position error of a polyline, in metres.
 pub(crate) const POSITION_TOLERANCE_M: f64 = 0.002;

@@ -6,8 +6,8 @@ use super::{
     OpenScenarioError, Xml, attribute_text, format_number, write_document, write_element,
     write_empty_element,
 };
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::Trace;
+use crumple_sim::engine::Trace;
+use crumple_sim::scenario::Scenario;
 
 /// Width of the lane, in metres: that of a German motorway lane of type RQ 31 (RAA 2008).
 const LANE_WIDTH_M: f64 = 3.75;

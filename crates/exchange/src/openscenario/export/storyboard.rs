@@ -6,7 +6,7 @@ use super::{
     Xml, describe_scenario, entities, entity_name, format_number, reference_point_m, write_element,
     write_empty_element,
 };
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 /// A file to which maneuvers are written.
 pub(super) struct OpenScenarioFile<'a> {

@@ -1,8 +1,8 @@
 use super::*;
 use crate::rl::TrainingConfig;
-use crumple_world::control::BuiltInController;
-use crumple_world::scenario::{Driver, LeadProfile, built_in_scenario};
-use crumple_world::sim::RunOptions;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::RunOptions;
+use crumple_sim::scenario::{Driver, LeadProfile, built_in_scenario};
 
 /// Simulates paper-2 with a constant action; returns the total reward and all outcomes.
 fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<StepOutcome>) {

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex};
 
 use crate::rl::*;
 use crumple_core::observer::{Listener, Quiet};
+use crumple_sim::scenario::built_in_scenario;
 use crumple_store::program::{OTHER_BUILD_MESSAGE, identity};
-use crumple_world::scenario::built_in_scenario;
 
 /// Returns a training that takes a second.
 fn small_config() -> TrainingConfig {
@@ -312,7 +312,7 @@ fn without_ranking_draws_nothing_is_mastered() {
         config.evaluation.ranking_draws = ranking_draws;
         let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
         let found = held_out
-            .evaluate(&crumple_world::policy::Policy::reference())
+            .evaluate(&crumple_sim::policy::Policy::reference())
             .unwrap();
         assert_eq!(
             (found.ranking_contacts, found.is_mastered(master_gap_m)),
@@ -399,10 +399,10 @@ fn divergence_is_detected_on_the_training_scenarios() {
 
 #[test]
 fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
-    use crumple_world::observation::EstimatorKind;
-    use crumple_world::policy::Policy;
-    use crumple_world::scenario::{PaperDistribution, Scenario};
-    use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
+    use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
+    use crumple_sim::observation::EstimatorKind;
+    use crumple_sim::policy::Policy;
+    use crumple_sim::scenario::{PaperDistribution, Scenario};
 
     let policy = Policy::reference();
     let fast = serde_json::to_value(TrainingConfig::preset("fast").unwrap()).unwrap();

@@ -4,8 +4,8 @@ use rand::{RngExt, SeedableRng};
 
 use crate::rl::config::PRIVILEGED_WIDTH;
 use crate::rl::*;
-use crumple_world::policy::STATE_LEN;
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_sim::policy::STATE_LEN;
+use crumple_sim::random::{Purpose, Stream, stream};
 
 mod fixture;
 

@@ -10,8 +10,8 @@ mod ledger;
 mod strength;
 
 use crumple_core::digest::sha256;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;

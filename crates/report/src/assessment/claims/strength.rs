@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
 use crate::assessment::table::CellMark;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 
 /// Minimum confidence level, in percent, at which a count decides a claim.
 pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;

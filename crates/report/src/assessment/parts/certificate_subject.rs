@@ -9,9 +9,9 @@ use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property};
 use crate::assessment::plan::NamedSpace;
 use crumple_core::digest::sha256;
 use crumple_evidence::{check_covers_scenario, checker_file};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 
 pub(super) fn describe_statement(
     plan: &AssessmentPlan,

@@ -18,10 +18,10 @@ use crate::assessment::plan::file_stem;
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crumple_core::digest::sha256;
 use crumple_evidence::{CertificateReport, RateInterval, kernel_certificate, shipped_kernels};
-use crumple_world::control::{MIN_MARGIN_M, ShieldSettings, ViabilityKernel};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
-use crumple_world::sim::NamedController;
+use crumple_sim::control::{MIN_MARGIN_M, ShieldSettings, ViabilityKernel};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{PAPER_STEP_S, VehicleClass};
 
 /// A certificate and the result of its check.
 #[derive(Debug, Clone, PartialEq, Serialize)]

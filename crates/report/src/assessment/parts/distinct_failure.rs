@@ -12,7 +12,7 @@ use crumple_search::falsify::campaign::{CampaignSummary, MethodSummary};
 use crumple_search::falsify::counterexample::{
     AvoidabilityClass, ChangedParameter, Counterexample,
 };
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 /// The result of a search method within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

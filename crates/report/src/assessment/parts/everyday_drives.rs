@@ -10,9 +10,9 @@ use crate::assessment::run_ends::RunEnds;
 use crate::assessment::{AssessError, Rounded};
 use crumple_evidence::exposure::IntervalEstimate;
 use crumple_measure::FollowingMeasures;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
-use crumple_world::sim::{NamedController, RecordingLevel, RunOptions, SimulationResult};
+use crumple_sim::engine::{NamedController, RecordingLevel, RunOptions, SimulationResult};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{GhostObject, Scenario, SensorFaults};
 
 /// Unnecessary braking per hour, with the exact interval of independent brakings at 95 %.
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -19,7 +19,7 @@ use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Campaign;
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
-use crumple_world::sim::{FailedControllerRuns, NamedController};
+use crumple_sim::engine::{FailedControllerRuns, NamedController};
 
 /// Maximum number of shown failures of one search; a campaign of a few hundred runs finds fewer.
 const MAX_SHOWN: usize = 100;

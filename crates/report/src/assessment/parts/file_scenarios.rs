@@ -14,8 +14,8 @@ use crate::assessment::plan::file_stem;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::RunError;
+use crumple_sim::engine::RunError;
+use crumple_sim::scenario::Scenario;
 
 const MAX_DETAILED: usize = 12;
 

@@ -21,10 +21,10 @@ use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, ReportPart, Rounded};
 use crumple_measure::harm;
 use crumple_search::falsify::counterexample::Avoidability;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{
+use crumple_sim::engine::{
     AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult,
 };
+use crumple_sim::scenario::Scenario;
 
 /// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
 pub const ACTIVATION_MPS2: f64 = 2.5;

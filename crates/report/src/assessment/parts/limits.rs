@@ -8,7 +8,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_core::markdown::Inline;
-use crumple_world::observation::EstimatorKind;
+use crumple_sim::observation::EstimatorKind;
 
 /// Assumptions and limits of an assessment.
 #[derive(Debug, Clone, Serialize)]

@@ -14,7 +14,7 @@ use crumple_measure::{
     GAIN_FREQUENCIES_RAD_PER_S, GAIN_SPEEDS_MPS, GainSurvey, NoGain, OSCILLATION_AMPLITUDE_MPS,
     OperatingPoint,
 };
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 use maud::html;
 
 /// Growth of speed oscillations in a line of vehicles with one controller that observes the true state.

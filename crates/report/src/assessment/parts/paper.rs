@@ -13,7 +13,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
 use crate::draw::Svg;
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
+use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 
 /// Every controller in the paper's three scenarios.
 #[derive(Debug, Clone, Serialize)]

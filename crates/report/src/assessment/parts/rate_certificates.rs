@@ -12,7 +12,7 @@ use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crumple_evidence::{RateConfig, RatePlan, Rerun, shipped_kernels};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
 
 /// Mask of the seed of counted runs, so that it differs from the seed of the reported samples.
 const COUNT_SEED_MASK: u64 = 0x5eed;

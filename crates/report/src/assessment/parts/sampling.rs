@@ -19,11 +19,11 @@ use crate::assessment::run_ends::{RunEnds, note_unanswered};
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_spaces::ScenarioSpace;
-use crumple_world::scenario::{InvalidField, Scenario};
-use crumple_world::sim::{
+use crumple_sim::engine::{
     NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
+use crumple_sim::scenario::{InvalidField, Scenario};
+use crumple_spaces::ScenarioSpace;
 
 const BATCH_SIZE: u64 = 4096;
 

@@ -17,7 +17,7 @@ use crate::draw::{
     MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
     vehicle_names,
 };
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 /// The results of every controller in one scenario.
 #[derive(Debug, Clone, Serialize)]

@@ -15,9 +15,9 @@ use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand}
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignProgress, CampaignSummary,
 };
+use crumple_sim::engine::NamedController;
+use crumple_sim::scenario::file;
 use crumple_store::disk::DiskError;
-use crumple_world::scenario::file;
-use crumple_world::sim::NamedController;
 
 const MAX_DRAWN: usize = 3;
 

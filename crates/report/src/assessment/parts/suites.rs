@@ -21,9 +21,9 @@ use crate::suite::{
     describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
 };
 use crumple_core::digest::sha256;
+use crumple_sim::engine::{FailedControllerRuns, NamedController};
+use crumple_sim::scenario::file;
 use crumple_suites::{ControllerResult, DISCLAIMER, FailedPoint, TestVerdict, run};
-use crumple_world::scenario::file;
-use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 const ANCHOR: &str = "suites";
 

@@ -11,9 +11,9 @@ use crate::assessment::claims::{
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart, Rounded};
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space_summary;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 /// Every claim about every controller.
 #[derive(Debug, Clone, Default, Serialize)]

@@ -19,9 +19,9 @@ use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
 use crumple_measure::{GainSurvey, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_sim::engine::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
 
 const ANCHOR: &str = "usefulness";
 

@@ -6,9 +6,9 @@ use super::{CampaignError, SearchObjective};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
 use crumple_measure::Specification;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{ScenarioSpace, SpaceSpec};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 /// Version of the campaign file that this release reads and writes.
 pub const CAMPAIGN_VERSION: u32 = 2;
@@ -24,7 +24,7 @@ pub const MAX_SEED: u64 = i64::MAX as u64;
 /// ```
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-/// use crumple_world::control::BuiltInController;
+/// use crumple_sim::control::BuiltInController;
 /// use crumple_spaces::built_in_space;
 ///
 /// let campaign = Campaign {
@@ -156,8 +156,8 @@ impl Campaign {
         budget: u64,
         seed: u64,
     ) -> Self {
+        use crumple_sim::control::BuiltInController;
         use crumple_spaces::built_in_space;
-        use crumple_world::control::BuiltInController;
         let controller = BuiltInController::from_name("match-leader").unwrap();
         let campaign = Self::new(controller, built_in_space(space).unwrap());
         Self {

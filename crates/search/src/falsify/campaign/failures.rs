@@ -3,7 +3,7 @@
 use super::EvaluatedPoint;
 use crate::falsify::Method;
 use crumple_measure::{BrakingLevel, RunVerdict, Specification};
-use crumple_world::scenario::{Scenario, VehicleClass};
+use crumple_sim::scenario::{Scenario, VehicleClass};
 
 /// Kind of a failure, which distinguishes the colliding vehicles, the ego vehicle's braking and the rear class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -67,7 +67,7 @@ mod tests {
     use crate::falsify::Method;
     use crate::falsify::campaign::CampaignOptions;
     use crumple_core::observer::Quiet;
-    use crumple_world::control::BuiltInController;
+    use crumple_sim::control::BuiltInController;
 
     #[test]
     fn the_first_failure_is_that_of_the_campaign() {

@@ -52,10 +52,10 @@ use std::ops::RangeInclusive;
 use super::InvalidPoints;
 use crumple_core::observer::Stopped;
 use crumple_measure::{RunVerdict, SpecificationError};
+use crumple_sim::engine::{RefusedController, RunError};
+use crumple_sim::scenario::InvalidField;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{RefusedController, RunError};
 
 /// One evaluation of a campaign.
 #[derive(Debug, Clone, PartialEq)]

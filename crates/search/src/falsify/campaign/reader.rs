@@ -9,11 +9,11 @@ use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, table};
 use crate::falsify::Method;
 use crumple_controllers::Controllers;
 use crumple_measure::Specification;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{Scenario, file};
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{self, CompletedRun, RunFolderError, RunState};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::NamedController;
 
 /// Maximum number of evaluations that are read, the first ones. Each takes about 400 bytes.
 pub const MAX_READ_EVALUATIONS: usize = 200_000;
@@ -193,7 +193,7 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
-    use crumple_world::scenario::NoDriverFiles;
+    use crumple_sim::scenario::NoDriverFiles;
     use std::fs;
     use std::ops::ControlFlow;
 

@@ -9,8 +9,8 @@ use super::{
 use crate::falsify::{Method, UnitCube};
 use crumple_controllers::Controllers;
 use crumple_measure::{RunVerdict, Specification, harm_of_pair};
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::scenario::Scenario;
 
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct ResolvedConfig {

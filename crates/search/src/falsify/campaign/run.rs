@@ -12,10 +12,10 @@ use crate::falsify::counterexample::{Examiner, Recorder};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
 use crumple_measure::RunVerdict;
+use crumple_sim::engine::NamedController;
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::NamedController;
 
 /// Batches of a non-adaptive method that are evaluated together: enough to use the simulator on all cores.
 const BLIND_BATCHES: usize = 16;

@@ -10,7 +10,7 @@ use super::summary::{
 };
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
 
 impl CampaignSummary {
     /// Creates the summary from findings and the recorded distinct failures.

@@ -10,8 +10,8 @@ use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
 use crumple_measure::Specification;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::FailedControllerRuns;
+use crumple_sim::engine::FailedControllerRuns;
+use crumple_sim::observation::EstimatorKind;
 
 pub(super) const SUMMARY_VERSION: u32 = 1;
 

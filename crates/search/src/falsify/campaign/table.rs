@@ -18,9 +18,9 @@ use super::resolved_config::ResolvedConfig;
 use super::{CampaignError, EvaluatedPoint};
 use crate::falsify::Method;
 use crumple_measure::{BrakingLevel, FirstContact, RunVerdict};
+use crumple_sim::scenario::VehicleClass;
 use crumple_spaces::{KEY_COLUMNS, RESULT_COLUMNS, ScenarioSpace, SpaceParameter};
 use crumple_store::run_folder::{FolderTransaction, RunFolder};
-use crumple_world::scenario::VehicleClass;
 
 const ROWS_PER_PART: usize = 65_536;
 

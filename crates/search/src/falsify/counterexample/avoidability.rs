@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::confirmation::escape_survives;
 use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
 use crumple_measure::{RunVerdict, Specification};
-use crumple_world::scenario::Scenario;
+use crumple_sim::scenario::Scenario;
 
 /// Answer to the question whether any controller could have avoided a failure. [`avoid`] defines the classes.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -14,8 +14,8 @@ use crate::falsify::campaign::{
     Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig,
 };
 use crumple_measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
-use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
+use crumple_sim::engine::{AfterContact, FailedController, RecordingLevel, Run, simulate};
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 
 /// Minimum share of the impact speed, or of the violation of a formula, that shrinking preserves.
 const MIN_SEVERITY_SHARE: f64 = 0.5;

@@ -10,9 +10,9 @@ use crate::falsify::{FailureCriterion, FailureCriterionRecord};
 use crumple_controllers::{Controllers, UnknownController};
 use crumple_core::text_file::{self, FileError};
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file::{self, ScenarioFileError};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::file::{self, ScenarioFileError};
 
 pub(crate) const EXPECTED_VERSION: u32 = 1;
 

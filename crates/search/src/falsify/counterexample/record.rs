@@ -6,8 +6,8 @@ use super::{Avoidability, AvoidabilityAnalysis, ChangedParameter, Counterexample
 use crate::falsify::campaign::{CampaignError, FailureKind, ResolvedConfig};
 use crate::falsify::{FailureCriterionRecord, Method};
 use crumple_measure::{RunVerdict, Specification};
+use crumple_sim::scenario::{Scenario, file};
 use crumple_store::run_folder::FolderTransaction;
-use crumple_world::scenario::{Scenario, file};
 
 /// Failures of one kind that are closer than this count as one.
 pub const SAME_FAILURE_DISTANCE: f64 = 0.1;

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use super::{ExpectedFile, ExpectedVerdict, ReplayError};
 use crumple_controllers::{ControllerSpec, Controllers, UnknownController};
 use crumple_core::text_file::FileError;
-use crumple_world::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
-use crumple_world::sim::NamedController;
+use crumple_sim::engine::NamedController;
+use crumple_sim::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
 #[derive(Debug, Default)]

@@ -5,7 +5,7 @@
 
 use super::plant::{CellBlock, Plant, Profile, SampledGaps, SimulatedProfile};
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 use rand::RngExt;
 
 /// Numbers of blocks of all vehicles under test until the last small gap, and after it.

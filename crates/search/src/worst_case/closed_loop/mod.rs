@@ -12,8 +12,8 @@ use self::linear::Ascent;
 use self::plant::{Plant, Profile, SimulatedProfile};
 use self::shapes::SpeedShape;
 use super::escape::{Escape, FoundBy};
-use crumple_world::random::{self, Purpose, Stream};
-use crumple_world::scenario::Scenario;
+use crumple_sim::random::{self, Purpose, Stream};
+use crumple_sim::scenario::Scenario;
 
 /// Number of shapes that are changed, and rounds of changes of each, per cycle.
 const CYCLES: [[usize; 2]; 3] = [[8, 10], [4, 24], [2, 40]];
@@ -213,15 +213,15 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
-    use crumple_world::control::BuiltInController;
-    use crumple_world::scenario::{
+    use crumple_sim::control::BuiltInController;
+    use crumple_sim::scenario::{
         Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
     };
 
     fn cut_in(ttc_s: f64) -> Scenario {
         let paper = built_in_scenario("paper-1").unwrap();
         let changed = paper.edited(|spec| {
-            let profile = Driver::Profile(crumple_world::scenario::LeadProfile::ConstantSpeed);
+            let profile = Driver::Profile(crumple_sim::scenario::LeadProfile::ConstantSpeed);
             let mut lead = VehicleSpec::new(VehicleClass::Light, 62.0, 10.0, profile);
             lead.enters = Some(LaneChange::TimeToCollision(ttc_s));
             spec.vehicles = vec![

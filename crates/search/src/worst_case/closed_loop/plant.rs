@@ -5,8 +5,8 @@ use std::ops::Range;
 use super::super::avoidance_problem::delay_steps;
 use super::super::escape::{script_pieces, scripted_run_options, set_script};
 use super::super::profile_simulator::ProfileOutcome;
-use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, SimulationResult, simulate_batch};
+use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, simulate_batch};
+use crumple_sim::scenario::Scenario;
 
 /// Acceleration of each vehicle under test in each cell, in m/s².
 pub(super) type Profile = Vec<Vec<f64>>;

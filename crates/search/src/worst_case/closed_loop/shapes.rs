@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::plant::{Plant, Profile};
-use crumple_world::random::Stream;
+use crumple_sim::random::Stream;
 
 /// Times of the first speed change of a simple shape, in seconds.
 const ONSETS_S: [f64; 5] = [0.0, 0.5, 1.0, 2.0, 4.0];

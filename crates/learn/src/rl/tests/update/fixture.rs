@@ -1,8 +1,8 @@
 //! Configurations and random batches, also for the tests of the workspace member `oracle`.
 
 use super::{Batch, TrainingConfig, Transition};
-use crumple_world::policy::STATE_LEN;
-use crumple_world::random::Stream;
+use crumple_sim::policy::STATE_LEN;
+use crumple_sim::random::Stream;
 use rand::{RngExt, SeedableRng};
 
 /// Length of an observation with one earlier decision.

@@ -193,7 +193,7 @@ fn header_line(identity: &str) -> String {
 mod tests {
     use super::*;
     use crumple_measure::{BrakingLevel, FirstContact};
-    use crumple_world::scenario::VehicleClass;
+    use crumple_sim::scenario::VehicleClass;
 
     fn identity() -> String {
         "1a".repeat(32)

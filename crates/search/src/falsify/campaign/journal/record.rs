@@ -5,9 +5,9 @@ use std::path::Path;
 
 use crumple_core::digest::Sha256;
 use crumple_measure::{BrakingLevel, FirstContact, RunVerdict};
+use crumple_sim::scenario::VehicleClass;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::scenario::VehicleClass;
 
 /// Robustness, time and impact speed (doubles), two vehicles (32 bits), braking level or a code, and class (bytes).
 pub(super) const BODY_BYTES: usize = 3 * 8 + 2 * 4 + 2;

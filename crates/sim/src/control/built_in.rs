@@ -1,0 +1,349 @@
+//! Specifications and drivers that are derived from the table of built-in controllers.
+
+use std::sync::Arc;
+
+use super::*;
+use crate::observation::Observation;
+use crate::policy::Policy;
+use crumple_core::digest::sha256;
+
+/// Role of a built-in controller; lists are in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// A rule-based controller, in traffic or under test.
+    Rule,
+    /// A reference driver, for example of a regulation.
+    Reference,
+    /// A learned controller.
+    Learned,
+    /// A controller that is no way to drive; shows the effect of a shield.
+    Probe,
+}
+
+/// A built-in controller, known by name.
+pub trait BuiltIn {
+    /// Name in files and on the command line.
+    const NAME: &'static str;
+    /// Summary, one line.
+    const SUMMARY: &'static str;
+    /// Role of the controller.
+    const ROLE: Role = Role::Rule;
+    /// True if the commands depend on the follower.
+    const OBSERVES_FOLLOWER: bool = false;
+    /// Numbers that parametrise the controller.
+    type Settings: ControllerSettings;
+    /// Controller type that drives the vehicle.
+    type Driver: Controller;
+
+    /// Returns the policy of a learned controller.
+    fn policy() -> Option<Arc<Policy>> {
+        None
+    }
+
+    /// Creates a controller for a vehicle. `seed` is the scenario's.
+    fn start(settings: &Self::Settings, ego: &Ego, seed: u64) -> Self::Driver;
+}
+
+macro_rules! define {
+    (
+        rules { $($(#[$doc:meta])* $rule:ident,)* }
+        policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }
+    ) => {
+        /// A built-in controller and its settings.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum BuiltInController {
+            $($(#[$doc])* $rule(<$rule as BuiltIn>::Settings),)*
+            $($(#[$policy_doc])* $policy(<$known_by as BuiltIn>::Settings),)*
+        }
+
+        /// Evaluates `$of` for the row of a specification, with its type and its settings.
+        macro_rules! of_row {
+            ($spec:expr, |$row:ident, $settings:ident| $of:expr) => {
+                match $spec {
+                    $(BuiltInController::$rule($settings) => { type $row = $rule; $of })*
+                    $(BuiltInController::$policy($settings) => { type $row = $known_by; $of })*
+                }
+            };
+        }
+
+        impl BuiltInController {
+            /// Returns every built-in controller with its default settings, in the order of `crumple list controllers`.
+            #[must_use]
+            pub fn all() -> Vec<Self> {
+                let mut all = vec![$(Self::$rule(Default::default()),)* $(Self::$policy(Default::default()),)*];
+                all.sort_by_key(Self::role);
+                all
+            }
+        }
+
+        /// A controller that drives one vehicle. The engines call rules and policies directly, all others by a dynamic
+        /// call.
+        pub(crate) enum AnyController {
+            $($(#[$doc])* $rule($rule),)*
+            Policy(PolicyDriver),
+            Other(Box<dyn Controller>),
+        }
+
+        impl Controller for AnyController {
+            #[inline]
+            fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+                match self {
+                    $(Self::$rule(controller) => controller.decide(seen),)*
+                    Self::Policy(controller) => controller.decide(seen),
+                    Self::Other(controller) => controller.decide(seen),
+                }
+            }
+
+            fn record_command(&mut self, command_mps2: f64) {
+                match self {
+                    $(Self::$rule(controller) => controller.record_command(command_mps2),)*
+                    Self::Policy(controller) => controller.record_command(command_mps2),
+                    Self::Other(controller) => controller.record_command(command_mps2),
+                }
+            }
+
+            fn overrides(&self) -> &[Override] {
+                match self {
+                    Self::Other(controller) => controller.overrides(),
+                    _ => &[],
+                }
+            }
+        }
+
+        impl AnyController {
+            pub(crate) fn from_spec(spec: &BuiltInController, ego: &Ego, seed: u64) -> Self {
+                match spec {
+                    $(BuiltInController::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
+                    $(BuiltInController::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
+                }
+            }
+        }
+    };
+}
+with_controllers!(define);
+
+/// Reason why an argument names no built-in controller.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidSetting {
+    /// An unknown setting.
+    #[error(
+        "`{found}` is not a setting of {controller}: {}",
+        describe_known_settings(known)
+    )]
+    Unknown {
+        /// The text found.
+        found: String,
+        /// The controller.
+        controller: &'static str,
+        /// The settings of the controller.
+        known: &'static [SettingField],
+    },
+    /// A setting that is given twice.
+    #[error("{controller}: {name} is given twice")]
+    Duplicate {
+        /// The controller.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+    },
+    /// A value that is not a number in its range.
+    #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
+    Value {
+        /// The controller.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+        /// Allowed minimum and maximum.
+        range: [f64; 2],
+        /// The text found.
+        found: String,
+    },
+}
+
+fn describe_known_settings(known: &[SettingField]) -> String {
+    match known {
+        [] => "it has none".to_owned(),
+        [first, ..] => {
+            let names: Vec<_> = known.iter().map(|field| field.name).collect();
+            format!(
+                "there are {}, each with a number, as in `{}={}`",
+                names.join(", "),
+                first.name,
+                first.typical_range[1]
+            )
+        }
+    }
+}
+
+impl BuiltInController {
+    /// Returns the built-in controller of that name with its default settings.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::all()
+            .into_iter()
+            .find(|controller| controller.name() == name)
+    }
+
+    /// Parses a built-in controller from the command line: a name, and settings that differ from the default, each
+    /// after a comma (`acc-aeb,ttc_s=2.0`). Returns `None` if the name is not built in.
+    ///
+    /// ```
+    /// use crumple_sim::control::BuiltInController;
+    ///
+    /// let spec = BuiltInController::parse("acc-aeb,ttc_s=2.0").unwrap().unwrap();
+    /// assert_eq!(spec.to_arg(), "acc-aeb,ttc_s=2");
+    /// assert!(BuiltInController::parse("acc-aeb,ttc_s=-1").unwrap().is_err());
+    /// ```
+    #[must_use]
+    pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
+        let mut words = words.split(',');
+        let spec = Self::from_name(words.next()?)?;
+        let mut given = Vec::new();
+        Some(words.try_fold(spec, |mut spec, setting| {
+            let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
+            let (controller, known) = (spec.name(), spec.fields());
+            let index = known.iter().position(|field| field.name == name);
+            let Some((place, field)) =
+                index.and_then(|index| Some((spec.get_mut(index)?, known.get(index)?)))
+            else {
+                return Err(InvalidSetting::Unknown {
+                    found: setting.to_owned(),
+                    controller,
+                    known,
+                });
+            };
+            let (name, range) = (field.name, field.range);
+            if given.contains(&name) {
+                return Err(InvalidSetting::Duplicate { controller, name });
+            }
+            given.push(name);
+            match found.parse::<f64>() {
+                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // Turns -0 into 0.
+                _ => {
+                    return Err(InvalidSetting::Value {
+                        controller,
+                        name,
+                        range,
+                        found: found.to_owned(),
+                    });
+                }
+            }
+            Ok(spec)
+        }))
+    }
+
+    /// Returns the text that [`Self::parse`] parses to this; equal specifications have the same text.
+    #[must_use]
+    pub fn to_arg(&self) -> String {
+        let default = Self::from_name(self.name());
+        let default = default.iter().flat_map(Self::values);
+        let set = self
+            .values()
+            .zip(default)
+            .filter(|(own, default)| own.1 != default.1);
+        set.fold(self.name().to_owned(), |words, ((field, value), _)| {
+            format!("{words},{}={value}", field.name)
+        })
+    }
+
+    /// Returns the name in files and on the command line, without settings.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        of_row!(self, |Row, _settings| Row::NAME)
+    }
+
+    /// Returns the summary, one line.
+    #[must_use]
+    pub fn summary(&self) -> &'static str {
+        of_row!(self, |Row, _settings| Row::SUMMARY)
+    }
+
+    /// Returns the role.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        of_row!(self, |Row, _settings| Row::ROLE)
+    }
+
+    /// True if the commands depend on the follower.
+    #[must_use]
+    pub fn observes_follower(&self) -> bool {
+        self.policy().is_some() || of_row!(self, |Row, _settings| Row::OBSERVES_FOLLOWER)
+    }
+
+    /// Returns the policy of a learned controller.
+    #[must_use]
+    pub fn policy(&self) -> Option<Arc<Policy>> {
+        of_row!(self, |Row, _settings| Row::policy())
+    }
+
+    /// Returns the descriptions of the settings, in the order of the files.
+    #[must_use]
+    pub fn fields(&self) -> &'static [SettingField] {
+        of_row!(self, |Row, _settings| <Row as BuiltIn>::Settings::FIELDS)
+    }
+
+    /// Returns the settings with their values.
+    pub fn values(&self) -> impl Iterator<Item = (&'static SettingField, f64)> {
+        (0..)
+            .zip(self.fields())
+            .filter_map(|(index, field)| Some((field, self.get(index)?)))
+    }
+
+    fn get(&self, index: usize) -> Option<f64> {
+        of_row!(self, |_Row, settings| settings.get(index))
+    }
+
+    /// Returns a reference to the value of the `index`-th of [`Self::fields`].
+    pub fn get_mut(&mut self, index: usize) -> Option<&mut f64> {
+        of_row!(self, |_Row, settings| settings.get_mut(index))
+    }
+
+    /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
+    #[must_use]
+    pub fn sha256(&self) -> String {
+        let values: Vec<_> = self
+            .values()
+            .map(|(_, value)| (value + 0.0).to_bits().to_string())
+            .collect();
+        let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
+        self.policy().map_or_else(rule, |policy| policy.digest())
+    }
+}
+
+impl ControllerSource for BuiltInController {
+    fn identity(&self) -> Option<String> {
+        Some(self.sha256())
+    }
+
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(AnyController::from_spec(self, ego, seed)))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        Self::policy(self).map(|policy| policy.header().decision_interval_s)
+    }
+
+    fn description(&self) -> String {
+        self.summary().to_owned()
+    }
+
+    fn policy(&self) -> Option<Arc<Policy>> {
+        Self::policy(self)
+    }
+
+    fn is_learned(&self) -> bool {
+        Self::policy(self).is_some()
+    }
+
+    fn can_fail(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,210 @@
+//! Settings of a shield: parsing and printing as on the command line.
+
+use super::ErrorBounds;
+
+/// Settings of a shield that the user may choose.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ShieldSettings {
+    /// Assumed maximum deceleration of the leader on a dry road, in m/s²; `None` for its true limit.
+    pub ahead_brake_mps2: Option<f64>,
+    /// Error bounds of observations. `None` for bounds that follow from the estimator; they are 0 if it returns the
+    /// true state.
+    pub errors: Option<ErrorBounds>,
+}
+
+/// Name and allowed range of a setting, and its effect.
+struct ShieldSetting {
+    name: &'static str,
+    range: [f64; 2],
+    set: fn(&mut ShieldSettings, f64),
+}
+
+/// All settings. The limits of `ahead` are those of `max_brake_mps2` in scenarios.
+const SETTINGS: [ShieldSetting; 4] = [
+    ShieldSetting {
+        name: "ahead",
+        range: [0.1, 30.0],
+        set: |settings, value| settings.ahead_brake_mps2 = Some(value),
+    },
+    ShieldSetting {
+        name: "gap-error",
+        range: [0.0, 100.0],
+        set: |settings, value| settings.errors.get_or_insert_default().gap_m = value,
+    },
+    ShieldSetting {
+        name: "speed-error",
+        range: [0.0, 100.0],
+        set: |settings, value| settings.errors.get_or_insert_default().speed_mps = value,
+    },
+    ShieldSetting {
+        name: "ahead-speed-error",
+        range: [0.0, 100.0],
+        set: |settings, value| settings.errors.get_or_insert_default().ahead_speed_mps = value,
+    },
+];
+
+/// Reason why a text states no settings of a shield.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidShieldSetting {
+    /// An unknown setting.
+    #[error(
+        "`{found}` is not a setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each \
+        with a number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
+    )]
+    Unknown {
+        /// The text found.
+        found: String,
+    },
+    /// A setting that is given twice.
+    #[error("shield: {name} is given twice")]
+    Duplicate {
+        /// The setting.
+        name: &'static str,
+    },
+    /// A value that is not a number in its range.
+    #[error("shield: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
+    Value {
+        /// The setting.
+        name: &'static str,
+        /// Allowed minimum and maximum.
+        range: [f64; 2],
+        /// The text found.
+        found: String,
+    },
+}
+
+impl ShieldSettings {
+    /// Parses the text between `shield` and the colon: settings, each after a comma. `ahead` (m/s²) is the maximum
+    /// deceleration of the leader. `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s) bound errors of
+    /// observations; if any is given, the others are 0.
+    ///
+    /// ```
+    /// use crumple_sim::control::ShieldSettings;
+    ///
+    /// let settings = ShieldSettings::parse(",ahead=7.5,gap-error=0.2").unwrap();
+    /// assert_eq!(settings.ahead_brake_mps2, Some(7.5));
+    /// assert!(ShieldSettings::parse(",ahead=-1").is_err());
+    /// ```
+    ///
+    /// # Errors
+    /// [`InvalidShieldSetting`] for an unknown or repeated setting, or a value outside its range.
+    pub fn parse(text: &str) -> Result<Self, InvalidShieldSetting> {
+        let unknown = |found: &str| InvalidShieldSetting::Unknown {
+            found: found.to_owned(),
+        };
+        let mut parts = text.split(',');
+        if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
+            return Err(unknown(before));
+        }
+        let mut settings = Self::default();
+        let mut given = Vec::new();
+        for part in parts {
+            let (name, found) = part.split_once('=').unwrap_or((part, ""));
+            let setting = SETTINGS.iter().find(|setting| setting.name == name);
+            let &ShieldSetting { name, range, set } = setting.ok_or_else(|| unknown(part))?;
+            if given.contains(&name) {
+                return Err(InvalidShieldSetting::Duplicate { name });
+            }
+            given.push(name);
+            match found.parse::<f64>() {
+                // The sum turns -0 into 0.
+                Ok(value) if (range[0]..=range[1]).contains(&value) => {
+                    set(&mut settings, value + 0.0)
+                }
+                _ => {
+                    return Err(InvalidShieldSetting::Value {
+                        name,
+                        range,
+                        found: found.to_owned(),
+                    });
+                }
+            }
+        }
+        Ok(settings)
+    }
+
+    /// Returns the text that [`Self::parse`] parses to this: the settings, each after a comma.
+    #[must_use]
+    pub fn to_arg(&self) -> String {
+        let errors = self.errors.map(|errors| {
+            let ErrorBounds {
+                gap_m,
+                speed_mps,
+                ahead_speed_mps,
+            } = errors;
+            format!(
+                ",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}"
+            )
+        });
+        let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
+        ahead.into_iter().chain(errors).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_parsed_as_they_are_printed() {
+        let errors = Some(ErrorBounds {
+            gap_m: 0.5,
+            speed_mps: 0.25,
+            ahead_speed_mps: 1.0,
+        });
+        let settings = ShieldSettings {
+            ahead_brake_mps2: Some(6.0),
+            errors,
+        };
+        let text = ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1";
+        assert_eq!(settings.to_arg(), text);
+        assert_eq!(ShieldSettings::parse(text), Ok(settings));
+        assert_eq!(ShieldSettings::default().to_arg(), "");
+        assert_eq!(ShieldSettings::parse(""), Ok(ShieldSettings::default()));
+        let zero = ShieldSettings::parse(",speed-error=-0").map(|settings| settings.to_arg());
+        let bounds = ",gap-error=0,speed-error=0,ahead-speed-error=0";
+        assert_eq!(zero, Ok(bounds.to_owned()));
+    }
+
+    #[test]
+    fn wrong_settings_are_refused_with_the_reason() {
+        let unknown = |found: &str| {
+            format!(
+                "`{found}` is not a setting of a shield: there are ahead, gap-error, speed-error and \
+                ahead-speed-error, each with a number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
+            )
+        };
+        let value = |name, from, to, found| {
+            format!("shield: {name} must be a number from {from} to {to}, found `{found}`")
+        };
+        for (text, expected) in [
+            ("s", unknown("s")),
+            (",", unknown("")),
+            (",colour=1", unknown("colour=1")),
+            (",ahead=3,", unknown("")),
+            (
+                ",ahead=3,ahead=4",
+                "shield: ahead is given twice".to_owned(),
+            ),
+            (
+                ",gap-error=0,ahead=3,gap-error=0",
+                "shield: gap-error is given twice".to_owned(),
+            ),
+            (",ahead", value("ahead", 0.1, 30.0, "")),
+            (",ahead=-1", value("ahead", 0.1, 30.0, "-1")),
+            (",ahead=nan", value("ahead", 0.1, 30.0, "nan")),
+            (",ahead=0", value("ahead", 0.1, 30.0, "0")),
+            (",ahead=31", value("ahead", 0.1, 30.0, "31")),
+            (",gap-error=1e9", value("gap-error", 0.0, 100.0, "1e9")),
+            (",speed-error=inf", value("speed-error", 0.0, 100.0, "inf")),
+            (
+                ",ahead-speed-error=fast",
+                value("ahead-speed-error", 0.0, 100.0, "fast"),
+            ),
+        ] {
+            let error = ShieldSettings::parse(text).unwrap_err();
+            assert_eq!(error.to_string(), expected);
+        }
+    }
+}
