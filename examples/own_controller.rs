@@ -6,16 +6,13 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crumple::core::digest::sha256;
-use crumple::report::assessment::{AssessConfig, EvidenceCache};
-use crumple::spaces::built_in_space;
+use crumple::report::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, assess};
 use crumple::store::disk;
 use crumple::world::control::Ego;
-use crumple::world::observation::Observation;
-use crumple::world::scenario::built_in_scenario;
 use crumple::{
-    AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource,
-    NamedController, Quiet, RecordingLevel, Run, RunOptions, assess, simulate,
+    Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController,
+    Observation, Quiet, RecordingLevel, Run, RunOptions, built_in_scenario, built_in_space, sha256,
+    simulate,
 };
 
 /// Keeps a time gap to the vehicle ahead and brakes softly; fails if it observes no vehicle ahead.

@@ -15,11 +15,12 @@
 //!
 //! ## Map
 //!
-//! `docs/architecture.md` states which crate may use which others.
+//! This crate re-exports the crates of this table, and the names that a first program needs. `docs/architecture.md`
+//! states which crate uses which others. `crumple-core` (digests, progress, quoted text) has no short name here,
+//! because that is the name of Rust's `core`.
 //!
 //! | crate | contents |
 //! |---|---|
-//! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests |
 //! | [`world`] | scenarios, drivers, estimators, engines with identical results |
 //! | [`measure`] | measures of a run, signal temporal logic |
@@ -48,7 +49,6 @@
 //! # }
 //! ```
 
-pub use crumple_core as core;
 pub use crumple_evidence as evidence;
 pub use crumple_exchange as exchange;
 pub use crumple_learn as learn;
@@ -61,38 +61,13 @@ pub use crumple_suites as suites;
 pub use crumple_verify as verify;
 pub use crumple_world as world;
 
-pub use crumple_core::observer::{Listener, Observer, Quiet, RunProgress, Stopped};
-pub use crumple_evidence::{
-    CountProgress, CountTally, InvalidRate, RateConfig, RateCount, RateError, RateFolderError,
-    RatePlan,
-};
-pub use crumple_learn::rl::{
-    EvaluationSet, Trainer, TrainingConfig, TrainingError, TrainingEvent, train,
-};
-pub use crumple_measure::{Specification, SpecificationError};
-pub use crumple_report::assessment::{
-    AssessConfig, AssessConfigError, AssessError, AssessmentPlan, AssessmentReport,
-    EarlierAssessment, EvidenceCache, assess,
-};
-pub use crumple_search::falsify::campaign::{
-    Campaign, CampaignError, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog,
-    SearchObjective,
-};
-pub use crumple_search::falsify::{
-    CustomMethod, FailureCriterion, InvalidMethodName, Method, SearchAlgorithm, UnitCube,
-};
-pub use crumple_search::worst_case::{
-    Attack, AttackError, AttackObjective, AttackResult, AvoidError, AvoidOptions, Avoidance,
-    AvoidanceVerdict, Envelope, attack, avoid,
-};
+pub use crumple_core::digest::sha256;
+pub use crumple_core::observer::{Observer, Quiet};
+pub use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 pub use crumple_spaces::{ScenarioSpace, built_in_space};
-pub use crumple_verify::{Certificate, ProvedClaim, Rejection, WorkLimit, check, check_with};
-pub use crumple_world::control::{
-    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
-};
+pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec};
 pub use crumple_world::observation::{EstimatorKind, Observation};
-pub use crumple_world::scenario::{InvalidField, Scenario, built_in_scenario};
+pub use crumple_world::scenario::{Scenario, built_in_scenario};
 pub use crumple_world::sim::{
-    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult,
-    Trace, simulate, simulate_batch,
+    NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };

@@ -3,8 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ExperimentError;
-use crumple::Method;
-use crumple::search::falsify::UnitCube;
+use crumple::search::falsify::{Method, UnitCube};
 
 /// Maximum number of evaluations of a search.
 const BUDGET: usize = 1500;

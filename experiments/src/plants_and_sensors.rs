@@ -6,12 +6,12 @@
 
 use std::path::Path;
 
-use crumple::core::interval::RateInterval;
 use crumple::spaces::{ScenarioSpace, built_in_space};
 use crumple::world::scenario::{GhostObject, PlantKind, Scenario, SensorFaults, built_in_scenario};
 use crumple::world::sim::{
     AfterContact, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
+use crumple_core::interval::RateInterval;
 
 use crate::ExperimentError;
 

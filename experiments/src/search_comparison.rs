@@ -11,9 +11,11 @@
 use std::path::Path;
 
 use crate::ExperimentError;
+use crumple::search::falsify::Method;
+use crumple::search::falsify::campaign::CampaignSummary;
 use crumple::spaces::built_in_space;
 use crumple::world::sim::NamedController;
-use crumple::{Campaign, CampaignOptions, CampaignSummary, Method, Quiet};
+use crumple::{Campaign, CampaignOptions, Quiet};
 
 /// Every built-in scenario space, and a controller that seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [

@@ -202,6 +202,27 @@ fn split_use_tree(tree: &str) -> Vec<Vec<String>> {
     }
 }
 
+/// A name `core` would replace Rust's own after `use crumple::*`.
+#[test]
+fn the_facade_has_few_names_and_none_of_rust() {
+    let facade = fs::read_to_string(root().join("src/lib.rs")).unwrap();
+    let trees = facade.split("pub use ").skip(1);
+    let names: Vec<_> = trees
+        .map(|rest| rest.split(';').next().unwrap())
+        .flat_map(|tree| match tree.split_once(" as ") {
+            Some((_, name)) => vec![name.to_owned()],
+            None => {
+                let paths = split_use_tree(tree).into_iter();
+                paths.filter_map(|path| path.last().cloned()).collect()
+            }
+        })
+        .collect();
+    assert!((20..=35).contains(&names.len()), "{names:?}");
+    for name in ["core", "std", "alloc"] {
+        assert!(!names.contains(&name.to_owned()), "{name}");
+    }
+}
+
 type ModulePath = Vec<String>;
 
 /// The modules of a crate: each in a file, with the code of that file without comments and tests.

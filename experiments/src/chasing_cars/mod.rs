@@ -53,7 +53,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
 mod tests {
     use super::*;
     use crate::falsification::mean;
-    use crumple::Method;
+    use crumple::search::falsify::Method;
 
     fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> ChasingCarsInputs {
         let at = |piece: usize| {
