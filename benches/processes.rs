@@ -10,6 +10,7 @@ use std::path::Path;
 use std::process::Command;
 use std::{fs, iter};
 
+use crumple_controllers::find_for_user;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -51,7 +52,7 @@ fn write_controller(command: &str, folder: &Path) -> Option<NamedController> {
         .concat();
     let text = format!("version = 1\ncommand = [{command}]\n{inputs}");
     fs::write(folder.join("controller.toml"), text).expect("writable");
-    Some(NamedController::find_for_user("controller.toml", folder).expect("a controller file"))
+    Some(find_for_user("controller.toml", folder).expect("a controller file"))
 }
 
 fn long_scenario() -> Scenario {

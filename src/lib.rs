@@ -36,11 +36,11 @@
 //! ## Example
 //!
 //! ```
-//! use crumple::{ControllerSpec, RecordingLevel, Outcome, Run, RunOptions, simulate};
+//! use crumple::{BuiltInController, RecordingLevel, Outcome, Run, RunOptions, simulate};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scenario = crumple::built_in_scenario("paper-1").ok_or("not built in")?;
-//! let baseline = ControllerSpec::from_name("baseline").ok_or("not built in")?;
+//! let baseline = BuiltInController::from_name("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, RecordingLevel::Summary);
 //! // The baseline avoids the vehicle ahead and is hit from behind, by a lorry that drives `baseline`, too.
@@ -65,7 +65,9 @@ pub use crumple_core::digest::sha256;
 pub use crumple_core::observer::{Observer, Quiet};
 pub use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 pub use crumple_spaces::{ScenarioSpace, built_in_space};
-pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec};
+pub use crumple_world::control::{
+    BuiltInController, Controller, ControllerFailure, ControllerSource,
+};
 pub use crumple_world::observation::{EstimatorKind, Observation};
 pub use crumple_world::scenario::{Scenario, built_in_scenario};
 pub use crumple_world::sim::{

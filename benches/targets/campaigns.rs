@@ -1,10 +1,11 @@
 //! Cost of a campaign besides its simulations.
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, simulate_batch};
@@ -28,7 +29,7 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
             method: Method::Uniform,
             budget: BUDGET,
             ..Campaign::new(
-                ControllerSpec::from_name(controller).expect("built in"),
+                BuiltInController::from_name(controller).expect("built in"),
                 built_in_space(space).expect("built in"),
             )
         };
@@ -37,7 +38,7 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
             .run(&at, CampaignOptions::default(), &Quiet)
             .expect("runs");
         let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
-        let look = CampaignReader::open(&at).expect("is there");
+        let look = CampaignReader::open(&at, Controllers::default()).expect("is there");
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
         let scenarios: Vec<Scenario> = look.evaluations()[..RESIMULATED]
             .iter()

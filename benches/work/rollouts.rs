@@ -1,7 +1,7 @@
 //! Rollouts for benches: random scenarios of the paper's distribution with its noise; every vehicle but the leader is
 //! under test.
 
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
@@ -18,7 +18,7 @@ pub fn scenarios(count: u64) -> Vec<Scenario> {
 }
 
 pub fn built_in(controller: &str) -> Arc<dyn ControllerSource> {
-    ControllerSpec::from_name(controller)
+    BuiltInController::from_name(controller)
         .expect("built in")
         .into_source()
 }

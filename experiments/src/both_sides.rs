@@ -16,6 +16,7 @@
 //! `measure::UnnecessaryBraking` defines necessary braking and counts braking of at least 0.2 s. The last table has the
 //! gain of a line of five: the change of speed of the last vehicle relative to that of the leader, which slows down.
 
+use crumple_controllers::find_and_try;
 use std::path::Path;
 
 use crate::ExperimentError;
@@ -155,7 +156,7 @@ impl SpaceComparisonArgs {
             } else if argument.ends_with(".svg") {
                 figures.push(argument);
             } else {
-                controllers.push(NamedController::find_and_try(&argument, Path::new(""))?);
+                controllers.push(find_and_try(&argument, Path::new(""))?);
             }
         }
         if controllers.is_empty() {

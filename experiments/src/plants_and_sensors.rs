@@ -4,6 +4,7 @@
 //! controller, plant and fault, and prints shares of collisions with exact 95 % intervals in percent. Then it prints
 //! the collisions in the paper's scenarios with each plant. Controllers observe through the Kalman filter.
 
+use crumple_controllers::Controllers;
 use std::path::Path;
 
 use crumple::spaces::{ScenarioSpace, built_in_space};
@@ -99,7 +100,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let runs = runs
         .parse()
         .map_err(|_| format!("`{runs}` is no number of runs"))?;
-    let find = |name: &String| NamedController::find(name, Path::new(""));
+    let find = |name: &String| Controllers::default().find(name, Path::new(""));
     let controllers = controllers
         .iter()
         .map(find)

@@ -8,13 +8,13 @@
 //! the smallest robustness, and the number of kinds of failures. `p` is the p-value of the exact one-sided permutation
 //! test that `auto` is worse than the best other method; it is omitted if the mean of `auto` is not worse.
 
+use crumple_controllers::Controllers;
 use std::path::Path;
 
 use crate::ExperimentError;
 use crumple::search::falsify::Method;
 use crumple::search::falsify::campaign::CampaignSummary;
 use crumple::spaces::built_in_space;
-use crumple::world::sim::NamedController;
 use crumple::{Campaign, CampaignOptions, Quiet};
 
 /// Every built-in scenario space, and a controller that seldom fails in it.
@@ -147,7 +147,7 @@ fn run_campaign(
         budget,
         seed,
         ..Campaign::new(
-            NamedController::find(controller, Path::new("."))?,
+            Controllers::default().find(controller, Path::new("."))?,
             built_in_space(space).ok_or("not built in")?,
         )
     };

@@ -112,7 +112,8 @@ pub(crate) fn assess(
         .collect::<PyResult<Vec<_>>>()?;
     let plan = match &path {
         Some(path) if own.is_empty() => {
-            AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?
+            AssessmentPlan::load(path, super::controller::controllers())
+                .map_err(|error| config_exception(py, &error))?
         }
         _ => {
             let (config, folder) = read_config(py, path.as_deref(), toml, json)?;

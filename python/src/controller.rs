@@ -2,7 +2,10 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use crumple_controllers::find_for_user;
+use crumple_controllers::{Controllers, ExternalPrograms};
 use crumple_world::control::{
     BatchController, Controller, ControllerFailure, ControllerSource, Ego,
 };
@@ -111,7 +114,19 @@ impl PyObservation {
 /// only controllers that a call names start. Cannot be undone.
 #[pyfunction]
 pub(crate) fn allow_external() {
-    crumple_world::control::allow_external();
+    IS_EXTERNAL_ALLOWED.store(true, Ordering::Relaxed);
+}
+
+/// True after [`allow_external`]: Python code has no value that its calls could pass on.
+static IS_EXTERNAL_ALLOWED: AtomicBool = AtomicBool::new(false);
+
+/// Returns the opener of controllers that files name.
+pub(crate) fn controllers() -> Controllers {
+    let external = match IS_EXTERNAL_ALLOWED.load(Ordering::Relaxed) {
+        true => ExternalPrograms::Allowed,
+        false => ExternalPrograms::Refused,
+    };
+    Controllers { external }
 }
 
 /// Resolves a name as on the command line, or a `crumple.Controller`.
@@ -121,7 +136,7 @@ pub(crate) fn resolve_controller(
 ) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
-        return NamedController::find_for_user(&name, Path::new(""))
+        return find_for_user(&name, Path::new(""))
             .map_err(|error| errors::exception(py, ExceptionClass::Controller, &error));
     }
     let decide = controller.getattr("decide")?;

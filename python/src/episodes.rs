@@ -7,7 +7,7 @@ use crumple_learn::rl::{
     EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode,
     action_bounds, unsuitability,
 };
-use crumple_world::control::{ControllerSpec, NoSettings};
+use crumple_world::control::{BuiltInController, NoSettings};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
@@ -57,7 +57,7 @@ impl EpisodeTask {
             return Err(format!("{}: {why}", scenario.spec().name));
         }
         // Actions replace the controller of the vehicle under test.
-        let idle = ControllerSpec::MatchLeader(NoSettings::default());
+        let idle = BuiltInController::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.config.environment().estimator);
         let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
         let constants = self.config.for_episode(self.source.as_ref(), seed, index);

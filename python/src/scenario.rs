@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::controller::controllers;
 use crumple_spaces::find_space;
 use crumple_world::scenario::{self as world, built_in_scenario, built_in_scenario_names, file};
 use pyo3::prelude::*;
@@ -39,19 +40,25 @@ impl PyScenario {
     /// Loads a scenario from a file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        Self::from_read(py, file::load(&path))
+        Self::from_read(py, file::load(&path, &controllers()))
     }
 
     /// Parses a scenario from TOML.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
-        Self::from_read(py, file::from_toml(text, Path::new("<toml>")))
+        Self::from_read(
+            py,
+            file::from_toml(text, Path::new("<toml>"), &controllers()),
+        )
     }
 
     /// Parses a scenario from JSON.
     #[staticmethod]
     fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
-        Self::from_read(py, file::from_json(text, Path::new("<dict>")))
+        Self::from_read(
+            py,
+            file::from_json(text, Path::new("<dict>"), &controllers()),
+        )
     }
 
     #[getter]
@@ -130,7 +137,7 @@ impl PySpace {
     /// Finds a built-in space by name, or loads a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
-        find_space(name)
+        find_space(name, &controllers())
             .map(Self)
             .map_err(|error| errors::space_exception(py, &error))
     }
@@ -138,7 +145,7 @@ impl PySpace {
     /// Parses a space from TOML. A base scenario in a file is relative to the working directory.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
-        let read = crumple_spaces::file::from_toml(text, Path::new("<toml>"));
+        let read = crumple_spaces::file::from_toml(text, Path::new("<toml>"), &controllers());
         read.map(Self)
             .map_err(|error| errors::scenario_file_exception(py, ExceptionClass::Space, &error))
     }

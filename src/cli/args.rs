@@ -6,9 +6,11 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use super::{CliError, output};
+use crumple_controllers::Controllers;
+use crumple_controllers::find_for_user;
 use crumple_measure::Specification;
 use crumple_spaces::{ScenarioSpace, find_space};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{
@@ -21,7 +23,7 @@ pub(super) fn find_built_in_scenario(name: &Path) -> Option<Scenario> {
 }
 
 /// Returns a built-in scenario, or loads one from a file, whose name may be any bytes.
-pub(super) fn load_scenario(path: &Path) -> Result<Scenario, CliError> {
+pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Scenario, CliError> {
     if let Some(scenario) = find_built_in_scenario(path) {
         return Ok(scenario);
     }
@@ -36,7 +38,7 @@ pub(super) fn load_scenario(path: &Path) -> Result<Scenario, CliError> {
             known.join(", ")
         )));
     }
-    let scenario = file::load(path)?;
+    let scenario = file::load(path, &controllers)?;
     // Start the programs that drive in the scenario once, so that a missing one is an error of the scenario. Without
     // --allow-external, loading has refused them already.
     for (index, vehicle) in scenario.vehicles().iter().enumerate() {
@@ -94,13 +96,21 @@ pub(super) fn parse_specification(
 /// An error of an argument for clap. Its sources determine the exit code.
 pub(super) type ArgumentError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Finds a built-in scenario space or loads one from a file, for clap. Returns it with the given name.
-pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), ArgumentError> {
+/// Finds a built-in scenario space or loads one from a file.
+///
+/// # Errors
+/// [`CliError`] names the option.
+pub(super) fn load_space(
+    option: &str,
+    name_or_path: &str,
+    controllers: Controllers,
+) -> Result<ScenarioSpace, CliError> {
     if name_or_path.trim().is_empty() {
-        return Err("the name of the scenario space is empty".into());
+        return Err(CliError::Input(format!(
+            "{option}: the name of the scenario space is empty"
+        )));
     }
-    let space = find_space(name_or_path)?;
-    Ok((name_or_path.to_owned(), space))
+    find_space(name_or_path, &controllers).map_err(|error| CliError::about(option, error))
 }
 
 /// Parses the name of a scenario space and its weight, 1 by default: `traffic`, or `wet.toml=0.2`.
@@ -123,7 +133,7 @@ pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> 
 
 /// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
 pub(super) fn parse_controller(name: &str) -> Result<NamedController, ArgumentError> {
-    let found = NamedController::find_for_user(name, Path::new(""))?;
+    let found = find_for_user(name, Path::new(""))?;
     remember(found.clone());
     Ok(found)
 }
@@ -211,7 +221,7 @@ pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
 pub(super) fn replay(scenario: &Scenario) -> Result<SimulationResult, CliError> {
     let run = Run::new(
         scenario,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+        RunOptions::new(BuiltInController::MatchLeader(Default::default()))
             .with_estimator(EstimatorKind::Truth),
     )?;
     Ok(simulate(&run, RecordingLevel::Trace))

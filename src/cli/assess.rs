@@ -6,6 +6,7 @@ use std::{fs, process};
 
 use clap::Args;
 
+use super::global_options::GlobalOptions;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
@@ -103,11 +104,12 @@ pub(super) const EVIDENCE_FOLDER: &str = "evidence";
 pub(super) const LISTING_FILE: &str = "report.sha256";
 
 impl Assess {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let plan = match &self.config {
             None => AssessmentPlan::built_in()?,
             Some(path) => {
-                let plan = AssessmentPlan::load(path)?;
+                let plan = AssessmentPlan::load(path, controllers)?;
                 let notes = plan.controllers().iter().flat_map(args::controller_notes);
                 notes.for_each(|note| output::note(&note, quiet));
                 plan

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use super::global_options::GlobalOptions;
 use clap::Args;
 use crumple_verify::Certificate;
 use serde::Serialize;
@@ -87,8 +88,9 @@ struct AvoidReport<'a> {
 }
 
 impl Avoid {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let scenario = args::load_scenario(&self.scenario)?;
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
+        let scenario = args::load_scenario(&self.scenario, controllers)?;
         let options = AvoidOptions {
             grid_s: self.grid,
             certify_bound: true,

@@ -4,22 +4,23 @@ use std::hash::{BuildHasher, RandomState};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use super::global_options::GlobalOptions;
 use clap::Args;
 use crumple_verify::{Certificate, CertificateParseError, ProvedClaim, Statement, WorkLimit};
 use serde::Serialize;
 
 use super::output_format::OutputFormat;
 use super::{CliError, args, file_kind, interrupt, output, progress};
+use crumple_controllers::NameOrigin;
+use crumple_controllers::controller_file::{self, ControllerFileError};
 use crumple_core::regular_file;
 use crumple_evidence::{
     BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario,
     checker_file, report_json, report_text,
 };
-use crumple_world::control::NameOrigin;
-use crumple_world::network::NetworkFile;
+use crumple_networks::network::NetworkFile;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::controller_file::{self, ControllerFileError};
 use crumple_world::sim::NamedController;
 
 /// Accept or reject certificates with the small checker alone
@@ -79,11 +80,12 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl Check {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let scenario = self
             .scenario
             .as_deref()
-            .map(args::load_scenario)
+            .map(|path| args::load_scenario(path, controllers))
             .transpose()?;
         if self.rerun.is_some() {
             interrupt::set_exit_message(
@@ -101,7 +103,7 @@ impl Check {
         }
         let mut all = Vec::new();
         for (path, certificate) in &certificates {
-            match self.check_certificate(path, certificate, scenario.as_ref(), quiet) {
+            match self.check_certificate(path, certificate, scenario.as_ref(), global) {
                 Ok(checked) => all.push(checked),
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
@@ -131,22 +133,28 @@ impl Check {
         path: &Path,
         certificate: &'a Certificate,
         scenario: Option<&Scenario>,
-        quiet: bool,
+        global: GlobalOptions,
     ) -> Result<CertificateReport<'a>, CliError> {
         let policy = self.policy_bytes(certificate, path)?;
         let (file, limit) = (
             path.display().to_string(),
             WorkLimit::from_billions(self.work_limit),
         );
-        let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
-            .map_err(|refused| CliError::at(path, refused))?;
+        let mut report = CertificateReport::check(
+            file,
+            certificate,
+            policy.as_deref(),
+            limit,
+            global.controllers,
+        )
+        .map_err(|refused| CliError::at(path, refused))?;
         let is_count = matches!(
             report.accepted,
             Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. })
         );
         report.counts = match self.rerun {
             _ if !is_count => None,
-            Some(percent) => Some(self.rerun_counts(path, certificate, percent, quiet)?),
+            Some(percent) => Some(self.rerun_counts(path, certificate, percent, global)?),
             None => Some(CountsStatus::Unconfirmed),
         };
         report.covers_scenario = scenario.map(|scenario| {
@@ -161,10 +169,11 @@ impl Check {
         path: &Path,
         certificate: &Certificate,
         percent: f64,
-        quiet: bool,
+        global: GlobalOptions,
     ) -> Result<CountsStatus, CliError> {
         let cannot = |error: RerunError| CliError::at(path, error);
-        let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
+        let rerun =
+            Rerun::new(certificate, &self.controller, global.controllers).map_err(cannot)?;
         // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
         let seed = self
             .rerun_seed
@@ -174,7 +183,7 @@ impl Check {
         } else {
             BlockSelection::All
         };
-        let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
+        let bar = progress::run_bar("repeating runs", rerun.run_count(sample), global.quiet);
         let counted = progress::show(&bar, |observer| rerun.confirm(sample, observer));
         match counted {
             Ok(confirmation) => Ok(CountsStatus::Confirmed {

@@ -8,12 +8,12 @@ use serde::Serialize;
 use super::error::is_caused_by_environment;
 use super::output_format::OutputFormat;
 use super::{CliError, describe_fmu, file_kind, output};
-use crumple_world::network::{
+use crumple_controllers::controller_file::ControllerFileDraft;
+use crumple_controllers::{Controllers, UnknownController};
+use crumple_networks::network::{
     NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, VecNormalizeStats,
     VecNormalizeUse,
 };
-use crumple_world::scenario::controller_file::ControllerFileDraft;
-use crumple_world::sim::{NamedController, UnknownController};
 
 /// Inspect an ONNX/SB3 network and print a starter controller file, or inspect an FMU
 #[derive(Args)]
@@ -150,7 +150,7 @@ impl Describe {
 
 /// Returns true if the file is a controller. A program counts, and is not started.
 fn is_controller(file: &Path) -> bool {
-    let found = NamedController::find(&file.to_string_lossy(), Path::new(""));
+    let found = Controllers::default().find(&file.to_string_lossy(), Path::new(""));
     matches!(found, Ok(_) | Err(UnknownController::StartRefused(_)))
 }
 

@@ -134,7 +134,7 @@ fn dependencies() -> Vec<Dependency> {
     vec![
         Dependency {
             name: "crumple-fmu",
-            found: shown(crumple_world::control::find_fmu_host()),
+            found: shown(crumple_process::find_fmu_host()),
             used_for: "FMUs as controllers",
             install: "`cargo install --locked --path .` in a clone installs it; CRUMPLE_FMU can contain its path",
         },

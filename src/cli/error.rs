@@ -103,6 +103,16 @@ impl CliError {
         }
     }
 
+    /// Converts an error about the value of an option, as [`Self::from_cause`] does.
+    pub(super) fn about(option: &str, error: impl Error + 'static) -> Self {
+        let message = format!("{option}: {error}");
+        if is_caused_by_environment(&error) {
+            Self::Environment(message)
+        } else {
+            Self::Input(message)
+        }
+    }
+
     /// Returns an error of unusable input about a file or folder.
     pub(super) fn at(path: &Path, problem: impl fmt::Display) -> Self {
         Self::Input(format!("{}: {problem}", path.display()))

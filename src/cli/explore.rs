@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::global_options::GlobalOptions;
 use clap::Args;
 use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
 use serde::Serialize;
@@ -49,10 +50,12 @@ struct Address {
 }
 
 impl Explore {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let mut offer = ExploreConfig {
             controllers: self.controller,
             estimator: self.estimator,
+            controllers_of_files: controllers,
             ..ExploreConfig::default()
         };
         let page = if self.what.first().is_some_and(|first| first.is_dir()) {
@@ -65,7 +68,7 @@ impl Explore {
                 offer.campaigns.push(path);
                 continue;
             }
-            let scenario = args::load_scenario(&path)?;
+            let scenario = args::load_scenario(&path, controllers)?;
             let name = path.display().to_string();
             offer.scenarios.push(CatalogScenario { name, scenario });
         }

@@ -5,14 +5,16 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::global_options::GlobalOptions;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, output, value_enums};
+use crumple_controllers::Controllers;
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::openscenario::export::{self as openscenario, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -106,7 +108,8 @@ enum ExportContent {
 }
 
 impl Export {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let ExportFormat::OpenScenario = self.to;
         if self.what == ExportContent::Actions && self.controller.is_some() {
             let problem = "--controller: applies only to `--as trajectories`; with `--as actions`, supply the \
@@ -116,7 +119,7 @@ impl Export {
         let folder = OutputFolder::with_listing(&self.out, "exported.sha256")?;
         let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for given in &self.scenarios {
-            let scenario = args::load_scenario(given)?;
+            let scenario = args::load_scenario(given, controllers)?;
             let name = file_stem(&scenario.spec().name);
             if names.contains(&name) {
                 let problem = "would overwrite the file of another scenario of this command: use a separate --out for \
@@ -124,7 +127,7 @@ impl Export {
                 return Err(CliError::at(given, format!("{name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
-            let driven = self.controller_setup(given, &scenario)?;
+            let driven = self.controller_setup(given, &scenario, controllers)?;
             let made = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
             exported.push(ExportedScenario {
@@ -168,6 +171,7 @@ impl Export {
         &self,
         given: &Path,
         scenario: &Scenario,
+        controllers: Controllers,
     ) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
@@ -183,7 +187,9 @@ impl Export {
         }
         if args::find_built_in_scenario(given).is_some() {
             return driven(
-                NamedController::find("baseline", Path::new("")).map_err(CliError::from_cause)?,
+                controllers
+                    .find("baseline", Path::new(""))
+                    .map_err(CliError::from_cause)?,
                 None,
             );
         }
@@ -205,16 +211,18 @@ impl Export {
             );
             return Err(CliError::at(given, problem));
         };
-        let controller = recorded.find_controller(verdict).map_err(|error| {
-            let problem = format!(
-                "the record names the controller `{}`: {error}",
-                verdict.controller
-            );
-            CliError::at(
-                given,
-                format!("{problem}; choose another one with --controller"),
-            )
-        })?;
+        let controller = recorded
+            .find_controller(verdict, controllers)
+            .map_err(|error| {
+                let problem = format!(
+                    "the record names the controller `{}`: {error}",
+                    verdict.controller
+                );
+                CliError::at(
+                    given,
+                    format!("{problem}; choose another one with --controller"),
+                )
+            })?;
         driven(controller, Some(verdict.estimator))
     }
 
@@ -233,7 +241,7 @@ impl Export {
         let (kind, estimator) = match driven {
             Some(driven) => (driven.controller.source.clone(), driven.estimator),
             None => (
-                ControllerSpec::Baseline(Default::default()).into_source(),
+                BuiltInController::Baseline(Default::default()).into_source(),
                 EstimatorKind::default(),
             ),
         };

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
+use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
 use crumple_measure::Specification;
@@ -179,8 +181,9 @@ impl SearchExpectation {
 }
 
 impl Falsify {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let space = load_space(&self.space)?;
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
+        let space = load_space(&self.space, controllers)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
@@ -365,7 +368,7 @@ fn format_failure_count(count: u64) -> String {
     format!("{count} failure{}", if count == 1 { "" } else { "s" })
 }
 
-fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
+fn load_space(name: &str, controllers: Controllers) -> Result<ScenarioSpace, CliError> {
     if Path::new(name)
         .extension()
         .is_some_and(|extension| extension != "toml")
@@ -374,7 +377,7 @@ fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
             "{name}: the name of a space file must end in .toml"
         )));
     }
-    find_space(name).map_err(|error| match error {
+    find_space(name, &controllers).map_err(|error| match error {
         FindSpaceError::File(error) => error.into(),
         other => CliError::input(other),
     })

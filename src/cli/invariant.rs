@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::global_options::GlobalOptions;
 use clap::{Args, ValueEnum};
 use crumple_core::observer::Listener;
 use crumple_verify::invariant::MotionModel;
@@ -143,12 +144,13 @@ fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
 }
 
 impl InvariantCommand {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         [&self.certificate, &self.plot]
             .into_iter()
             .flatten()
             .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
-        let scenario = args::load_scenario(&self.scenario)?;
+        let scenario = args::load_scenario(&self.scenario, controllers)?;
         let failed = |error: InvalidBox| self.describe_refusal(error);
         let plan = InvariantPlan::new(
             self.controller.source.clone(),

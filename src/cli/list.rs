@@ -10,7 +10,7 @@ use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::built_in_scenario_names;
 
 const SHIELD_ENTRY: (&str, &str) = (
@@ -73,7 +73,7 @@ impl Catalogue {
         match self {
             Self::Scenarios => built_in_scenario_names().map(entry).into(),
             Self::Controllers => {
-                let built_in = ControllerSpec::all();
+                let built_in = BuiltInController::all();
                 let own = built_in.iter().map(|spec| {
                     let settings: Vec<_> = spec
                         .values()

@@ -22,6 +22,7 @@ mod feature;
 mod file_kind;
 mod fit;
 mod fsck;
+mod global_options;
 mod import;
 mod import_openscenario;
 mod interrupt;
@@ -59,9 +60,10 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use crumple_core::regular_file;
-use crumple_world::control::allow_external;
 
+use crumple_controllers::{Controllers, ExternalPrograms};
 use error::CliError;
+use global_options::GlobalOptions;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -136,9 +138,6 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::ignore_file_size_signal();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     regular_file::permit_pipes(named_pipes(&arguments));
-    if allows_external(&arguments) {
-        allow_external();
-    }
     let parsed = match build_command()
         .try_get_matches_from(&arguments)
         .and_then(|found| Cli::from_arg_matches(&found))
@@ -147,22 +146,30 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(usage) => return report_usage(&usage, &arguments),
     };
     let quiet = parsed.quiet;
+    let external = match parsed.allow_external {
+        true => ExternalPrograms::Allowed,
+        false => ExternalPrograms::Refused,
+    };
+    let global = GlobalOptions {
+        quiet,
+        controllers: Controllers { external },
+    };
     let done = args::try_controllers(quiet).and_then(|()| match parsed.command {
-        CliCommand::Assess(command) => command.run(quiet),
-        CliCommand::Simulate(command) => command.run(quiet),
+        CliCommand::Assess(command) => command.run(global),
+        CliCommand::Simulate(command) => command.run(global),
         CliCommand::Import(command) => command.run(quiet),
         CliCommand::Fit(command) => command.run(quiet),
         CliCommand::Replay(command) => command.run(quiet),
-        CliCommand::Export(command) => command.run(quiet),
-        CliCommand::Explore(command) => command.run(quiet),
-        CliCommand::Train(command) => command.run(quiet),
-        CliCommand::Retrain(command) => command.run(quiet),
-        CliCommand::Tune(command) => command.run(quiet),
-        CliCommand::Avoid(command) => command.run(quiet),
-        CliCommand::Check(command) => command.run(quiet),
-        CliCommand::WorstCase(command) => command.run(quiet),
-        CliCommand::Falsify(command) => command.run(quiet),
-        CliCommand::Verify(command) => command.run(quiet),
+        CliCommand::Export(command) => command.run(global),
+        CliCommand::Explore(command) => command.run(global),
+        CliCommand::Train(command) => command.run(global),
+        CliCommand::Retrain(command) => command.run(global),
+        CliCommand::Tune(command) => command.run(global),
+        CliCommand::Avoid(command) => command.run(global),
+        CliCommand::Check(command) => command.run(global),
+        CliCommand::WorstCase(command) => command.run(global),
+        CliCommand::Falsify(command) => command.run(global),
+        CliCommand::Verify(command) => command.run(global),
         CliCommand::Suite(command) => command.run(quiet),
         CliCommand::Fsck(command) => command.run(),
         CliCommand::List(command) => command.run(),
@@ -205,15 +212,6 @@ fn report_usage(usage: &clap::Error, arguments: &[OsString]) -> ExitCode {
         error::is_caused_by_environment(usage) || error::states_disk_failure(&text);
     output::warn(text.trim_end());
     ExitCode::from(if is_of_environment { 3 } else { 2 })
-}
-
-/// Returns true if the arguments contain `--allow-external`. Evaluated before clap parses values, since that reads
-/// files.
-fn allows_external(arguments: &[OsString]) -> bool {
-    arguments
-        .iter()
-        .take_while(|argument| *argument != "--")
-        .any(|argument| argument == "--allow-external")
 }
 
 /// Returns the arguments, and the parts of arguments behind an equal sign, that name open files of this process, such

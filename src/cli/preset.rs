@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, file_kind};
+use crumple_controllers::Controllers;
 use crumple_core::text_file;
 use crumple_learn::rl::{PRESETS, TrainingConfig, TrainingConfigError};
 
@@ -40,7 +41,11 @@ impl TrainingPreset {
     }
 
     /// Returns the configuration, if its scenario spaces are available.
-    pub(super) fn into_checked_config(self) -> Result<TrainingConfig, CliError> {
+    pub(super) fn into_checked_config(
+        mut self,
+        controllers: Controllers,
+    ) -> Result<TrainingConfig, CliError> {
+        self.config.controllers = controllers;
         self.config
             .scenario_source()
             .map_err(|error| self.error_at_line(error))?;

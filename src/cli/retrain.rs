@@ -11,9 +11,11 @@ mod progress_line;
 use inputs::{load_attacked, load_regression_spaces, load_spaces};
 use progress_line::ProgressLine;
 
+use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
 use super::{CliError, args, interrupt, output, progress};
+use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
     RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings,
@@ -122,7 +124,8 @@ pub(super) struct Retrain {
 }
 
 impl Retrain {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let name = &self.policy.name;
         let first = self
             .policy
@@ -134,7 +137,7 @@ impl Retrain {
         } else {
             RETRAIN_PRESET_NAMES[0]
         }));
-        let training = load_training_config(preset)?;
+        let training = load_training_config(preset, controllers)?;
         let mut settings = DEFAULTS;
         if self.episodes == Some(0) && training.imitation.is_none() {
             return Err(CliError::Input(format!(
@@ -158,10 +161,10 @@ impl Retrain {
         if spaces.is_empty() {
             spaces.push("high-risk".to_owned());
         }
-        let spaces = SearchedSpaces::new(load_spaces("--space", &spaces)?);
+        let spaces = SearchedSpaces::new(load_spaces("--space", &spaces, controllers)?);
         let spaces =
             spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
-        let regression_spaces = load_regression_spaces(&self.regression)?;
+        let regression_spaces = load_regression_spaces(&self.regression, controllers)?;
         let regression = if regression_spaces.is_empty() {
             0
         } else {
@@ -171,7 +174,7 @@ impl Retrain {
             initial_policy: first,
             initial_policy_name: name.clone(),
             spaces,
-            attacked: load_attacked(&self.scenario, training.imitation.is_some(), quiet)?,
+            attacked: load_attacked(&self.scenario, training.imitation.is_some(), global)?,
             regression_spaces,
             training,
             method: self.method,
@@ -244,9 +247,9 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     )))
 }
 
-fn load_training_config(name: &Path) -> Result<TrainingConfig, CliError> {
+fn load_training_config(name: &Path, controllers: Controllers) -> Result<TrainingConfig, CliError> {
     if RETRAIN_PRESET_NAMES.map(Path::new).contains(&name) {
         return training_preset().map_err(CliError::input);
     }
-    TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
+    TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config(controllers)
 }

@@ -16,7 +16,7 @@ use crumple_learn::rl::PRESETS;
 use crumple_search::falsify::Method;
 use crumple_spaces::built_in_space_names;
 use crumple_suites::SHIPPED_SUITES;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::built_in_scenario_names;
 
 /// Print a completion script for a shell
@@ -66,7 +66,7 @@ enum NamedItems {
 
 /// Names of built-in controllers behind a shield.
 static SHIELDED: LazyLock<Vec<String>> = LazyLock::new(|| {
-    let specs = ControllerSpec::all();
+    let specs = BuiltInController::all();
     let shielded = specs.iter().map(|spec| format!("shield:{}", spec.name()));
     shielded.collect()
 });
@@ -116,18 +116,18 @@ impl NamedItems {
     fn names(self) -> Vec<&'static str> {
         match self {
             Self::Controllers => {
-                let specs = ControllerSpec::all();
+                let specs = BuiltInController::all();
                 let shielded = SHIELDED.iter().map(String::as_str);
                 specs
                     .iter()
-                    .map(ControllerSpec::name)
+                    .map(BuiltInController::name)
                     .chain(shielded)
                     .collect()
             }
             Self::Policies => {
-                let specs = ControllerSpec::all();
+                let specs = BuiltInController::all();
                 let policies = specs.iter().filter(|spec| spec.policy().is_some());
-                policies.map(ControllerSpec::name).collect()
+                policies.map(BuiltInController::name).collect()
             }
             Self::Scenarios => names_of(&built_in_scenario_names()),
             Self::Spaces => built_in_space_names().collect(),

@@ -5,6 +5,7 @@ use clap::{Args, ValueEnum};
 use super::preset::RETRAIN_PRESET_NAMES;
 use super::reach::BUILT_IN_BOXES;
 use super::{CliError, output};
+use crumple_controllers::find_built_in;
 use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
@@ -13,7 +14,6 @@ use crumple_suites::SHIPPED_SUITES;
 use crumple_world::scenario::{
     Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
 };
-use crumple_world::sim::NamedController;
 
 /// Print a built-in item as a file that a user could write
 #[derive(Args)]
@@ -151,7 +151,7 @@ impl Show {
             }
         }
         let Some(((first, text), others)) = found.split_first() else {
-            let problem = match NamedController::find_built_in(&self.name) {
+            let problem = match find_built_in(&self.name) {
                 Some(_) => format!(
                     "`{}` is a built-in controller, which has no file (see `crumple list`)",
                     self.name

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
+use super::global_options::GlobalOptions;
 use super::output;
 use super::output_format::OutputFormat;
 use super::run_report::{
@@ -14,6 +15,7 @@ use super::run_report::{
 use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, feature, value_enums};
+use crumple_controllers::Controllers;
 use crumple_measure::{Specification, SpecificationError};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
@@ -166,9 +168,10 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl Simulate {
-    pub(super) fn run(mut self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(mut self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let has_folder = self.scenarios.iter().any(|path| is_folder(path));
-        self.scenarios = list_scenario_files(self.scenarios)?;
+        self.scenarios = list_scenario_files(self.scenarios, controllers)?;
         if self.spec.is_empty()
             && matches!(
                 self.expect,
@@ -188,7 +191,7 @@ impl Simulate {
             .iter()
             .filter(|path| self.scenarios.len() == 1 || !is_verdicts(path));
         let scenarios = paths
-            .map(|path| self.load_scenario(path))
+            .map(|path| self.load_scenario(path, controllers))
             .collect::<Result<Vec<_>, _>>()?;
         if let Some(scenario) = scenarios.first() {
             self.spec
@@ -343,8 +346,8 @@ impl Simulate {
         }
     }
 
-    fn load_scenario(&self, path: &Path) -> Result<Scenario, CliError> {
-        let scenario = args::load_scenario(path)?;
+    fn load_scenario(&self, path: &Path, controllers: Controllers) -> Result<Scenario, CliError> {
+        let scenario = args::load_scenario(path, controllers)?;
         let scenario = match self.seed {
             None => scenario,
             Some(seed) => scenario
@@ -471,14 +474,17 @@ fn is_folder(path: &Path) -> bool {
 }
 
 /// Replaces each folder by its scenario files, in order of their names.
-fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
+fn list_scenario_files(
+    paths: Vec<PathBuf>,
+    controllers: Controllers,
+) -> Result<Vec<PathBuf>, CliError> {
     let mut files = Vec::new();
     for path in paths {
         if !is_folder(&path) {
             files.push(path);
             continue;
         }
-        let found = file::load_all(&path)?;
+        let found = file::load_all(&path, &controllers)?;
         if found.is_empty() {
             return Err(CliError::at(&path, "the folder has no scenario file"));
         }

@@ -7,13 +7,14 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, suite_folder, value_enums};
+use crumple_controllers::find_built_in;
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
 use crumple_suites::{
     ControllerResult, DISCLAIMER, FailedPoint, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
     UNSHIPPED_DOCUMENTS, run,
 };
-use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::control::{BuiltInController, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -138,7 +139,7 @@ fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
 
 /// Returns every built-in controller, and the learned ones also behind the shield.
 fn default_controllers() -> Result<Vec<NamedController>, CliError> {
-    let all = ControllerSpec::all();
+    let all = BuiltInController::all();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
     let names = all
@@ -146,7 +147,9 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
         .map(|spec| spec.name().to_owned())
         .chain(shielded);
     names
-        .map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::from_cause))
+        .map(|name| {
+            find_built_in(&name).ok_or_else(|| CliError::Input(format!("{name} is not built in")))
+        })
         .collect()
 }
 

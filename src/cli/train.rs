@@ -9,10 +9,12 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::global_options::GlobalOptions;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::preset::TrainingPreset;
 use super::{CliError, args, interrupt, output, progress};
+use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
     EvaluationSet, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent,
@@ -103,8 +105,9 @@ struct TrainingResult<'a> {
 }
 
 impl Train {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let config = self.config()?;
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
+        let config = self.config(controllers)?;
         let seeds: Vec<u64> = match self.seeds {
             Some(count) => (0..count).collect(),
             None => vec![self.seed.unwrap_or(0)],
@@ -163,9 +166,10 @@ impl Train {
         CliError::gate_first(failure.map_or_else(|| check_learned(&done), Err), printed)
     }
 
-    fn config(&self) -> Result<TrainingConfig, CliError> {
+    fn config(&self, controllers: Controllers) -> Result<TrainingConfig, CliError> {
         let preset = TrainingPreset::find(&self.preset)?;
         let mut config = preset.config.clone();
+        config.controllers = controllers;
         config.episodes = self.episodes.unwrap_or(config.episodes);
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
@@ -51,9 +52,9 @@ pub(super) struct Tune {
         long,
         value_name = "S[=WEIGHT]",
         default_value = "high-risk",
-        value_parser = parse_tuning_space
+        value_parser = args::parse_weighted_name
     )]
-    space: Vec<TuningSpace>,
+    space: Vec<(String, f64)>,
     /// Tune only this setting, in its typical range or in this one; may be repeated [default: all settings]
     #[arg(long, value_name = "NAME[=LOW..HIGH]", value_parser = parse_request)]
     setting: Vec<SettingRequest>,
@@ -113,14 +114,6 @@ fn parse_tuned_controller(text: &str) -> Result<String, String> {
         .map_err(|error| error.to_string())
 }
 
-fn parse_tuning_space(words: &str) -> Result<TuningSpace, args::ArgumentError> {
-    let (name, weight) = args::parse_weighted_name(words)?;
-    Ok(TuningSpace {
-        space: args::parse_space(&name)?.1,
-        weight,
-    })
-}
-
 /// Parses `ttc_s`, or `ttc_s=0.5..3`.
 fn parse_request(words: &str) -> Result<SettingRequest, String> {
     let Some((name, range)) = words.split_once('=') else {
@@ -149,11 +142,17 @@ fn with_option(error: TuneError) -> CliError {
 }
 
 impl Tune {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
+        let mut spaces = Vec::new();
+        for (name, weight) in self.space {
+            let space = args::load_space("--space", &name, controllers)?;
+            spaces.push(TuningSpace { space, weight });
+        }
         let search = SettingSearch::parse(&self.controller, &self.setting).map_err(with_option)?;
         let plan = TuningPlan {
             search,
-            spaces: self.space,
+            spaces,
             objective: self.objective,
             method: match self.method {
                 TuningMethod::CmaEs => Method::CmaEs,

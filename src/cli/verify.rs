@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::global_options::GlobalOptions;
 use clap::{Args, Subcommand};
+use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_verify::{Certificate, Statement};
 use serde::Serialize;
@@ -85,8 +87,8 @@ struct RateCommand {
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     against: Option<NamedController>,
     /// Scenario space of the runs (see `crumple list spaces`), or its file
-    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
-    space: (String, ScenarioSpace),
+    #[arg(long, value_name = "S", default_value = "paper")]
+    space: String,
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present_any = ["rate_below", "rare"])]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000_000))]
@@ -137,12 +139,12 @@ struct RateCommand {
 }
 
 impl Verify {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         match self.claim {
             VerifySubcommand::Shield(shield) => shield.run(),
-            VerifySubcommand::Rate(rate) => rate.run(quiet),
-            VerifySubcommand::Reach(reach) => reach.run(quiet),
-            VerifySubcommand::Invariant(invariant) => invariant.run(quiet),
+            VerifySubcommand::Rate(rate) => rate.run(global),
+            VerifySubcommand::Reach(reach) => reach.run(global.quiet),
+            VerifySubcommand::Invariant(invariant) => invariant.run(global),
         }
     }
 }
@@ -160,6 +162,7 @@ impl ShieldCommand {
             let report = CertificateReport::new(
                 self.out.join(file(name)).display().to_string(),
                 certificate,
+                Controllers::default(),
             );
             text += &verdict_line(&report)?;
             all.push(report);
@@ -178,8 +181,10 @@ impl ShieldCommand {
 }
 
 impl RateCommand {
-    fn run(self, quiet: bool) -> Result<(), CliError> {
-        self.check_resampling()?;
+    fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
+        let space = args::load_space("--space", &self.space, controllers)?;
+        self.check_resampling(&space)?;
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
             (None, Some(rate)) => required_runs(rate, self.confidence, self.failures.unwrap_or(0))
@@ -191,7 +196,7 @@ impl RateCommand {
                     };
                     CliError::Input(format!("{option}{error}"))
                 })?,
-            (None, None) => return self.estimate(quiet),
+            (None, None) => return self.estimate(space, quiet),
         };
         // clap requires no option that conflicts with a given one, and `--rare` conflicts with `--runs`.
         let of_rare = [
@@ -210,7 +215,7 @@ impl RateCommand {
             seed: self.seed,
             estimator: self.estimator,
             confidence: self.confidence,
-            ..RateConfig::new(self.controller, self.space.1, runs)
+            ..RateConfig::new(self.controller, space, runs)
         })?
         .with_resampling(
             self.resamples.unwrap_or(200),
@@ -244,7 +249,7 @@ impl RateCommand {
             }
             Err(error) => return Err(error.into()),
         };
-        let message = certificate_verdict(&path, &certificate)?;
+        let message = certificate_verdict(&path, &certificate, controllers)?;
         let bar = progress::counter("resampling", quiet);
         let exposed = progress::show(&bar, |observer| {
             plan.rate_per_exposure(count.tally(), observer)
@@ -274,8 +279,7 @@ impl RateCommand {
         output::print_result(self.format, &report, words)
     }
 
-    fn estimate(self, quiet: bool) -> Result<(), CliError> {
-        let space = self.space.1.clone();
+    fn estimate(self, space: ScenarioSpace, quiet: bool) -> Result<(), CliError> {
         let specification = match &self.spec {
             None => Specification::NoContact,
             Some(text) => {
@@ -300,7 +304,7 @@ impl RateCommand {
     }
 
     /// Checks that the scenario space can be resampled, if the user asks for resamples.
-    fn check_resampling(&self) -> Result<(), CliError> {
+    fn check_resampling(&self, space: &ScenarioSpace) -> Result<(), CliError> {
         // `--resamples 0` asks for nothing, so it is valid everywhere.
         let asked = [
             (
@@ -312,11 +316,11 @@ impl RateCommand {
         let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) else {
             return Ok(());
         };
-        if self.space.1.spec().exposure.is_none() {
+        if space.spec().exposure.is_none() {
             let problem = "was not fitted to episodes, so there are none to resample";
             return Err(CliError::Input(format!(
                 "{option}: the space `{}` {problem}",
-                self.space.0
+                self.space
             )));
         }
         if self.against.is_some() {
@@ -369,10 +373,15 @@ fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
     tally.summary(is_comparison) + "\n"
 }
 
-fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
+fn certificate_verdict(
+    path: &Path,
+    certificate: &Certificate,
+    controllers: Controllers,
+) -> Result<String, CliError> {
     verdict_line(&CertificateReport::new(
         path.display().to_string(),
         certificate,
+        controllers,
     ))
 }
 

@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
+use super::global_options::GlobalOptions;
 use super::{CliError, args, progress, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
@@ -92,14 +93,15 @@ enum AttackKind {
 const DEFAULT_BUDGET: u32 = 3000;
 
 impl WorstCase {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         match self.attack {
-            AttackKind::Braking => self.attack_by_braking(quiet),
-            AttackKind::Sensors => self.attack_sensors(quiet),
+            AttackKind::Braking => self.attack_by_braking(global),
+            AttackKind::Sensors => self.attack_sensors(global),
         }
     }
 
-    fn attack_sensors(&self, quiet: bool) -> Result<(), CliError> {
+    fn attack_sensors(&self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let given = [
             ("--aim", self.aim.is_some()),
             ("--max-brake", self.max_brake.is_some()),
@@ -116,7 +118,7 @@ impl WorstCase {
                 "--estimator: `truth` ignores faults of sensors, so use `kalman`".to_owned(),
             ));
         }
-        let scenario = args::load_scenario(&self.scenario)?;
+        let scenario = args::load_scenario(&self.scenario, controllers)?;
         if !scenario.has_vehicle_under_test() {
             return Err(CliError::at(&self.scenario, "no vehicle is under test"));
         }
@@ -164,7 +166,8 @@ impl WorstCase {
         self.finding.print_report(&report, describe_sensor_attack)
     }
 
-    fn attack_by_braking(&self, quiet: bool) -> Result<(), CliError> {
+    fn attack_by_braking(&self, global: GlobalOptions) -> Result<(), CliError> {
+        let GlobalOptions { quiet, controllers } = global;
         let jerk_mps3 = self.jerk.unwrap_or(Envelope::DEFAULT_JERK_MPS3);
         if jerk_mps3.is_nan() || jerk_mps3 <= 0.0 {
             return Err(CliError::Input(format!(
@@ -175,7 +178,7 @@ impl WorstCase {
             self.aim.unwrap_or(AttackObjective::Mildest),
             self.budget.unwrap_or(DEFAULT_BUDGET),
         );
-        let scenario = args::load_scenario(&self.scenario)?;
+        let scenario = args::load_scenario(&self.scenario, controllers)?;
         let envelope = Envelope {
             max_brake_mps2: self
                 .max_brake

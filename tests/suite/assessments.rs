@@ -1,9 +1,11 @@
 //! Assessments do not claim more than their evidence supports, such as certificates of other subjects.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
@@ -15,7 +17,6 @@ use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_verify::{Certificate, Statement};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::sim::NamedController;
 
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
@@ -71,7 +72,7 @@ fn count_certificate(
     estimator: EstimatorKind,
     folder: &Path,
 ) -> Certificate {
-    let find = |name: &str| NamedController::find(name, folder).expect("known");
+    let find = |name: &str| Controllers::default().find(name, folder).expect("known");
     let config = RateConfig {
         second_controller: against.map(find),
         seed: 9,
@@ -98,7 +99,8 @@ fn foreign_certificates_change_no_claim() {
     let text = space_file::to_toml(&paper)
         .expect("written")
         .replace("mean = 36.0", "mean = 37.0");
-    let gentle = space_file::from_toml(&text, Path::new("gentle.toml")).expect("valid");
+    let gentle =
+        space_file::from_toml(&text, Path::new("gentle.toml"), &NoDriverFiles).expect("valid");
     assert_eq!(gentle.name(), paper.name(), "equal names");
     let there = folder.path().join("elsewhere");
     fs::create_dir(&there).expect("made");
@@ -852,7 +854,7 @@ fn misleading_configurations_are_refused_at_the_start() {
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
-        let refused = AssessmentPlan::load(&path)
+        let refused = AssessmentPlan::load(&path, Controllers::default())
             .expect_err("refused")
             .to_string();
         assert!(refused.contains(message), "{rest}: {refused}");
@@ -919,7 +921,7 @@ fn a_recording_is_assessed_as_its_episodes() {
             format!("version = 1\ncontrollers = [\"idm\"]\npaper = false\n{rest}"),
         )
         .expect("writes");
-        AssessmentPlan::load(&path).map_err(|error| error.to_string())
+        AssessmentPlan::load(&path, Controllers::default()).map_err(|error| error.to_string())
     };
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";

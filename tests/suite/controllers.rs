@@ -2,7 +2,7 @@
 
 use crumple_measure::ttc_s;
 use crumple_world::control::{
-    AebSettings, Baseline, BuiltIn, Controller, ControllerSource, ControllerSpec, Ego, Role,
+    AebSettings, Baseline, BuiltIn, BuiltInController, Controller, ControllerSource, Ego, Role,
 };
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
@@ -88,7 +88,7 @@ proptest! {
 /// A new rule-based controller is generated too, with its settings.
 #[test]
 fn every_rule_is_generated() {
-    for rule in ControllerSpec::all()
+    for rule in BuiltInController::all()
         .into_iter()
         .filter(|spec| spec.role() <= Role::Reference)
     {

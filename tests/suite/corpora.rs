@@ -4,7 +4,9 @@
 use std::fs;
 use std::path::PathBuf;
 
+use crumple_controllers::Controllers;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::file::{EXPECTED_FILE_NAME, load};
 
 fn scenario_corpus() -> PathBuf {
@@ -29,7 +31,9 @@ fn every_kept_scenario_still_ends_as_recorded() {
     let mut index = ExpectedFile::load(&path).unwrap();
     if std::env::var_os("UPDATE_CORPORA").is_some() {
         for expected in &mut index.expected {
-            *expected = expected.renew(&scenario_corpus()).unwrap();
+            *expected = expected
+                .renew(&scenario_corpus(), Controllers::default())
+                .unwrap();
         }
         let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; \
             with UPDATE_CORPORA=1 it\n# renews them.\n";
@@ -42,7 +46,9 @@ fn every_kept_scenario_still_ends_as_recorded() {
     assert!(index.expected.len() >= 4, "a handful at least");
     let mut failures = Vec::new();
     for expected in &index.expected {
-        let replayed = expected.replay(&scenario_corpus()).unwrap();
+        let replayed = expected
+            .replay(&scenario_corpus(), Controllers::default())
+            .unwrap();
         if !replayed.as_recorded {
             failures.push(format!(
                 "{} under {}: {replayed:?}",
@@ -77,7 +83,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
             named.is_some_and(|expected| expected.violated),
             "{file}: whoever it is named after does not fail"
         );
-        let class = Avoidability::classify_contact(&load(&path).unwrap());
+        let class = Avoidability::classify_contact(&load(&path, &NoDriverFiles).unwrap());
         for expected in own {
             let recorded = if expected.violated {
                 class.class()
@@ -107,7 +113,7 @@ fn every_corpus_scenario_is_recorded_with_its_reason() {
     kept.sort();
     assert_eq!(kept, recorded);
     for path in kept {
-        let scenario = load(&path).unwrap();
+        let scenario = load(&path, &NoDriverFiles).unwrap();
         assert!(
             scenario.spec().about.len() > 40,
             "{} does not say why it is there",

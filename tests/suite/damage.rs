@@ -17,7 +17,7 @@ use crumple_measure::Specification;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::built_in_scenario;
@@ -36,7 +36,7 @@ fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         budget: 60,
         seed,
         ..Campaign::new(
-            ControllerSpec::from_name("baseline").unwrap(),
+            BuiltInController::from_name("baseline").unwrap(),
             built_in_space("paper").unwrap(),
         )
     };
@@ -56,7 +56,7 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
         estimator: EstimatorKind::Truth,
         confidence: 0.9,
         ..RateConfig::new(
-            ControllerSpec::from_name("idm").unwrap(),
+            BuiltInController::from_name("idm").unwrap(),
             built_in_space("paper").unwrap(),
             300,
         )
@@ -71,7 +71,7 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
 
 fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RarePlan {
-        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
+        controller: BuiltInController::from_name("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,

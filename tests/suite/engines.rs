@@ -4,7 +4,7 @@
 use crumple_fuzzing::RunSetup;
 use crumple_fuzzing::oracle::result_bits;
 use crumple_testing::generator::{DriverKind, ScenarioShape};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
@@ -101,7 +101,7 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
     let draws: Vec<_> = (0..150)
         .map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap())
         .collect();
-    for controller in ControllerSpec::all() {
+    for controller in BuiltInController::all() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
             let options = RunOptions::new(controller.clone()).with_after_contact(after_contact);
             let runs: Vec<_> = draws
@@ -127,7 +127,7 @@ fn results_come_back_in_order() {
     let draws: Vec<_> = (0..100)
         .map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap())
         .collect();
-    let options = RunOptions::new(ControllerSpec::from_name("match-leader").unwrap());
+    let options = RunOptions::new(BuiltInController::from_name("match-leader").unwrap());
     let runs: Vec<_> = draws
         .iter()
         .map(|draw| Run::new(draw, options.clone()).unwrap())

@@ -9,7 +9,7 @@ mod world;
 use std::sync::Arc;
 
 use crumple_fuzzing::oracle::estimates_within_bounds;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::estimate::{Accelerometer, EgoEstimator, EgoTuning, Filter, Sensor, TrueState};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::random::Purpose;
@@ -137,7 +137,7 @@ struct Consistency {
 /// Runs the filter on the measurements of a run: same seed, purpose and vehicle.
 fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consistency {
     let (spec, ego) = (scenario.spec(), 1);
-    let options = RunOptions::new(ControllerSpec::from_name(controller).expect("built in"));
+    let options = RunOptions::new(BuiltInController::from_name(controller).expect("built in"));
     let trace = simulate_traced(scenario, &options).trace.expect("kept");
     let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
     let gaps_behind_rear = |rear: usize| {
@@ -283,7 +283,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
         .expect("built in")
         .edited(|spec| spec.sensors = sensors)
         .expect("valid");
-    let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
+    let options = RunOptions::new(BuiltInController::from_name("baseline").expect("built in"));
     let run = Run::new(&scenario, options).expect("valid");
     let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
     let mut last_mps2 = 0.0;
@@ -406,7 +406,8 @@ fn steady_estimates_are_unbiased_and_as_accurate_as_tuned() {
 fn losing_one_measurement_in_five_changes_no_verdict() {
     for name in ["paper-1", "paper-2", "paper-3"] {
         for controller in ["baseline", "match-leader", "constant-brake"] {
-            let options = RunOptions::new(ControllerSpec::from_name(controller).expect("built in"));
+            let options =
+                RunOptions::new(BuiltInController::from_name(controller).expect("built in"));
             let scenario = built_in_scenario(name).expect("built in");
             let truth = simulate_traced(
                 &scenario,

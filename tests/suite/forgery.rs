@@ -3,6 +3,7 @@
 
 mod changes;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
     BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding,
@@ -11,7 +12,7 @@ use crumple_evidence::{
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_spaces::built_in_space;
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, built_in_scenario};
@@ -47,13 +48,14 @@ fn forgery_verdict(
     };
     let policy = forged.policy.as_deref();
     // Cheapest check first.
-    if check_binding(&certificate, policy).is_err() {
+    if check_binding(&certificate, policy, Controllers::default()).is_err() {
         return Verdict::Refused;
     }
     let Ok(_) = check_with(&certificate, policy, WorkLimit::from_billions(50)) else {
         return Verdict::Refused;
     };
-    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(BlockSelection::All, &Quiet))
+    match Rerun::new(&certificate, &[], Controllers::default())
+        .and_then(|rerun| rerun.confirm(BlockSelection::All, &Quiet))
     {
         Ok(_) | Err(RerunError::NothingCounted(_)) => {}
         Err(_) => return Verdict::Refused,
@@ -218,7 +220,7 @@ fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
 
 fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
     let find =
-        |name: &str| NamedController::from(ControllerSpec::from_name(name).expect("built in"));
+        |name: &str| NamedController::from(BuiltInController::from_name(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
         second_controller: against.map(find),
         seed: 5,
@@ -315,7 +317,12 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let shown: Vec<ProvedClaim> = genuine
         .iter()
         .map(|one| {
-            check_binding(&one.certificate, one.policy.as_deref()).expect("bound");
+            check_binding(
+                &one.certificate,
+                one.policy.as_deref(),
+                Controllers::default(),
+            )
+            .expect("bound");
             check_with(
                 &one.certificate,
                 one.policy.as_deref(),

@@ -10,7 +10,7 @@ use crumple_fuzzing::{
     TestCase,
 };
 use crumple_testing::generator::{self, SCENARIO_BYTES, ScenarioShape};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
     VehicleSpec,
@@ -115,8 +115,8 @@ pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
 }
 
 /// Any built-in controller, with any sensible settings.
-pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
-    let index = 0..ControllerSpec::all().len() as u8;
+pub(crate) fn any_controller() -> impl Strategy<Value = BuiltInController> {
+    let index = 0..BuiltInController::all().len() as u8;
     (index, any_bytes(32))
         .prop_map(|(index, bytes)| generator::controller_from_bytes(index, &bytes))
 }
@@ -135,8 +135,8 @@ pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
 }
 
 /// Makes a human driver the average one without glances off the road, so that it draws no random numbers.
-pub(crate) fn make_average(driver: &mut ControllerSpec) {
-    if let ControllerSpec::Human(human) = driver {
+pub(crate) fn make_average(driver: &mut BuiltInController) {
+    if let BuiltInController::Human(human) = driver {
         (
             human.reaction_shape,
             human.brake_deviation_mps2,
@@ -147,14 +147,14 @@ pub(crate) fn make_average(driver: &mut ControllerSpec) {
 
 /// Replaces learned drivers, which observe the vehicle behind and round to single precision.
 pub(crate) fn without_learned_drivers(scenario: &Scenario) -> Scenario {
-    let learned = Driver::Controller(ControllerSpec::Policy(Default::default()));
+    let learned = Driver::Controller(BuiltInController::Policy(Default::default()));
     let replace = |spec: &mut ScenarioSpec| {
         for vehicle in spec
             .vehicles
             .iter_mut()
             .filter(|vehicle| vehicle.driver == learned)
         {
-            vehicle.driver = Driver::Controller(ControllerSpec::MatchLeader(Default::default()));
+            vehicle.driver = Driver::Controller(BuiltInController::MatchLeader(Default::default()));
         }
     };
     scenario.edited(replace).expect("still valid")

@@ -1,5 +1,6 @@
 //! Harm: its count in an assessment, as a search objective, and the space variants with a human.
 
+use crumple_controllers::Controllers;
 use crumple_core::interval::RateInterval;
 use crumple_core::observer::Quiet;
 use crumple_measure::harm_of_pair;
@@ -7,8 +8,9 @@ use crumple_report::assessment::HarmConfig;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, SearchObjective};
 use crumple_spaces::{HUMAN_SPACES, built_in_space};
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::file;
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 use crate::assessments::{config, run};
 
@@ -70,7 +72,9 @@ fn the_count_of_harm_is_that_of_its_runs() {
 fn a_search_for_harm_finds_a_fast_lorry() {
     let folder = tempfile::tempdir().expect("a folder");
     let space = built_in_space("high-risk").expect("built in");
-    let controller = NamedController::find("baseline", folder.path()).expect("built in");
+    let controller = Controllers::default()
+        .find("baseline", folder.path())
+        .expect("built in");
     let campaign = Campaign {
         method: Method::CmaEs,
         objective: SearchObjective::Harm,
@@ -82,7 +86,7 @@ fn a_search_for_harm_finds_a_fast_lorry() {
         .run(&results, CampaignOptions::default(), &Quiet)
         .expect("runs");
     let harms = found.counterexamples.iter().map(|one| {
-        let scenario = file::load(&results.join(&one.file)).expect("written");
+        let scenario = file::load(&results.join(&one.file), &NoDriverFiles).expect("written");
         let mass_kg =
             |vehicle: Option<usize>| scenario.vehicles()[vehicle.expect("a collision")].mass_kg();
         let masses_kg = [
@@ -106,7 +110,7 @@ fn as_index(vehicle: u32) -> usize {
 #[test]
 fn a_human_behind_idm_collides_in_no_everyday_traffic() {
     let space = built_in_space(HUMAN_SPACES[1].0).expect("built in");
-    let options = RunOptions::new(crumple_world::control::ControllerSpec::Idm(
+    let options = RunOptions::new(crumple_world::control::BuiltInController::Idm(
         Default::default(),
     ));
     let runs: Vec<_> = (0..200)

@@ -1,5 +1,6 @@
 //! Names, files and texts of users with special characters for a terminal, Markdown, HTML or a shell.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 
@@ -299,7 +300,8 @@ fn terminals_show_hostile_names_as_text() {
 #[test]
 fn a_space_reads_back_with_its_words() {
     let folder = hostile_folder();
-    let read = space_file::load(&folder.path().join(format!("{FILE}.toml"))).expect("valid");
+    let read = space_file::load(&folder.path().join(format!("{FILE}.toml")), &NoDriverFiles)
+        .expect("valid");
     assert!(
         read.spec().about.contains("<!-- x\u{1b}"),
         "no name is changed but where it is shown"

@@ -3,6 +3,7 @@
 use std::fs;
 use std::sync::Arc;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
     InvariantOptions, InvariantPlan, InvariantSet, InvariantSpec, check_binding,
@@ -10,10 +11,9 @@ use crumple_evidence::{
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::HeightTable;
 use crumple_verify::{Certificate, InvariantClaim, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{ControllerSource, ControllerSpec, Ego, IntoSource};
+use crumple_world::control::{BuiltInController, ControllerSource, Ego, IntoSource};
 use crumple_world::observation::{Neighbour, Observation};
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::NamedController;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -54,7 +54,12 @@ fn search(plan: &InvariantPlan, cells: u32) -> (InvariantSet, f64) {
         smallest_gap_m: 0.0,
     };
     let set = plan.search(options, &Quiet).unwrap().expect("a set");
-    check_binding(&set.certificate, plan.policy_bytes()).unwrap();
+    check_binding(
+        &set.certificate,
+        plan.policy_bytes(),
+        Controllers::default(),
+    )
+    .unwrap();
     match check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED).unwrap() {
         ProvedClaim::Invariant {
             share, min_gap_m, ..
@@ -67,7 +72,7 @@ fn search(plan: &InvariantPlan, cells: u32) -> (InvariantSet, f64) {
 }
 
 fn idm_set(mps: f64, cells: u32) -> (InvariantPlan, InvariantSet, f64) {
-    let idm = ControllerSpec::from_name("idm").unwrap();
+    let idm = BuiltInController::from_name("idm").unwrap();
     let plan = plan(idm, spec(MotionModel::Absolute, [0.0, mps], [0.0, mps]));
     let (set, share) = search(&plan, cells);
     (plan, set, share)
@@ -94,7 +99,7 @@ fn attack(
         length_m: 5.0,
         step_s: STEP_S,
     };
-    let mut controller = ControllerSpec::from_name("idm")
+    let mut controller = BuiltInController::from_name("idm")
         .unwrap()
         .start(&ego, 0)
         .unwrap();
@@ -235,7 +240,7 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
             statement: Statement::Invariant(Box::new(forged.clone())),
             ..set.certificate.clone()
         };
-        if check_binding(&certificate, None).is_err() {
+        if check_binding(&certificate, None, Controllers::default()).is_err() {
             continue;
         }
         let Ok(ProvedClaim::Invariant { share: proved, .. }) =
@@ -271,7 +276,8 @@ fn network_controller(
         [output]\nlow_mps2 = -7.5\nhigh_mps2 = {high_mps2:?}\n"
     );
     fs::write(folder.path().join("two.toml"), mapping).unwrap();
-    NamedController::find("two.toml", folder.path())
+    Controllers::default()
+        .find("two.toml", folder.path())
         .unwrap_or_else(|error| panic!("{error}"))
         .source
 }

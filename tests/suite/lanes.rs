@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_fuzzing::oracle::{
     entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent,
     leaving_last_vehicle_changes_nothing_ahead, metrics_agree, monitor_agrees,
@@ -11,11 +12,9 @@ use crumple_fuzzing::{
     Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, LaneChange};
-use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
-};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use proptest::prelude::*;
 
 use crate::generate::{any_lane_case, check_oracle, first_values, with_cases};
@@ -183,7 +182,9 @@ fn lane_invariants_detect_injected_faults() {
 /// the vehicles entering and leaving as recorded.
 #[test]
 fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
-    let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
+    let shield = Controllers::default()
+        .find("shield:policy", Path::new(""))
+        .unwrap();
     let mut asked = [0; 2];
     for TestCase { scenario, .. } in first_lane_cases(300)
         .into_iter()
@@ -196,7 +197,7 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
                 assert!(!escape.scenario.keeps_lanes());
                 let run = Run::new(
                     &escape.scenario,
-                    RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+                    RunOptions::new(BuiltInController::from_name("idm").unwrap()),
                 )
                 .unwrap();
                 assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());

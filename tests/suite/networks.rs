@@ -7,13 +7,15 @@ use std::slice;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crumple_world::control::{ControllerSource, IntoSource, NetworkController};
-use crumple_world::network::NetworkFile;
+use crumple_controllers::Controllers;
+use crumple_controllers::controller_file::controller_file_schema;
+use crumple_networks::NetworkController;
+use crumple_networks::network::NetworkFile;
+use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::policy::{Policy, Workspace};
-use crumple_world::scenario::controller_file::controller_file_schema;
 use crumple_world::scenario::{PaperDistribution, Scenario, file};
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
+    RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -125,7 +127,8 @@ fn networks_agree_with_their_makers() {
 }
 
 pub(crate) fn find_source(name: &str) -> Arc<dyn ControllerSource> {
-    NamedController::find(name, &controller_corpus())
+    Controllers::default()
+        .find(name, &controller_corpus())
         .unwrap_or_else(|error| panic!("{error}"))
         .source
 }
@@ -228,8 +231,14 @@ fn scenario_files_take_drivers_from_files() {
     let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
     let path = folder.path().join("following.toml");
     fs::write(&path, &text).unwrap();
-    let scenario = file::load(&path).unwrap_or_else(|error| panic!("{error}"));
-    let under_test = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let scenario =
+        file::load(&path, &Controllers::default()).unwrap_or_else(|error| panic!("{error}"));
+    let under_test = file::from_toml(
+        FOLLOWING,
+        Path::new("following.toml"),
+        &Controllers::default(),
+    )
+    .unwrap();
     let truth = |controller: Arc<dyn ControllerSource>| {
         RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
     };
@@ -248,7 +257,12 @@ fn scenario_files_take_drivers_from_files() {
     );
 
     let written = file::to_toml(&scenario).unwrap();
-    let again = file::from_toml(&written, Path::new("elsewhere/following.toml")).unwrap();
+    let again = file::from_toml(
+        &written,
+        Path::new("elsewhere/following.toml"),
+        &Controllers::default(),
+    )
+    .unwrap();
     assert_eq!(again, scenario);
     assert_eq!(file::to_toml(&again).unwrap(), written);
     let controller = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
@@ -257,16 +271,20 @@ fn scenario_files_take_drivers_from_files() {
         controller.replace("1.4 #", "1.5 #"),
     )
     .unwrap();
-    let error = file::from_toml(&written, &path)
+    let error = file::from_toml(&written, &path, &Controllers::default())
         .expect_err("another controller")
         .to_string();
     assert!(
         error.contains("vehicles[1].driver.file.path: ") && error.contains("is wanted"),
         "{error}"
     );
-    let error = file::from_toml(&text.replace("acc.toml", "none.toml"), &path)
-        .expect_err("no file")
-        .to_string();
+    let error = file::from_toml(
+        &text.replace("acc.toml", "none.toml"),
+        &path,
+        &Controllers::default(),
+    )
+    .expect_err("no file")
+    .to_string();
     assert!(
         error.contains("following.toml:15: vehicles[1].driver.file.path: there is no file"),
         "{error}"
@@ -296,7 +314,8 @@ fn the_identity_of_a_network_covers_everything_that_affects_driving() {
     let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     let identity = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
-        NamedController::find("a.toml", folder.path())
+        Controllers::default()
+            .find("a.toml", folder.path())
             .unwrap()
             .disambiguating_hash()
             .expect("not said by its name")
@@ -402,7 +421,8 @@ fn controller_files_are_refused_by_file_line_and_field() {
     for (was, is, message) in cases {
         assert!(text.contains(was), "{was}");
         fs::write(folder.path().join("a.toml"), text.replacen(was, is, 1)).unwrap();
-        let error = NamedController::find("a.toml", folder.path())
+        let error = Controllers::default()
+            .find("a.toml", folder.path())
             .expect_err(is)
             .to_string();
         assert!(error.contains(message), "{error}\n  should say\n{message}");
@@ -412,7 +432,8 @@ fn controller_files_are_refused_by_file_line_and_field() {
 #[test]
 fn networks_that_need_a_controller_file_say_so() {
     let refused = |name: &str| {
-        NamedController::find(name, &controller_corpus())
+        Controllers::default()
+            .find(name, &controller_corpus())
             .expect_err(name)
             .to_string()
     };
@@ -442,9 +463,10 @@ fn networks_that_need_a_controller_file_say_so() {
         folder.path().join("m.zip"),
     )
     .unwrap();
-    assert!(NamedController::find("m.zip", folder.path()).is_ok());
+    assert!(Controllers::default().find("m.zip", folder.path()).is_ok());
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
-    let error = NamedController::find("m.zip", folder.path())
+    let error = Controllers::default()
+        .find("m.zip", folder.path())
         .expect_err("normalised")
         .to_string();
     assert!(
@@ -457,7 +479,7 @@ fn networks_that_need_a_controller_file_say_so() {
         folder.path().join("vecnormalize.pkl"),
     )
     .unwrap();
-    assert!(NamedController::find("m.zip", folder.path()).is_ok());
+    assert!(Controllers::default().find("m.zip", folder.path()).is_ok());
 }
 
 fn normalised_path(name: &str) -> PathBuf {
@@ -467,7 +489,7 @@ fn normalised_path(name: &str) -> PathBuf {
 /// The model file reveals `VecNormalize`, with or without the statistics next to it.
 #[test]
 fn a_model_behind_vec_normalize_needs_its_statistics() {
-    use crumple_world::network::VecNormalizeUse as Trace;
+    use crumple_networks::network::VecNormalizeUse as Trace;
     let trace = |path: &Path| {
         NetworkFile::load(path)
             .unwrap()
@@ -486,7 +508,9 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
     let undescribed = described.replace("normalised = true\n", "");
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
-        NamedController::find("a.toml", folder.path()).map(|found| found.disambiguating_hash())
+        Controllers::default()
+            .find("a.toml", folder.path())
+            .map(|found| found.disambiguating_hash())
     };
     fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let message = find(&undescribed).expect_err("not told").to_string();
@@ -494,7 +518,8 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
         &message,
         &["a.toml:1: normalised: is missing: ", "its data shows that"],
     );
-    let message = NamedController::find("ppo.zip", folder.path())
+    let message = Controllers::default()
+        .find("ppo.zip", folder.path())
         .expect_err("not told")
         .to_string();
     assert_contains(
@@ -546,7 +571,7 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
     let controller = source.downcast_ref::<NetworkController>().unwrap();
     let mapped = |row: Vec<f64>| -> Vec<f32> {
         let inputs = &controller.mapping().inputs;
-        let one = |(value, input): (f64, &crumple_world::control::InputMapping)| {
+        let one = |(value, input): (f64, &crumple_networks::InputMapping)| {
             ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
         };
         row.into_iter().zip(inputs).map(one).collect()
@@ -567,7 +592,7 @@ fn mismatches_with_a_model_are_reported() {
     let folder = folder_with(&["a2c.zip", "elu-7-5.onnx"]);
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
-        NamedController::find("a.toml", folder.path())
+        Controllers::default().find("a.toml", folder.path())
     };
     let fitting = fs::read_to_string(controller_corpus().join("a2c.toml")).unwrap();
     assert_eq!(
@@ -648,10 +673,11 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
         .unwrap();
     }
     for name in ["ppo_0.5", "plain"] {
-        let found = NamedController::find(name, folder.path()).unwrap();
+        let found = Controllers::default().find(name, folder.path()).unwrap();
         assert_eq!(found.source.identity(), find_source("ppo.zip").identity());
     }
-    let message = NamedController::find("m", folder.path())
+    let message = Controllers::default()
+        .find("m", folder.path())
         .expect_err("no ending")
         .to_string();
     assert_eq!(
@@ -676,7 +702,8 @@ fn described_networks_drive() {
         let path = controller_corpus().join(name).display().to_string();
         let described = run_ok(folder.path(), &format!("describe '{path}'"));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
-        let found = NamedController::find("a.toml", folder.path())
+        let found = Controllers::default()
+            .find("a.toml", folder.path())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         let json = run_crumple(folder.path(), &format!("describe '{path}' --format json"));
         let json = &json_objects(&json)[0];
@@ -705,7 +732,8 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
         let path = controller_corpus().join(name);
         let described = run_ok(folder.path(), &format!("describe '{}'", path.display()));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
-        let found = NamedController::find("a.toml", folder.path())
+        let found = Controllers::default()
+            .find("a.toml", folder.path())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         let Some(controller) = found.source.downcast_ref::<NetworkController>() else {
             panic!("a network")
@@ -805,10 +833,16 @@ fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> 
 #[test]
 fn the_examples_make_controllers() {
     let folder = temp_folder();
-    let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
+    let scenario = file::from_toml(
+        FOLLOWING,
+        Path::new("following.toml"),
+        &Controllers::default(),
+    )
+    .unwrap();
     let drive = |name: &str| {
-        let controller =
-            NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
+        let controller = Controllers::default()
+            .find(name, folder.path())
+            .unwrap_or_else(|error| panic!("{error}"));
         simulate(
             &Run::new(&scenario, RunOptions::new(controller.source)).unwrap(),
             RecordingLevel::Summary,
@@ -858,7 +892,8 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
         let identity = find_source(name).identity().unwrap();
         let path = format!("controllers/{}.toml", &identity[..16]);
         assert_eq!(
-            NamedController::find(&path, &report)
+            Controllers::default()
+                .find(&path, &report)
                 .unwrap()
                 .source
                 .identity(),

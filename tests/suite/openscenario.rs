@@ -5,7 +5,7 @@ use std::iter;
 use crumple_exchange::openscenario::export::{
     OpenScenarioError, export_actions, export_trajectories,
 };
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{
     Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario,
     built_in_scenario, built_in_scenario_names,
@@ -151,7 +151,7 @@ fn road_extent_m(xml: &[u8]) -> [f64; 2] {
 }
 
 fn options(after_contact: AfterContact) -> RunOptions {
-    RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"))
+    RunOptions::new(BuiltInController::from_name("baseline").expect("built in"))
         .with_after_contact(after_contact)
 }
 

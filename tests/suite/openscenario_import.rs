@@ -4,7 +4,7 @@ use std::fs;
 
 use crumple_exchange::openscenario::OpenScenarioSource;
 use crumple_exchange::openscenario::export::{OpenScenario, export_actions, export_trajectories};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::{AfterContact, RunOptions, Trace};
@@ -29,7 +29,7 @@ fn import(exported: &OpenScenario) -> Result<Scenario, String> {
 }
 
 fn drive(scenario: &Scenario) -> Trace {
-    let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
+    let options = RunOptions::new(BuiltInController::from_name("baseline").expect("built in"));
     let options = options
         .with_estimator(EstimatorKind::Truth)
         .with_after_contact(AfterContact::Stop);

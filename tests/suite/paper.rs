@@ -1,6 +1,6 @@
 //! Results of the paper, and those of further controllers.
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{
@@ -14,7 +14,7 @@ fn scenario(name: &str) -> Scenario {
 }
 
 fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
-    RunOptions::new(ControllerSpec::from_name(controller).expect("built in"))
+    RunOptions::new(BuiltInController::from_name(controller).expect("built in"))
         .with_estimator(estimator)
 }
 
@@ -161,7 +161,7 @@ fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
 #[test]
 fn the_integration_step_decides_nothing() {
     for name in PAPER_SCENARIOS {
-        for controller in ControllerSpec::all() {
+        for controller in BuiltInController::all() {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
                 for after_contact in [AfterContact::Stop, AfterContact::Continue] {
                     let options =

@@ -1,5 +1,6 @@
 //! Plants and sensor faults: proofs refuse them, and replays with the multi-body plant.
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_measure::Specification;
 use crumple_search::confirmation::escape_survives;
@@ -15,7 +16,9 @@ use crumple_world::scenario::{
 use crumple_world::sim::{NamedController, Run, RunOptions};
 
 fn find(controller: &str) -> NamedController {
-    NamedController::find(controller, std::path::Path::new("")).unwrap()
+    Controllers::default()
+        .find(controller, std::path::Path::new(""))
+        .unwrap()
 }
 
 #[test]

@@ -3,17 +3,18 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, check_binding};
+use crumple_networks::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
+use crumple_networks::{
+    HistoryPadding, InputMapping, Mapping, NetworkController, OutputMapping, Squash,
+};
 use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachProblem, reach_with_tube,
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
-use crumple_world::control::{
-    ControllerSource, ControllerSpec, HistoryPadding, InputMapping, IntoSource, Mapping,
-    NetworkController, ObservedQuantity, OutputMapping, Squash,
-};
-use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource, ObservedQuantity};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;
@@ -200,7 +201,12 @@ impl ReachComparison {
             matches!(accepted, Ok(ProvedClaim::Reach { .. })),
             "{seed}: {accepted:?}"
         );
-        check_binding(&partition.certificate, Some(plan.policy_bytes())).unwrap();
+        check_binding(
+            &partition.certificate,
+            Some(plan.policy_bytes()),
+            Controllers::default(),
+        )
+        .unwrap();
         let actor = NeuralController::from_bytes(plan.policy_bytes()).unwrap();
         let Statement::Reach(claim) = &partition.certificate.statement else {
             panic!("reach")
@@ -274,7 +280,7 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
     } else {
         "paper-2"
     };
-    let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::from_name);
+    let followers = ["baseline", "idm", "acc-aeb"].map(BuiltInController::from_name);
     let follower_drives = followers[seed as usize % 4 % 3]
         .clone()
         .map(Driver::Controller);

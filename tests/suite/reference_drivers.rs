@@ -4,7 +4,7 @@
 //! `utility/models.py`, `utility/comparison_cut_in.py`), and shares nothing with crumple's driver. [`CUT_INS`] was
 //! computed once with that code (Python 3, numpy 2.4.6), and the oracle must reproduce its numbers.
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec,
@@ -151,7 +151,7 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
     other.enters = Some(LaneChange::At(0.0));
     let vehicles = vec![other, vehicle(0.0, own_mps, Driver::UnderTest)];
     let scenario = Scenario::new(scenario_spec("cut-in", 0.01, 8.0, vehicles)).unwrap();
-    let driver = ControllerSpec::from_name("competent-human").unwrap();
+    let driver = BuiltInController::from_name("competent-human").unwrap();
     let run = Run::new(
         &scenario,
         RunOptions::new(driver).with_estimator(EstimatorKind::Truth),

@@ -1,5 +1,7 @@
 //! The committed report is current.
 
+use crumple_controllers::Controllers;
+use crumple_world::scenario::NoDriverFiles;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
@@ -320,7 +322,7 @@ fn the_goal_structure_has_no_dangling_reference() {
 #[test]
 fn every_counterexample_of_the_report_collides() {
     use crumple_world::scenario::file;
-    use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN_ASSESSMENT
@@ -329,7 +331,8 @@ fn every_counterexample_of_the_report_collides() {
         .iter()
         .flat_map(|space| &space.controllers)
     {
-        let controller = NamedController::find(&search.controller, Path::new(""))
+        let controller = Controllers::default()
+            .find(&search.controller, Path::new(""))
             .expect("known")
             .source;
         for failure in &search.failures {
@@ -338,7 +341,8 @@ fn every_counterexample_of_the_report_collides() {
                 .find(|(name, _)| *name == failure.file)
                 .expect("written");
             let text = std::str::from_utf8(text).expect("text");
-            let scenario = file::from_toml(text, Path::new(&failure.file)).expect("valid");
+            let scenario =
+                file::from_toml(text, Path::new(&failure.file), &NoDriverFiles).expect("valid");
             let run = Run::new(&scenario, RunOptions::new(controller.clone())).expect("runs");
             let outcome = simulate(&run, RecordingLevel::Summary).outcome;
             let contact = outcome

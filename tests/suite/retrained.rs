@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crumple_controllers::Controllers;
 use crumple_core::digest::{Sha256, sha256};
 use crumple_learn::retrain::{Cases, RetrainingReport, TestSetResults, training_preset};
 use crumple_spaces::{ScenarioSpace, built_in_space};
@@ -11,7 +12,7 @@ use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn corpora_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")
@@ -148,7 +149,8 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
 #[test]
 fn a_shielded_policy_can_be_retrained() {
     let digest = |name: &str| {
-        NamedController::find(name, Path::new(""))
+        Controllers::default()
+            .find(name, Path::new(""))
             .unwrap()
             .policy()
             .map(|policy| policy.digest())

@@ -5,7 +5,7 @@ use std::path::Path;
 use crumple_learn::rl::TrainingConfig;
 use crumple_measure::UsefulnessMeasures;
 use crumple_spaces::built_in_space;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, built_in_scenario};
@@ -99,7 +99,7 @@ struct Driven {
 }
 
 fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> Driven {
-    let spec = ControllerSpec::from_name(controller).unwrap();
+    let spec = BuiltInController::from_name(controller).unwrap();
     let options = RunOptions::new(spec.into_source()).with_estimator(estimator);
     let runs: Vec<_> = scenarios
         .iter()

@@ -1,7 +1,9 @@
 //! Searches: files confirm the summary of a campaign, and frequent failures are found.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
@@ -11,7 +13,7 @@ use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_spaces::{ScenarioSpace, built_in_space};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PlantKind, file};
-use crumple_world::sim::{NamedController, RunOptions};
+use crumple_world::sim::RunOptions;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
@@ -32,7 +34,8 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
         subsequence(spec.parameters.clone(), 1..=count).prop_map(move |parameters| {
             let mut spec = spec.clone();
             spec.parameters = parameters;
-            ScenarioSpace::new(spec, Path::new(".")).expect("a part of a space is one")
+            ScenarioSpace::new(spec, Path::new("."), &NoDriverFiles)
+                .expect("a part of a space is one")
         })
     });
     let controller = select(vec![
@@ -62,7 +65,9 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
                 budget,
                 seed,
                 ..Campaign::new(
-                    NamedController::find(controller, Path::new(".")).expect("built in"),
+                    Controllers::default()
+                        .find(controller, Path::new("."))
+                        .expect("built in"),
                     space,
                 )
             },
@@ -105,7 +110,7 @@ proptest! {
         let best = summary.methods.iter().filter_map(|method| method.best_robustness).fold(f64::INFINITY, f64::min);
         for found in &summary.counterexamples {
             let evaluated = |name: &str| {
-                let scenario = file::load(&folder.path().join(name)).unwrap();
+                let scenario = file::load(&folder.path().join(name), &NoDriverFiles).unwrap();
                 campaign.specification.evaluate_scenario(&scenario, options(&campaign)).unwrap()
             };
             let (shrunk, original) = (evaluated(&found.file), evaluated(&found.original_file));
@@ -114,13 +119,13 @@ proptest! {
             // Files store positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
-            let multi_body = file::load(&folder.path().join(&found.file)).unwrap().with_plant(PlantKind::MultiBody);
+            let multi_body = file::load(&folder.path().join(&found.file), &NoDriverFiles).unwrap().with_plant(PlantKind::MultiBody);
             let replay = campaign.specification.evaluate_scenario(&multi_body.unwrap(), options(&campaign));
             prop_assert_eq!(found.survives_multi_body, replay.ok().map(|verdict| verdict.is_violation()));
             // The file of an escape avoids the collision, without a vehicle under test.
             prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
             if let Some(escape) = &found.escape_file {
-                let scenario = file::load(&folder.path().join(escape)).unwrap();
+                let scenario = file::load(&folder.path().join(escape), &NoDriverFiles).unwrap();
                 let verdict = Specification::NoContact.evaluate_scenario(&scenario, options(&campaign)).unwrap();
                 prop_assert!(verdict.contact.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
             }
@@ -130,13 +135,13 @@ proptest! {
     /// The counterexample fails alone, and another controller passes it.
     #[test]
     fn failures_relative_to_another_run_fail_alone(campaign in any_campaign()) {
-        let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
+        let other = Controllers::default().find("shield:idm", Path::new(".")).unwrap();
         let criterion = FailureCriterion::Differential(other.clone());
         let campaign = Campaign { failure_criterion: Some(criterion), ..campaign };
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         for found in &summary.counterexamples {
-            let scenario = file::load(&folder.path().join(&found.file)).unwrap();
+            let scenario = file::load(&folder.path().join(&found.file), &NoDriverFiles).unwrap();
             let evaluated = |options| campaign.specification.evaluate_scenario(&scenario, options).unwrap();
             let own = evaluated(options(&campaign));
             let beside = evaluated(RunOptions::new(other.source.clone()).with_estimator(campaign.estimator));

@@ -2,6 +2,7 @@
 //!
 //! `fuzz/renew-seeds` writes them to `fuzz/fresh/` and keeps those that reach new code.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -121,7 +122,7 @@ fn root() -> &'static Path {
 }
 
 fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
-    load_all(&root().join("corpora/scenarios")).unwrap()
+    load_all(&root().join("corpora/scenarios"), &NoDriverFiles).unwrap()
 }
 
 /// Up to the length of a test case; missing bytes are nominal.

@@ -1,7 +1,7 @@
 //! A shielded controller never hits the vehicle ahead, whatever that vehicle does within its brake limit.
 
 use crumple_world::control::{
-    ControllerSource, ControllerSpec, ErrorBounds, IntoSource, ShieldSettings, ViabilityKernel,
+    BuiltInController, ControllerSource, ErrorBounds, IntoSource, ShieldSettings, ViabilityKernel,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
@@ -125,7 +125,7 @@ fn with_shield(
 }
 
 fn full_throttle() -> Arc<dyn ControllerSource> {
-    ControllerSpec::FullThrottle(Default::default()).into_source()
+    BuiltInController::FullThrottle(Default::default()).into_source()
 }
 
 fn shielded_full_throttle() -> Arc<dyn ControllerSource> {
@@ -135,8 +135,8 @@ fn shielded_full_throttle() -> Arc<dyn ControllerSource> {
 fn drivers() -> [Arc<dyn ControllerSource>; 3] {
     [
         full_throttle(),
-        ControllerSpec::RandomActions(Default::default()).into_source(),
-        ControllerSpec::Policy(Default::default()).into_source(),
+        BuiltInController::RandomActions(Default::default()).into_source(),
+        BuiltInController::Policy(Default::default()).into_source(),
     ]
 }
 

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use crumple_spaces::{BUILT_IN_SPACES, built_in_space};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::{
@@ -92,7 +92,7 @@ fn steps_together_are_steps_alone() {
             } else {
                 AfterContact::Stop
             };
-            let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
+            let options = RunOptions::new(BuiltInController::from_name("idm").unwrap());
             let run = Run::new(
                 &scenario,
                 options.with_estimator(estimator).with_after_contact(after),

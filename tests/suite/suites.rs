@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_suites::{
     ControllerResult, LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention,
     ReferenceRun, SHIPPED_SUITES, SweepFailure, TestParameter, TestSuite, TestVerdict,
@@ -374,7 +375,7 @@ pub(crate) fn first_result(suite: &TestSuite, controller: &str) -> ControllerRes
 }
 
 pub(crate) fn find_controller(name: &str) -> NamedController {
-    NamedController::find(name, Path::new("")).unwrap()
+    Controllers::default().find(name, Path::new("")).unwrap()
 }
 
 #[test]

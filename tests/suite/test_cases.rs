@@ -2,6 +2,7 @@
 
 mod fault_injection;
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -91,8 +92,9 @@ fn a_violation_brings_a_scenario_file() {
         .check(metrics_agree, &FaultySystem(Fault::ContactForgotten))
         .expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
-    let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path)
-        .expect("a scenario file");
+    let read =
+        crumple_world::scenario::file::from_toml(&violation.reproducer, path, &NoDriverFiles)
+            .expect("a scenario file");
     assert_eq!(read, test_case.scenario);
     assert!(
         violation
@@ -122,7 +124,8 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
                     .all(|&feature| feature < behaviour::FEATURE_COUNT)
         );
     }
-    let mut files = crumple_world::scenario::file::load_all(folder.path()).expect("scenario files");
+    let mut files = crumple_world::scenario::file::load_all(folder.path(), &NoDriverFiles)
+        .expect("scenario files");
     assert_eq!(
         files.len(),
         2,
@@ -133,7 +136,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
         path.file_name().unwrap(),
         "baseline-1-of-3-hit-by-baseline-at-10-mps.toml"
     );
-    let baseline = crumple_world::control::ControllerSpec::from_name("baseline").unwrap();
+    let baseline = crumple_world::control::BuiltInController::from_name("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(
         simulate(&run, RecordingLevel::Summary)

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_verify::reach::{BoxDimension, NeuralController};
 use crumple_verify::{Certificate, InvariantClaim, ReachClaim, Registration, Statement};
 
@@ -12,13 +13,14 @@ use super::invariant::{InvariantSpec, has_frame};
 use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
 use super::{InvalidRate, RateConfig, RatePlan};
+use crumple_controllers::find_built_in;
 use crumple_core::digest::sha256;
-use crumple_core::text_file::FileError;
+use crumple_core::text_file::{FileError, parse_toml};
 use crumple_search::worst_case::covers_scenario;
 use crumple_spaces::ScenarioSpace;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, ScenarioFileError};
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
+use crumple_world::scenario::{Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::NamedController;
 
 /// Reason why a statement does not match its texts.
@@ -103,11 +105,16 @@ pub enum ScenarioMismatch {
 }
 
 /// Checks that the numbers of a statement match its texts. A statement about a policy needs the policy's file. A
-/// certificate of version 1 has no texts; only the hash of a built-in scenario is compared.
+/// certificate of version 1 has no texts; only the hash of a built-in scenario is compared. `controllers` opens the
+/// drivers that texts name as files.
 ///
 /// # Errors
 /// [`BindingError`] names the difference.
-pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), BindingError> {
+pub fn check_binding(
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+    controllers: Controllers,
+) -> Result<(), BindingError> {
     if certificate.is_first_version() {
         let carried = &certificate.provenance.scenario_sha256;
         let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
@@ -125,10 +132,12 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
     }
     match &certificate.statement {
         Statement::Kernel(_) => Ok(()),
-        Statement::Reach(claim) => check_box(certificate, claim, policy),
-        Statement::Invariant(claim) => check_invariant(certificate, claim, policy),
-        Statement::Rate(claim) => check_registration(certificate, &claim.registration),
-        Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
+        Statement::Reach(claim) => check_box(certificate, claim, policy, controllers),
+        Statement::Invariant(claim) => check_invariant(certificate, claim, policy, controllers),
+        Statement::Rate(claim) => check_registration(certificate, &claim.registration, controllers),
+        Statement::Comparison(claim) => {
+            check_registration(certificate, &claim.registration, controllers)
+        }
         // All other statements are about a scene.
         _ => {
             if certificate.provenance.box_text.is_some() {
@@ -138,7 +147,7 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
                     problem,
                 });
             }
-            let is_about = covers_scenario(certificate, &read_scenario(certificate)?);
+            let is_about = covers_scenario(certificate, &read_scenario(certificate, controllers)?);
             if is_about {
                 Ok(())
             } else {
@@ -195,11 +204,9 @@ pub fn check_covers_scenario(
 pub fn count_omitted_vehicles(certificate: &Certificate) -> Option<usize> {
     let scene = certificate.statement.scene()?;
     let in_scene = 1 + scene.egos.len() + usize::from(scene.follower.is_some());
-    read_scenario(certificate)
-        .ok()?
-        .vehicles()
-        .len()
-        .checked_sub(in_scene)
+    let text = scenario_text(certificate).ok()?;
+    let spec: ScenarioSpec = parse_toml(text, Path::new(SCENARIO_TEXT_FIELD)).ok()?;
+    spec.vehicles.len().checked_sub(in_scene)
 }
 
 fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
@@ -233,8 +240,15 @@ fn check_name(certificate: &Certificate, name: &str) -> Result<(), BindingError>
     }
 }
 
-fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
-    let scenario = file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+fn read_scenario(
+    certificate: &Certificate,
+    controllers: Controllers,
+) -> Result<Scenario, BindingError> {
+    let scenario = file::from_toml(
+        scenario_text(certificate)?,
+        Path::new(SCENARIO_TEXT_FIELD),
+        &controllers,
+    )?;
     check_name(certificate, &scenario.spec().name)?;
     Ok(scenario)
 }
@@ -276,8 +290,9 @@ fn check_box(
     certificate: &Certificate,
     claim: &ReachClaim,
     policy: Option<&[u8]>,
+    controllers: Controllers,
 ) -> Result<(), BindingError> {
-    let scenario = read_scenario(certificate)?;
+    let scenario = read_scenario(certificate, controllers)?;
     let spec = read_box(certificate, BoxSpec::from_toml, |spec| &spec.scenario)?;
     let starts = InitialSet::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)
@@ -301,8 +316,9 @@ fn check_invariant(
     certificate: &Certificate,
     claim: &InvariantClaim,
     policy: Option<&[u8]>,
+    controllers: Controllers,
 ) -> Result<(), BindingError> {
-    let scenario = read_scenario(certificate)?;
+    let scenario = read_scenario(certificate, controllers)?;
     let spec = read_box(certificate, InvariantSpec::from_toml, |spec| &spec.scenario)?;
     // The checker has compared the digest of the policy.
     let frame = spec.frame(&scenario, claim.network().and(policy))?;
@@ -313,10 +329,14 @@ fn check_invariant(
     }
 }
 
-pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
+pub(super) fn read_space(
+    certificate: &Certificate,
+    controllers: Controllers,
+) -> Result<ScenarioSpace, BindingError> {
     let space = crumple_spaces::file::from_toml(
         scenario_text(certificate)?,
         Path::new(SCENARIO_TEXT_FIELD),
+        &controllers,
     )?;
     check_name(certificate, space.name())?;
     Ok(space)
@@ -326,6 +346,7 @@ pub(super) fn rebuild_plan(
     certificate: &Certificate,
     registration: &Registration,
     (controller, second_controller): (NamedController, Option<NamedController>),
+    opener: Controllers,
 ) -> Result<RatePlan, BindingError> {
     let of = |key: &str| {
         registration
@@ -346,7 +367,7 @@ pub(super) fn rebuild_plan(
         .parse()
         .map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
-    let space = read_space(certificate)?;
+    let space = read_space(certificate, opener)?;
     Ok(RatePlan::new(RateConfig {
         controller,
         second_controller,
@@ -363,7 +384,7 @@ pub(super) fn rebuild_plan(
 pub(super) fn built_in_controllers(
     registration: &Registration,
 ) -> Option<(NamedController, Option<NamedController>)> {
-    let find = |name: &String| NamedController::find_built_in(name);
+    let find = |name: &String| find_built_in(name);
     let first = find(registration.configuration.get("controller")?)?;
     let second = registration.configuration.get("against");
     match second {
@@ -375,8 +396,9 @@ pub(super) fn built_in_controllers(
 fn check_registration(
     certificate: &Certificate,
     registration: &Registration,
+    opener: Controllers,
 ) -> Result<(), BindingError> {
-    let space = read_space(certificate)?;
+    let space = read_space(certificate, opener)?;
     let of = |key: &str| {
         registration
             .configuration
@@ -397,7 +419,8 @@ fn check_registration(
     let Some(controllers) = built_in_controllers(registration) else {
         return Ok(());
     };
-    if rebuild_plan(certificate, registration, controllers)?.registration() == registration {
+    if rebuild_plan(certificate, registration, controllers, opener)?.registration() == registration
+    {
         Ok(())
     } else {
         Err(mismatch(

@@ -2,6 +2,7 @@
 
 use super::binding::read_space;
 use super::{BindingError, Confirmation, check_binding, count_omitted_vehicles};
+use crumple_controllers::Controllers;
 use crumple_core::quoting::TerminalText;
 use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
@@ -22,6 +23,8 @@ pub struct CertificateReport<'a> {
     pub counts: Option<CountsStatus>,
     /// Reason why the certificate is not about the requested scenario, if one was requested.
     pub covers_scenario: Option<Result<(), String>>,
+    /// Opens the drivers that texts name as files.
+    pub controllers: Controllers,
 }
 
 /// Confirmation of the counts of a certificate.
@@ -115,10 +118,11 @@ impl<'a> CertificateReport<'a> {
         certificate: &'a Certificate,
         policy: Option<&[u8]>,
         limit: WorkLimit,
+        controllers: Controllers,
     ) -> Result<Self, BindingError> {
         let accepted =
             check_with(certificate, policy, limit).map_err(|rejection| rejection.to_string());
-        let accepted = match (accepted, check_binding(certificate, policy)) {
+        let accepted = match (accepted, check_binding(certificate, policy, controllers)) {
             (Ok(_), Err(refused @ BindingError::StartRefused(_))) => return Err(refused),
             (Ok(_), Err(unbound)) => Err(unbound.to_string()),
             (accepted, _) => accepted,
@@ -129,12 +133,13 @@ impl<'a> CertificateReport<'a> {
             accepted,
             counts: None,
             covers_scenario: None,
+            controllers,
         })
     }
 
     /// Checks a certificate that was just made, without its binding.
     #[must_use]
-    pub fn new(path: String, certificate: &'a Certificate) -> Self {
+    pub fn new(path: String, certificate: &'a Certificate, controllers: Controllers) -> Self {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
         Self {
             path,
@@ -142,6 +147,7 @@ impl<'a> CertificateReport<'a> {
             accepted,
             counts: None,
             covers_scenario: None,
+            controllers,
         }
     }
 }
@@ -190,7 +196,7 @@ impl CertificateReport<'_> {
         let (Statement::Rate(_) | Statement::Comparison(_)) = &self.certificate.statement else {
             return None;
         };
-        let space = read_space(self.certificate).ok()?;
+        let space = read_space(self.certificate, self.controllers).ok()?;
         let scenario = space.scenario_at(&space.nominal()).ok()?;
         let is_multi_body = scenario
             .vehicles()
@@ -389,6 +395,7 @@ fn report_line<'a>(
         accepted,
         counts,
         covers_scenario: about,
+        controllers: _,
     } = one;
     // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());

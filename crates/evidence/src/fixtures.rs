@@ -2,7 +2,7 @@
 
 use crumple_measure::Specification;
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -10,7 +10,7 @@ use crate::rare::{RarePlan, SplittingConfig};
 use crate::{CountTally, RateConfig, RatePlan};
 
 pub(crate) fn controller(name: &str) -> NamedController {
-    ControllerSpec::from_name(name).unwrap().into()
+    BuiltInController::from_name(name).unwrap().into()
 }
 
 pub(crate) fn rate_plan(

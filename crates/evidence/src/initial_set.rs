@@ -4,7 +4,7 @@ use crumple_verify::Interval;
 use crumple_verify::reach::{AccAebLaw, FollowerLaw, IdmLaw, InitialRanges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
 
 const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
@@ -153,7 +153,7 @@ fn follower_model(
 ) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
     let driver = in_place.unwrap_or(&follower.driver);
     let law = match driver {
-        Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
+        Driver::Controller(BuiltInController::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
         Driver::Controller(spec) => control_law(spec, follower.max_accel_mps2()),
         _ => None,
     };
@@ -173,9 +173,9 @@ fn follower_model(
 }
 
 /// Returns the law of `idm` or `acc-aeb` for the checker.
-pub(super) fn control_law(spec: &ControllerSpec, max_accel_mps2: f64) -> Option<FollowerLaw> {
+pub(super) fn control_law(spec: &BuiltInController, max_accel_mps2: f64) -> Option<FollowerLaw> {
     match spec {
-        ControllerSpec::Idm(idm) => Some(FollowerLaw::Idm(IdmLaw {
+        BuiltInController::Idm(idm) => Some(FollowerLaw::Idm(IdmLaw {
             desired_speed_mps: idm.desired_speed_mps,
             time_headway_s: idm.time_headway_s,
             standstill_gap_m: idm.standstill_gap_m,
@@ -183,7 +183,7 @@ pub(super) fn control_law(spec: &ControllerSpec, max_accel_mps2: f64) -> Option<
             comfortable_brake_mps2: idm.comfortable_brake_mps2,
             max_accel_mps2,
         })),
-        ControllerSpec::AccAeb(acc) => Some(FollowerLaw::AccAeb(AccAebLaw {
+        BuiltInController::AccAeb(acc) => Some(FollowerLaw::AccAeb(AccAebLaw {
             ttc_s: acc.ttc_s,
             time_headway_s: acc.time_headway_s,
             standstill_gap_m: acc.standstill_gap_m,

@@ -320,7 +320,7 @@ mod tests {
     use super::*;
     use crumple_core::observer::Quiet;
     use crumple_spaces::built_in_space;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
 
     fn result(name: &str, simulations: &[Option<u64>]) -> MethodRuns {
         let run = |&simulations: &Option<u64>| FirstFailure {
@@ -369,7 +369,7 @@ mod tests {
 
     #[test]
     fn a_comparison_needs_seeds_and_methods() {
-        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        let controller = BuiltInController::from_name("match-leader").unwrap();
         let campaign = Campaign {
             budget: 1,
             ..Campaign::new(controller, built_in_space("high-risk").unwrap())
@@ -392,7 +392,7 @@ mod tests {
 
     #[test]
     fn a_method_does_not_differ_from_itself_and_each_run_has_its_seed() {
-        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        let controller = BuiltInController::from_name("match-leader").unwrap();
         let campaign = Campaign {
             budget: 60,
             ..Campaign::new(controller, built_in_space("high-risk").unwrap())

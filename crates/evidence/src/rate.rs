@@ -160,7 +160,7 @@ impl RatePlan {
     /// ```
     /// use crumple_core::observer::Quiet;
     /// use crumple_evidence::{RateConfig, RatePlan};
-    /// use crumple_world::control::ControllerSpec;
+    /// use crumple_world::control::BuiltInController;
     /// use crumple_world::observation::EstimatorKind;
     /// use crumple_spaces::built_in_space;
     ///
@@ -168,7 +168,7 @@ impl RatePlan {
     ///     seed: 1,
     ///     estimator: EstimatorKind::Truth,
     ///     confidence: 0.9,
-    ///     ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 300)
+    ///     ..RateConfig::new(BuiltInController::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 300)
     /// })
     /// .unwrap();
     /// let folder = tempfile::tempdir().unwrap();

@@ -20,8 +20,9 @@ use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, Stopped};
 use crumple_core::text_file::{self, FileError};
+use crumple_networks::{InvalidMapping, NetworkController};
 use crumple_search::worst_case::build_certificate;
-use crumple_world::control::{ControllerSource, IntoSource, InvalidMapping, NetworkController};
+use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{

@@ -3,6 +3,7 @@
 //! hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses the forgery with
 //! probability at most C(m - a, s)/C(m, s).
 
+use crumple_controllers::Controllers;
 use crumple_verify::{Certificate, Statement};
 use rayon::prelude::*;
 
@@ -134,11 +135,16 @@ impl Confirmation {
 }
 
 impl Rerun {
-    /// Prepares a confirmation. Controllers that are not built in must be in `given`.
+    /// Prepares a confirmation. Controllers that are not built in must be in `given`. `opener` opens the drivers that the
+    /// space names as files.
     ///
     /// # Errors
     /// [`RerunError`] if the counts cannot be repeated.
-    pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
+    pub fn new(
+        certificate: &Certificate,
+        given: &[NamedController],
+        opener: Controllers,
+    ) -> Result<Self, RerunError> {
         let (registration, stated) = match &certificate.statement {
             Statement::Rate(claim) => {
                 let blocks = claim
@@ -191,7 +197,7 @@ impl Rerun {
                 (first, second)
             }
         };
-        let plan = binding::rebuild_plan(certificate, registration, controllers)?;
+        let plan = binding::rebuild_plan(certificate, registration, controllers, opener)?;
         if plan.registration() != registration || plan.block_count() != stated.len() as u64 {
             return Err(RerunError::OtherRegistration);
         }

@@ -1,7 +1,7 @@
 //! Avoidability of a collision.
 
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -30,7 +30,7 @@ pub(crate) fn check_avoidability(
     let mut escape_figure = String::new();
     let answer = match &found.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
-            let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+            let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()))
                 .with_estimator(EstimatorKind::Truth);
             let run = Run::new(&escape.scenario, options)
                 .map_err(|error| RequestError::Internal(error.to_string()))?;

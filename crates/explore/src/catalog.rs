@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
+use crumple_controllers::Controllers;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario,
@@ -26,6 +27,8 @@ pub struct ExploreConfig {
     pub estimator: EstimatorKind,
     /// Folders of complete campaigns.
     pub campaigns: Vec<PathBuf>,
+    /// Opens the drivers that scenarios of campaigns name as files.
+    pub controllers_of_files: Controllers,
 }
 
 /// Everything that requests may name, including the built-in items.
@@ -82,6 +85,7 @@ impl ExploreConfig {
             mut controllers,
             estimator,
             campaigns,
+            controllers_of_files,
         } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
             return Err(ExploreConfigError::TooManyControllers {
@@ -104,13 +108,14 @@ impl ExploreConfig {
         let campaigns = campaigns.into_iter().map(|folder| {
             Ok(CatalogCampaign {
                 name: folder.display().to_string(),
-                reader: CampaignReader::open(&folder)?,
+                reader: CampaignReader::open(&folder, controllers_of_files)?,
             })
         });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
-            controllers
-                .extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
+            controllers.extend(
+                BuiltInController::from_name(DEFAULT_CONTROLLER).map(NamedController::from),
+            );
         }
         let selected_controllers = controllers.len();
         for (name, _) in built_in_scenario_names() {
@@ -124,7 +129,10 @@ impl ExploreConfig {
                 });
             }
         }
-        for built_in in ControllerSpec::all().into_iter().map(NamedController::from) {
+        for built_in in BuiltInController::all()
+            .into_iter()
+            .map(NamedController::from)
+        {
             if !controllers
                 .iter()
                 .any(|offered| offered.name == built_in.name)
@@ -137,7 +145,7 @@ impl ExploreConfig {
             let name = campaign.reader.controller();
             if let (false, Some(Ok(spec))) = (
                 controllers.iter().any(|offered| offered.name == name),
-                ControllerSpec::parse(name),
+                BuiltInController::parse(name),
             ) {
                 controllers.push(spec.into());
             }

@@ -56,6 +56,7 @@ fn file_stem(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use crumple_world::scenario::NoDriverFiles;
     use std::path::Path;
 
     use super::*;
@@ -73,7 +74,7 @@ mod tests {
             let stem = saved.file_name.strip_suffix(".toml").unwrap();
             let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
             prop_assert!(!stem.is_empty() && stem.chars().all(is_plain));
-            prop_assert_eq!(file::from_toml(&saved.toml, Path::new(&saved.file_name)).unwrap(), scenario);
+            prop_assert_eq!(file::from_toml(&saved.toml, Path::new(&saved.file_name), &NoDriverFiles).unwrap(), scenario);
         }
     }
 }

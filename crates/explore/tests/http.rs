@@ -7,6 +7,7 @@
     reason = "everything here is a test"
 )]
 
+use crumple_world::scenario::NoDriverFiles;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
@@ -14,7 +15,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_explore::{CatalogScenario, ExploreConfig, Server};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -505,9 +506,13 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
     assert_eq!(saved["file_name"], "dragged.toml");
-    let scenario =
-        file::from_toml(saved["toml"].as_str().unwrap(), Path::new("dragged.toml")).unwrap();
-    let baseline = ControllerSpec::from_name("baseline").unwrap();
+    let scenario = file::from_toml(
+        saved["toml"].as_str().unwrap(),
+        Path::new("dragged.toml"),
+        &NoDriverFiles,
+    )
+    .unwrap();
+    let baseline = BuiltInController::from_name("baseline").unwrap();
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let again = simulate(
         &Run::new(&scenario, options).unwrap(),

@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::{fs, io};
 
 use super::{Crumple, ORACLES, RUN_ORACLES, TestCase, TestedController, Violation, behaviour};
+use crumple_controllers::UnknownController;
 use crumple_testing::generator::with_compatible_step;
 use crumple_world::scenario::InvalidField;
-use crumple_world::sim::{RefusedController, Run, RunError, SimulationResult, UnknownController};
+use crumple_world::sim::{RefusedController, Run, RunError, SimulationResult};
 
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
 /// run.

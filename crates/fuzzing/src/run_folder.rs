@@ -6,13 +6,13 @@ use std::io;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use crumple_controllers::Controllers;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_spaces::built_in_space;
 use crumple_store::run_folder::{FolderExamination, examine};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 type FolderContents = BTreeMap<String, Vec<u8>>;
 
@@ -72,7 +72,9 @@ fn small_campaign() -> Option<Campaign> {
         budget: 6,
         seed: 3,
         ..Campaign::new(
-            NamedController::find("match-leader", Path::new("")).ok()?,
+            Controllers::default()
+                .find("match-leader", Path::new(""))
+                .ok()?,
             space,
         )
     })

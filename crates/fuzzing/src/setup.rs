@@ -6,15 +6,15 @@ use std::sync::Arc;
 
 use arbitrary::Unstructured;
 
+use crumple_controllers::{UnknownController, find_and_try};
 use crumple_core::digest::sha256;
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 use crumple_world::control::{
-    AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IntoSource,
+    AebSettings, BuiltInController, Controller, ControllerFailure, ControllerSource, Ego,
+    IntoSource,
 };
 use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::sim::{
-    AfterContact, NamedController, RefusedController, RunOptions, UnknownController,
-};
+use crumple_world::sim::{AfterContact, NamedController, RefusedController, RunOptions};
 
 /// Bytes of a setup.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
@@ -36,7 +36,7 @@ pub struct RunSetup {
 #[derive(Debug, Clone, PartialEq)]
 pub enum TestedController {
     /// A built-in controller.
-    BuiltIn(ControllerSpec),
+    BuiltIn(BuiltInController),
     /// Another controller by its name on the command line: a policy file, or a shielded controller.
     Named(ControllerByName),
     /// An external controller that uses all its observations and decides every so many steps; at every step if 0.
@@ -64,7 +64,9 @@ impl RunSetup {
     #[must_use]
     pub fn with_true_state() -> Self {
         Self {
-            controller: TestedController::BuiltIn(ControllerSpec::Baseline(AebSettings::default())),
+            controller: TestedController::BuiltIn(BuiltInController::Baseline(
+                AebSettings::default(),
+            )),
             estimator: EstimatorKind::Truth,
             substeps: 1,
             after_contact: AfterContact::Stop,
@@ -151,8 +153,8 @@ impl TestedController {
     /// # Errors
     /// [`UnknownController`] if there is none, or it does not start.
     pub fn from_name(name: &str) -> Result<Self, UnknownController> {
-        let found = NamedController::find_and_try(name, Path::new(""))?;
-        let built_in = found.source.downcast_ref::<ControllerSpec>().cloned();
+        let found = find_and_try(name, Path::new(""))?;
+        let built_in = found.source.downcast_ref::<BuiltInController>().cloned();
         Ok(match built_in {
             Some(spec) => Self::BuiltIn(spec),
             None => Self::Named(ControllerByName(found)),

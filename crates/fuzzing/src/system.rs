@@ -6,8 +6,9 @@ use std::sync::Arc;
 use crumple_measure::ContactRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource, ShieldSettings};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource, ShieldSettings};
 use crumple_world::observation::Observation;
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{ScenarioFileError, from_json, from_toml, to_toml};
 use crumple_world::sim::{
@@ -56,7 +57,7 @@ pub trait System {
     /// Returns full throttle behind a shield.
     fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         ShieldedSource {
-            controller: ControllerSpec::FullThrottle(Default::default()).into_source(),
+            controller: BuiltInController::FullThrottle(Default::default()).into_source(),
             settings: ShieldSettings::default(),
         }
         .into_source()
@@ -163,8 +164,8 @@ impl ScenarioFormat {
     /// [`ScenarioFileError`] if the text is no scenario file.
     pub fn read(self, text: &str) -> Result<Scenario, ScenarioFileError> {
         match self {
-            Self::Toml => from_toml(text, Path::new("f.toml")),
-            Self::Json => from_json(text, Path::new("f.json")),
+            Self::Toml => from_toml(text, Path::new("f.toml"), &NoDriverFiles),
+            Self::Json => from_json(text, Path::new("f.json"), &NoDriverFiles),
         }
     }
 }

@@ -18,8 +18,9 @@ use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
 use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
-use crumple_world::network::NetworkFile;
+use crumple_networks::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::file::{from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
@@ -396,7 +397,7 @@ fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Viola
             continue;
         };
         let text = to_toml(&scenario).unwrap_or_default();
-        let back = from_toml(&text, Path::new("f.toml"));
+        let back = from_toml(&text, Path::new("f.toml"), &NoDriverFiles);
         let same = back.as_ref().is_ok_and(|back| *back == scenario);
         ensure(same, Invariant::Files, &text, || {
             format!("it reads back as {back:?}")
@@ -437,7 +438,7 @@ pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
         OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
     if let Ok(imported) = &imported {
         let written = to_toml(&imported.scenario).unwrap_or_default();
-        let back = from_toml(&written, Path::new("f.toml"));
+        let back = from_toml(&written, Path::new("f.toml"), &NoDriverFiles);
         let same = back.as_ref().is_ok_and(|back| *back == imported.scenario);
         ensure(same, Invariant::Files, &text, || {
             format!("it reads back as {back:?}")

@@ -2,7 +2,7 @@
 
 use super::{TestCase, TestedController};
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
 use crumple_world::scenario::file::to_toml;
@@ -108,7 +108,7 @@ impl TestCase {
         let name = setup.controller.name();
         let as_named = match &setup.controller {
             TestedController::BuiltIn(spec) => {
-                ControllerSpec::from_name(name).as_ref() == Some(spec)
+                BuiltInController::from_name(name).as_ref() == Some(spec)
             }
             TestedController::Named(_) => true,
             TestedController::FullObservation(_) => false,

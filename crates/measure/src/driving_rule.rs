@@ -126,7 +126,7 @@ impl FromStr for DrivingRule {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::PaperDistribution;
     use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::prelude::*;
@@ -162,7 +162,7 @@ mod tests {
         fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
             let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
-            let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
+            let options = RunOptions::new(BuiltInController::from_name(name).unwrap());
             let run = Run::new(&scenario, options.with_after_contact(AfterContact::Continue)).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
             let trace = result.trace.as_ref().unwrap();

@@ -1,4 +1,4 @@
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
 };
@@ -25,7 +25,7 @@ fn simulate_line(vehicles: Vec<VehicleSpec>, after: AfterContact) -> Option<Simu
     let mut spec = paper;
     spec.duration_s = 8.0;
     spec.vehicles = vehicles;
-    let idm = ControllerSpec::from_name("idm").unwrap();
+    let idm = BuiltInController::from_name("idm").unwrap();
     let options = RunOptions::new(idm).with_after_contact(after);
     let run = Run::new(&Scenario::new(spec).ok()?, options).unwrap();
     Some(simulate(&run, RecordingLevel::Trace))

@@ -16,14 +16,14 @@ use crumple_world::sim::{
 /// A requirement of every run.
 ///
 /// ```
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_measure::Specification;
 /// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::RunOptions;
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
 /// let headway = Specification::parse("always v1.time_gap_s > 0.3", &scenario).unwrap();
-/// let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
+/// let options = RunOptions::new(BuiltInController::from_name("idm").unwrap());
 /// assert!(!headway.evaluate_scenario(&scenario, options).unwrap().is_violation());
 /// ```
 #[derive(Debug, Clone, PartialEq)]

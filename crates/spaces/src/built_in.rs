@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{Base, ScenarioSpace, file};
-use crumple_world::control::{ControllerSpec, HumanSettings};
-use crumple_world::scenario::Driver;
+use crumple_world::control::{BuiltInController, HumanSettings};
 use crumple_world::scenario::file::ScenarioFileError;
+use crumple_world::scenario::{Driver, NoDriverFiles, OpenDriver};
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
@@ -97,13 +97,13 @@ pub enum FindSpaceError {
 ///
 /// # Errors
 /// [`FindSpaceError`] if there is no such space.
-pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
+pub fn find_space(name: &str, opener: &dyn OpenDriver) -> Result<ScenarioSpace, FindSpaceError> {
     match built_in_space(name) {
         Some(space) => Ok(space),
         None if Path::new(name).extension().is_none() => Err(FindSpaceError::Name {
             name: name.to_owned(),
         }),
-        None => Ok(file::load(Path::new(name))?),
+        None => Ok(file::load(Path::new(name), opener)?),
     }
 }
 
@@ -129,7 +129,7 @@ pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
 #[must_use]
 pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
     if let Some((_, _, text)) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name) {
-        return file::from_toml(text, Path::new(name)).ok();
+        return file::from_toml(text, Path::new(name), &NoDriverFiles).ok();
     }
     let (_, summary, base) = HUMAN_SPACES.iter().find(|(known, ..)| *known == name)?;
     let mut spec = built_in_space(base)?.spec().clone();
@@ -143,7 +143,7 @@ pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
         name.to_owned(),
         format!("A scenario of the space `{name}`."),
     );
-    let human = ControllerSpec::Human(HumanSettings::default());
+    let human = BuiltInController::Human(HumanSettings::default());
     scenario.vehicles.last_mut()?.driver = Driver::Controller(human);
-    ScenarioSpace::new(spec, Path::new("")).ok()
+    ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).ok()
 }

@@ -12,8 +12,8 @@ use crumple_core::digits::format_compact;
 use crumple_world::control::StartRefusal;
 use crumple_world::scenario::file::ScenarioFileError;
 use crumple_world::scenario::{
-    FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names,
-    file,
+    FieldProblem, InvalidField, OpenDriver, Scenario, VehicleClass, built_in_scenario,
+    built_in_scenario_names, file,
 };
 
 /// An invalid field of a space, with its path and its problem.
@@ -98,7 +98,11 @@ impl ScenarioSpace {
     ///
     /// # Errors
     /// [`InvalidSpace`] names the first invalid field.
-    pub fn new(mut spec: SpaceSpec, folder: &Path) -> Result<Self, InvalidSpace> {
+    pub fn new(
+        mut spec: SpaceSpec,
+        folder: &Path,
+        opener: &dyn OpenDriver,
+    ) -> Result<Self, InvalidSpace> {
         if spec.version != SPACE_VERSION {
             let found = spec.version;
             return reject(
@@ -117,7 +121,7 @@ impl ScenarioSpace {
                 "must have 1 to 100 characters, none of them a control character",
             );
         }
-        let base = load_base(&spec.base, folder)?;
+        let base = load_base(&spec.base, folder, opener)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
         if !(1..=MAX_PARAMETERS).contains(&spec.parameters.len()) {
             let found = spec.parameters.len();
@@ -419,14 +423,18 @@ fn is_joint_problem(invalid: &InvalidField) -> bool {
     )
 }
 
-fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
+fn load_base(
+    base: &Base,
+    folder: &Path,
+    opener: &dyn OpenDriver,
+) -> Result<Scenario, InvalidSpace> {
     match base {
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
             let in_base = |InvalidField { field, problem }| {
                 InvalidSpace::from_base(format!("base.{field}"), problem)
             };
-            spec.read_drivers(folder)
+            spec.read_drivers(folder, opener)
                 .and_then(|()| Scenario::new(spec))
                 .map_err(in_base)
         }
@@ -445,7 +453,7 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
                     ),
                 )
             }
-            None => file::load(&folder.join(name)).map_err(|error| match error {
+            None => file::load(&folder.join(name), opener).map_err(|error| match error {
                 ScenarioFileError::Invalid {
                     path,
                     line,

@@ -1,4 +1,5 @@
 use super::*;
+use crumple_world::scenario::NoDriverFiles;
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -45,7 +46,8 @@ const NAMES: &str = "[\"ahead_m\", \"friction\"]";
 const HOURS: &str = "hours = 0.5\nkilometres = 30.0\n[[";
 
 fn space(text: &str) -> Result<ScenarioSpace, String> {
-    file::from_toml(text, Path::new("pairs.toml")).map_err(|error| error.to_string())
+    file::from_toml(text, Path::new("pairs.toml"), &NoDriverFiles)
+        .map_err(|error| error.to_string())
 }
 
 #[test]

@@ -4,25 +4,29 @@ use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
-use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::file::ScenarioFileError;
+use crumple_world::scenario::{InvalidField, OpenDriver};
 
 /// Reads and checks a space file.
 ///
 /// # Errors
 /// [`ScenarioFileError`] for a file that cannot be read, parsed or accepted.
-pub fn load(path: &Path) -> Result<ScenarioSpace, ScenarioFileError> {
-    from_toml(&read(path)?, path)
+pub fn load(path: &Path, opener: &dyn OpenDriver) -> Result<ScenarioSpace, ScenarioFileError> {
+    from_toml(&read(path)?, path, opener)
 }
 
 /// Reads a space from TOML text. `path` names it in errors; a base scenario in a file is relative to its folder.
 ///
 /// # Errors
 /// [`ScenarioFileError`] for text that is not a valid space.
-pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, ScenarioFileError> {
+pub fn from_toml(
+    text: &str,
+    path: &Path,
+    opener: &dyn OpenDriver,
+) -> Result<ScenarioSpace, ScenarioFileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    ScenarioSpace::new(spec, folder).map_err(
+    ScenarioSpace::new(spec, folder, opener).map_err(
         |InvalidSpace {
              field,
              problem,

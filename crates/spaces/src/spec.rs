@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::copula::Dependence;
 use super::observed::{DrivingExposure, ObservedData};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{ScenarioSpec, VehicleClass};
 
 /// Space file version that this release reads and writes.
@@ -231,7 +231,7 @@ impl DriverName {
     /// Returns the name if it is that of a built-in controller.
     #[must_use]
     pub fn find(name: &str) -> Option<Self> {
-        ControllerSpec::from_name(name).map(|spec| Self(spec.name()))
+        BuiltInController::from_name(name).map(|spec| Self(spec.name()))
     }
 
     /// Returns the name.
@@ -240,20 +240,20 @@ impl DriverName {
         self.0
     }
 
-    pub(super) fn controller(self) -> Option<ControllerSpec> {
-        ControllerSpec::from_name(self.0)
+    pub(super) fn controller(self) -> Option<BuiltInController> {
+        BuiltInController::from_name(self.0)
     }
 
     /// Returns the index among the built-in controllers, which represents the name in points.
     pub(super) fn number(self) -> f64 {
-        ControllerSpec::all()
+        BuiltInController::all()
             .iter()
             .position(|spec| spec.name() == self.0)
             .map_or(f64::NAN, |index| index as f64)
     }
 
     pub(super) fn from_number(number: f64) -> Option<Self> {
-        ControllerSpec::all()
+        BuiltInController::all()
             .get(number as usize)
             .map(|spec| Self(spec.name()))
     }
@@ -407,9 +407,9 @@ impl schemars::JsonSchema for DriverName {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        let names: Vec<_> = ControllerSpec::all()
+        let names: Vec<_> = BuiltInController::all()
             .iter()
-            .map(ControllerSpec::name)
+            .map(BuiltInController::name)
             .collect();
         schemars::json_schema!({ "description": "The name of a built-in controller.", "enum": names })
     }

@@ -1,10 +1,11 @@
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use proptest::prelude::*;
 
 use super::*;
 use crumple_measure::UsefulnessMeasures;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
@@ -15,7 +16,7 @@ fn space(name: &str) -> ScenarioSpace {
 /// Creates a space over `paper-1` with these parameters.
 fn over_paper_1(parameters: &str) -> Result<ScenarioSpace, String> {
     let text = format!("version = 1\nname = \"s\"\nbase = \"paper-1\"\n{parameters}");
-    file::from_toml(&text, Path::new("s.toml")).map_err(|error| error.to_string())
+    file::from_toml(&text, Path::new("s.toml"), &NoDriverFiles).map_err(|error| error.to_string())
 }
 
 fn parameter(field: &str, unit: &str, distribution: &str) -> String {
@@ -41,7 +42,7 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
             assert_eq!(found.max_brake_mps2(), expected.max_brake_mps2());
         }
         let text = file::to_toml(&space).unwrap();
-        let again = file::from_toml(&text, Path::new("again.toml")).unwrap();
+        let again = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
         assert_eq!(again.draw(1, 2), space.draw(1, 2), "{text}");
     }
 }
@@ -165,8 +166,12 @@ fn dependent_speeds_and_gaps_match_their_definition() {
             "distribution.uniform = { low = 1.0, high = 40.0 }",
         ),
     ];
-    let space =
-        file::from_toml(&format!("{base}{}", shares.concat()), Path::new("s.toml")).unwrap();
+    let space = file::from_toml(
+        &format!("{base}{}", shares.concat()),
+        Path::new("s.toml"),
+        &NoDriverFiles,
+    )
+    .unwrap();
     let found = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
     assert_eq!(
         [0, 1].map(|index| found.vehicles()[index].speed_mps),
@@ -368,7 +373,7 @@ fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
         ("policy", 80, 200),
         ("retrained", 160, 200),
     ] {
-        let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
+        let options = RunOptions::new(BuiltInController::from_name(name).unwrap());
         let runs: Vec<_> = scenarios
             .iter()
             .map(|scenario| Run::new(scenario, options.clone()).unwrap())
@@ -517,7 +522,7 @@ fn mistakes_name_line_and_field() {
     }
     let inline =
         include_str!("built_in/paper.toml").replace("speed_mps = 25.0", "speed_mps = -25.0");
-    let message = file::from_toml(&inline, Path::new("p.toml"))
+    let message = file::from_toml(&inline, Path::new("p.toml"), &NoDriverFiles)
         .expect_err("refused")
         .to_string();
     assert!(

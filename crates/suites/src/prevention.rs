@@ -1,7 +1,7 @@
 //! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether a driver that
 //! knows the future could.
 
-use crumple_world::control::{ControllerSpec, IntoSource, Role};
+use crumple_world::control::{BuiltInController, IntoSource, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use rayon::prelude::*;
@@ -107,7 +107,7 @@ pub(super) fn assess_preventability(
 }
 
 fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
-    let drivers = ControllerSpec::all()
+    let drivers = BuiltInController::all()
         .into_iter()
         .filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs, panic, thread};
 
+use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::Scenario;
@@ -36,6 +37,7 @@ pub struct ControllerCheck {
     cases: u32,
     seed: u64,
     corpus: PathBuf,
+    controllers: Controllers,
 }
 
 /// Creates a test of a controller: a built-in one, one that [`NamedController`](crumple_world::sim::NamedController)
@@ -67,10 +69,18 @@ pub fn check(controller: impl IntoSource) -> ControllerCheck {
         corpus: folder
             .join("crumple-corpus")
             .join(test_name().replace("::", "-")),
+        controllers: Controllers::default(),
     }
 }
 
 impl ControllerCheck {
+    /// Sets the permission for programs that scenario files of the corpus name as drivers. Default: refused.
+    #[must_use]
+    pub fn controllers_of_files(mut self, controllers: Controllers) -> Self {
+        self.controllers = controllers;
+        self
+    }
+
     /// Sets the scenarios: [`Scenarios`], or the name of a built-in space, the path of a space file or of a folder of
     /// scenario files, or `any`.
     pub fn on<S: TryInto<Scenarios>>(mut self, scenarios: S) -> Self
@@ -173,7 +183,7 @@ impl ControllerCheck {
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
         let known = replayed.as_deref().unwrap_or(&self.corpus);
         let known = if known.exists() || replayed.is_some() {
-            load_all(known)?
+            load_all(known, &self.controllers)?
         } else {
             Vec::new()
         };
@@ -375,7 +385,7 @@ impl ControllerCheck {
             test_name()
         );
         let source = &self.controller.source;
-        let name = match source.downcast_ref::<ControllerSpec>() {
+        let name = match source.downcast_ref::<BuiltInController>() {
             Some(spec) => Some(spec.to_arg()),
             None => source
                 .file()

@@ -6,6 +6,7 @@ use crumple_spaces::{
     Base, DistributionSpec, InvalidSpace, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec,
     UniformSpec,
 };
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario};
 
 /// Largest change of a number, as a share of it.
@@ -82,7 +83,7 @@ pub(super) fn space_near(scenario: &Scenario) -> Result<ScenarioSpace, InvalidSp
             nominal: None,
             distribution,
         });
-        match ScenarioSpace::new(spec.clone(), Path::new("")) {
+        match ScenarioSpace::new(spec.clone(), Path::new(""), &NoDriverFiles) {
             Ok(space) => valid = Ok(space),
             Err(error) => {
                 spec.parameters.pop();

@@ -55,7 +55,7 @@ impl Property {
     /// spaces.
     ///
     /// ```
-    /// use crumple_testing::world::control::ControllerSpec;
+    /// use crumple_testing::world::control::BuiltInController;
     /// use crumple_testing::{Property, PropertyVerdict, check};
     ///
     /// let keeps_distance = Property::new("keeps a gap of 0.5 m", |controller, scenario| {
@@ -67,7 +67,7 @@ impl Property {
     ///         Some(_) => PropertyVerdict::Holds,
     ///     })
     /// });
-    /// check(ControllerSpec::from_name("idm").unwrap()).on("traffic").property(keeps_distance).cases(10).assert();
+    /// check(BuiltInController::from_name("idm").unwrap()).on("traffic").property(keeps_distance).cases(10).assert();
     /// ```
     pub fn new(
         name: impl Into<String>,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arbitrary::Unstructured;
+use crumple_controllers::Controllers;
 use crumple_spaces::{FindSpaceError, InvalidSpace, ScenarioSpace, find_space};
 use crumple_world::scenario::file::{ScenarioFileError, load_all};
 use crumple_world::scenario::{Scenario, speed_dip};
@@ -78,12 +79,13 @@ impl Scenarios {
     }
 
     /// Scenarios of a built-in space, or of a space file. All parameters vary over their ranges, more densely near the
-    /// nominal values; in a fitted space, within its likelihood region.
+    /// nominal values; in a fitted space, within its likelihood region. Drivers of its traffic may not be programs:
+    /// otherwise open the space with [`find_space`] and use `Scenarios::from`.
     ///
     /// # Errors
     /// [`ScenariosError::Space`] if there is no such space.
     pub fn space(name: &str) -> Result<Self, ScenariosError> {
-        Ok(Self::from(find_space(name)?))
+        Ok(Self::from(find_space(name, &Controllers::default())?))
     }
 
     /// The scenario files of a folder, such as the episodes of a recording, as they are.
@@ -91,7 +93,7 @@ impl Scenarios {
     /// # Errors
     /// [`ScenariosError`] if a file cannot be read, or there is none.
     pub fn files(folder: &Path) -> Result<Self, ScenariosError> {
-        let all: Vec<_> = load_all(folder)?
+        let all: Vec<_> = load_all(folder, &Controllers::default())?
             .into_iter()
             .map(|(_, scenario)| scenario)
             .collect();

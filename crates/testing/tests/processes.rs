@@ -5,10 +5,10 @@
     reason = "a test may panic, also in its functions"
 )]
 
+use crumple_controllers::{find_and_try, find_for_user};
 use std::path::Path;
 
 use crumple_testing::world::scenario::{built_in_scenario, file};
-use crumple_testing::world::sim::NamedController;
 use crumple_testing::{CheckError, ControllerCheck, Property, Scenarios, check};
 
 /// A process that always answers with the acceleration of its argument, in m/s².
@@ -25,8 +25,7 @@ done
 
 fn check_constant(folder: &Path, acceleration_mps2: &str) -> ControllerCheck {
     let process =
-        NamedController::find_and_try(&format!("exec:sh constant.sh {acceleration_mps2}"), folder)
-            .unwrap();
+        find_and_try(&format!("exec:sh constant.sh {acceleration_mps2}"), folder).unwrap();
     let brakes = Property::specification("always v1.accel_mps2 <= 0.001").unwrap();
     check(process.source)
         .on(Scenarios::files(folder).unwrap())
@@ -56,7 +55,7 @@ fn a_process_is_a_controller_under_test() {
         "{}",
         failure.finding
     );
-    let missing = NamedController::find_for_user("exec:no-such-program", folder.path())
+    let missing = find_for_user("exec:no-such-program", folder.path())
         .unwrap()
         .source;
     let missing = check(missing)

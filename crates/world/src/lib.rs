@@ -10,8 +10,6 @@
 //! | `idm` | the Intelligent Driver Model: a controller, a base controller and a reference |
 //! | [`required_brake`] | the deceleration that avoids a braking leader |
 //! | [`policy`] | actor networks, their file and their evaluation |
-//! | [`network`] | imported networks: ONNX, Stable-Baselines3 |
-//! | [`process`] | the line protocol of controller processes, and their failures |
 //! | [`control`] | controllers: one trait, one table, one file each |
 //! | [`scenario`] | scenarios: vehicles, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | sensors and the Kalman filter |
@@ -20,10 +18,8 @@
 pub mod control;
 pub mod estimate;
 mod idm;
-pub mod network;
 pub mod observation;
 pub mod policy;
-pub mod process;
 pub mod random;
 pub mod required_brake;
 pub mod scenario;

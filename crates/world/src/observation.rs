@@ -15,7 +15,7 @@ pub use quantity::ObservedQuantity;
 pub const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
 /// Default gap that stands for an absent neighbour, in metres.
-pub(crate) const EMPTY_GAP_M: f64 = 80.0;
+pub const EMPTY_GAP_M: f64 = 80.0;
 
 /// Estimator of the vehicles under test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]

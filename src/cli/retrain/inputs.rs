@@ -4,6 +4,8 @@ use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use super::super::{CliError, args, output};
+use crate::cli::global_options::GlobalOptions;
+use crumple_controllers::Controllers;
 use crumple_learn::rl::unsuitability;
 use crumple_spaces::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
@@ -13,7 +15,7 @@ use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_nam
 pub(super) fn load_attacked(
     names: &[PathBuf],
     imitates: bool,
-    quiet: bool,
+    global: GlobalOptions,
 ) -> Result<Vec<Scenario>, CliError> {
     let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
@@ -32,7 +34,7 @@ pub(super) fn load_attacked(
     let mut scenarios = Vec::new();
     for name in names {
         if name.is_dir() {
-            let all = file::load_all(name)?;
+            let all = file::load_all(name, &global.controllers)?;
             if all.is_empty() {
                 return Err(CliError::Input(format!(
                     "--scenario: {}: the folder contains no scenario file",
@@ -59,11 +61,11 @@ pub(super) fn load_attacked(
                         name.display(),
                         all.len()
                     ),
-                    quiet,
+                    global.quiet,
                 );
             }
         } else {
-            let scenario = args::load_scenario(name)?;
+            let scenario = args::load_scenario(name, global.controllers)?;
             if let Some(reason) = unsuitability(&scenario) {
                 return Err(CliError::Input(format!(
                     "--scenario: `{}` cannot be trained on: {reason}",
@@ -76,7 +78,10 @@ pub(super) fn load_attacked(
     Ok(scenarios)
 }
 
-pub(super) fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
+pub(super) fn load_regression_spaces(
+    names: &[String],
+    controllers: Controllers,
+) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES
             .iter()
@@ -86,7 +91,7 @@ pub(super) fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpa
     if is_none("--regression", "spaces", names)? {
         return Ok(Vec::new());
     }
-    load_spaces("--regression", names)
+    load_spaces("--regression", names, controllers)
 }
 
 /// Returns true if the only value of a repeated option is `none`.
@@ -105,7 +110,11 @@ fn is_none<Name: AsRef<OsStr>>(
 }
 
 /// Loads the spaces of a repeated option.
-pub(super) fn load_spaces(option: &str, names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
+pub(super) fn load_spaces(
+    option: &str,
+    names: &[String],
+    controllers: Controllers,
+) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.len() > MAX_SPACES {
         return Err(CliError::Input(format!(
             "{option}: at most {MAX_SPACES} spaces"
@@ -113,8 +122,7 @@ pub(super) fn load_spaces(option: &str, names: &[String]) -> Result<Vec<Scenario
     }
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
-        let (_, space) = args::parse_space(name)
-            .map_err(|error| CliError::Input(format!("{option}: {error}")))?;
+        let space = args::load_space(option, name, controllers)?;
         if spaces.iter().any(|known| known.name() == space.name()) {
             return Err(CliError::Input(format!(
                 "{option}: two spaces have the name `{}`",

@@ -75,7 +75,7 @@ fn forge_rate(folder: &Path, change: impl FnOnce(&mut RateClaim)) -> Certificate
     let Statement::Rate(rate) = &mut forged.statement else {
         panic!("a rate")
     };
-    let identity = ControllerSpec::from_name("baseline").unwrap().sha256();
+    let identity = BuiltInController::from_name("baseline").unwrap().sha256();
     rate.registration
         .configuration
         .insert("controller".to_owned(), "baseline".to_owned());
@@ -592,7 +592,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
             "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up",
         ),
         (
-            Driver::Controller(ControllerSpec::from_name("idm").unwrap()),
+            Driver::Controller(BuiltInController::from_name("idm").unwrap()),
             "the leader must be scripted",
         ),
     ] {
@@ -689,7 +689,7 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
     );
     // The edited scenario has that follower.
     let followed = built_in_scenario("paper-1").unwrap().edited(|spec| {
-        spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
+        spec.vehicles[2].driver = Driver::Controller(BuiltInController::from_name("idm").unwrap());
     });
     let followed = followed.unwrap();
     fs::write(

@@ -1,5 +1,6 @@
 //! `crumple fit`, and failure rates in fitted spaces.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::fmt::Write;
 
 use super::*;
@@ -110,7 +111,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     }
 
     // A space edited after the fit has rates, but no uncertainty of the data.
-    let mut changed = file::from_toml(&text, Path::new("space.toml"))
+    let mut changed = file::from_toml(&text, Path::new("space.toml"), &NoDriverFiles)
         .unwrap()
         .spec()
         .clone();
@@ -118,7 +119,9 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         low: 10.0,
         high: 26.0,
     });
-    let changed = file::to_toml(&ScenarioSpace::new(changed, Path::new("")).unwrap()).unwrap();
+    let changed =
+        file::to_toml(&ScenarioSpace::new(changed, Path::new(""), &NoDriverFiles).unwrap())
+            .unwrap();
     fs::write(here.join("changed.toml"), changed).unwrap();
     let asked = "verify rate --controller baseline --space changed.toml --runs 50 --out changed";
     let counted = run_ok(here, &format!("{asked} --confidence 0.9"));

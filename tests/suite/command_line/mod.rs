@@ -30,7 +30,7 @@ use crumple_core::digest::sha256;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
 use crumple_report::draw::WRITES_PNG;
 use crumple_report::export::WRITES_PARQUET;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
@@ -570,10 +570,10 @@ fn list_names_all_inputs_of_simulate() {
     let folder = temp_folder();
     let all = run_crumple(folder.path(), "list");
     assert_eq!((exit_code(&all), stderr(&all)), (0, ""));
-    let controllers = ControllerSpec::all();
+    let controllers = BuiltInController::all();
     for name in PAPER_SCENARIOS
         .into_iter()
-        .chain(controllers.iter().map(ControllerSpec::name))
+        .chain(controllers.iter().map(BuiltInController::name))
     {
         assert!(
             stdout(&all)

@@ -96,7 +96,8 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
     let folder = temp_folder();
     let followed = |vehicles: usize, name: &str| {
         let paper = built_in_scenario("paper-2").unwrap().edited(|spec| {
-            spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
+            spec.vehicles[2].driver =
+                Driver::Controller(BuiltInController::from_name("idm").unwrap());
             spec.vehicles.truncate(vehicles);
         });
         fs::write(

@@ -9,8 +9,9 @@ use std::io::{Cursor, Write as _};
 use std::path::Path;
 use std::process::Command;
 
+use crumple_controllers::find_for_user;
 use crumple_world::scenario::built_in_scenario;
-use crumple_world::sim::{NamedController, SimulationResult};
+use crumple_world::sim::SimulationResult;
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
@@ -360,12 +361,12 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
             ODD_CONTROLLER.replacen(was, is, 1),
         )
         .unwrap();
-        let error = NamedController::find_for_user("odd.toml", odd.path())
+        let error = find_for_user("odd.toml", odd.path())
             .expect_err(is)
             .to_string();
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
-    let bare = NamedController::find_for_user("odd.fmu", odd.path())
+    let bare = find_for_user("odd.fmu", odd.path())
         .expect_err("needs wiring")
         .to_string();
     assert!(
@@ -386,8 +387,7 @@ fn damaged_fmus_are_refused() {
     };
     let path = example.path().join("follower.fmu");
     let whole = fs::read(&path).unwrap();
-    let refused = |what: &str| match NamedController::find_for_user("follower.fmu", example.path())
-    {
+    let refused = |what: &str| match find_for_user("follower.fmu", example.path()) {
         Ok(_) => None,
         Err(error) => {
             let error = error.to_string();

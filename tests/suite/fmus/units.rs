@@ -1,7 +1,8 @@
 //! Units that FMUs declare: values are converted, or the controller is refused with the unit's name.
 
 use super::*;
-use crumple_world::control::ProcessController;
+use crumple_controllers::find_for_user;
+use crumple_process::ProcessController;
 
 /// Another unit for each unit of the example, with its definition. The time gap's has an offset.
 const OTHER_UNITS: &str = r#"<UnitDefinitions>
@@ -178,7 +179,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
             &[(&library_member(2, "follower"), b"")],
         );
         fs::write(place.path().join("f.toml"), toml).unwrap();
-        NamedController::find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
+        find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
     };
     let wired = |quantity: &str, scale: &str, output: &str| {
         format!(

@@ -2,6 +2,7 @@
 
 mod unanswered;
 
+use crumple_controllers::{Controllers, ExternalPrograms};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -9,9 +10,10 @@ use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crumple_controllers::find_for_user;
 use crumple_report::assessment::AssessmentPlan;
 use crumple_spaces::built_in_space;
-use crumple_world::control::{ControllerSource, IntoSource, allow_external};
+use crumple_world::control::{ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
@@ -41,7 +43,7 @@ fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
 const LISTED_FILES: &str = "files = [\"bad.sh\"]";
 
 pub(crate) fn find_controller(name: &str, folder: &Path) -> NamedController {
-    NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
+    find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub(crate) fn simulate_with_truth(
@@ -285,8 +287,8 @@ fn any_process_error_ends_the_run() {
         &message,
         &["failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"],
     );
-    assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
-    assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
+    assert!(find_for_user("exec:sh 'open", Path::new("")).is_err());
+    assert!(find_for_user("exec:", Path::new("")).is_err());
 }
 
 pub(crate) fn draw_scenarios(seed: u64, count: u64) -> Vec<Scenario> {
@@ -451,7 +453,7 @@ fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
     refused("simulate driven.toml --allow-external", message);
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let plan = AssessmentPlan::load(&folder.path().join("a.toml"))
+    let plan = AssessmentPlan::load(&folder.path().join("a.toml"), Controllers::default())
         .unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(
         plan.first_without_identity()
@@ -462,17 +464,19 @@ fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
 
 #[test]
 fn a_scenario_may_have_a_process_as_a_driver() {
-    allow_external();
+    let controllers = Controllers {
+        external: ExternalPrograms::Allowed,
+    };
     let folder = bad_process_folder("be good", LISTED_FILES);
     let text = driven_by("bad.toml");
-    let driven = file::from_toml(&text, &folder.path().join("driven.toml"))
+    let driven = file::from_toml(&text, &folder.path().join("driven.toml"), &controllers)
         .unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
     let under_test = simulate_with_truth(
         &find_controller("bad.toml", folder.path()).source,
         &short_scenario(),
     );
-    let idm = crumple_world::control::ControllerSpec::from_name("idm").unwrap();
+    let idm = crumple_world::control::BuiltInController::from_name("idm").unwrap();
     assert_eq!(simulate_with_truth(&idm.into_source(), &driven), under_test);
 }
 
@@ -526,7 +530,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
                 .replace("answer_within_s", "# ");
         }
         fs::write(folder.path().join("bad.toml"), text).unwrap();
-        let error = NamedController::find_for_user("bad.toml", folder.path())
+        let error = find_for_user("bad.toml", folder.path())
             .expect_err(is)
             .to_string();
         assert!(error.contains(message), "{error}\n  should say\n{message}");

@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::Path;
 
+use crumple_controllers::Controllers;
 use crumple_suites::{SuiteRunError, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 use serde_json::Value;
 
 use super::{
@@ -552,7 +552,8 @@ fn an_invalid_controller_file_gets_instructions() {
         ("aeb.py", "`exec:python3 aeb.py`"),
     ] {
         fs::write(folder.path().join(name), "int main(void) {}").unwrap();
-        let error = NamedController::find(name, folder.path())
+        let error = Controllers::default()
+            .find(name, folder.path())
             .unwrap_err()
             .to_string();
         assert!(
@@ -561,7 +562,8 @@ fn an_invalid_controller_file_gets_instructions() {
         );
     }
     assert!(
-        NamedController::find("./none", folder.path())
+        Controllers::default()
+            .find("./none", folder.path())
             .unwrap_err()
             .to_string()
             .contains("there is no controller")

@@ -17,7 +17,7 @@ use crumple_measure::ContactRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::ScenarioFileError;
@@ -176,7 +176,7 @@ impl System for FaultySystem {
 
     fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         if self.0 == Fault::NoShield {
-            ControllerSpec::FullThrottle(Default::default()).into_source()
+            BuiltInController::FullThrottle(Default::default()).into_source()
         } else {
             Crumple.shielded_full_throttle()
         }

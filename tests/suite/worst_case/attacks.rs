@@ -1,10 +1,11 @@
 //! The mildest attacks: against samples, and replayed from files.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
 use crumple_search::worst_case::{Attack, AttackObjective, Envelope, attack};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
@@ -12,7 +13,7 @@ use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_bat
 use super::scenes::with_pieces;
 
 fn options(controller: &str) -> RunOptions {
-    RunOptions::new(ControllerSpec::from_name(controller).expect("built in"))
+    RunOptions::new(BuiltInController::from_name(controller).expect("built in"))
         .with_estimator(EstimatorKind::Truth)
 }
 
@@ -53,7 +54,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
             let found = find_attack(&scenario, &options(controller), aim, envelope, 1500);
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
-            let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
+            let read = file::from_toml(&text, Path::new("worst.toml"), &NoDriverFiles).unwrap();
             let replayed = simulate(
                 &Run::new(&read, options(controller)).unwrap(),
                 RecordingLevel::Summary,
@@ -209,7 +210,7 @@ fn nonsense_is_refused() {
     );
     let reacting = scenario.edited(|spec| {
         spec.vehicles[0].driver =
-            Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
+            Driver::Controller(BuiltInController::from_name("idm").expect("built in"));
     });
     let envelope = Envelope::from_scenario(&scenario);
     let refused = attack(

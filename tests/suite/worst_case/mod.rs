@@ -11,8 +11,9 @@ use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, UndecidedReason, avoid, certify, covers_scenario,
 };
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
-use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::control::{AebSettings, BuiltInController};
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::NoDriverFiles;
 use crumple_world::scenario::{
     Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file,
 };
@@ -49,7 +50,7 @@ fn decide_with_bound(scenario: &Scenario) -> Avoidance {
 
 fn run(
     scenario: &Scenario,
-    controller: &ControllerSpec,
+    controller: &BuiltInController,
     estimator: EstimatorKind,
     parts: f64,
 ) -> SimulationResult {
@@ -65,7 +66,7 @@ fn run(
 fn replay(scenario: &Scenario, parts: f64) -> SimulationResult {
     run(
         scenario,
-        &ControllerSpec::MatchLeader(Default::default()),
+        &BuiltInController::MatchLeader(Default::default()),
         EstimatorKind::Truth,
         parts,
     )
@@ -123,7 +124,7 @@ fn the_papers_collisions_were_avoidable() {
             "{name}: {fired_s} s"
         );
         let text = file::to_toml(&escape.scenario).unwrap();
-        let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
+        let escape_file = file::from_toml(&text, "escape.toml".as_ref(), &NoDriverFiles).unwrap();
         for parts in [1.0, 10.0] {
             let replayed = replay(&escape_file, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
@@ -283,7 +284,7 @@ fn no_controller_contradicts_a_verdict() {
         let scenario = random_scenario(seed);
         let avoidance = decide_with_bound(&scenario);
         programs += avoidance.programs;
-        let kept_m = ControllerSpec::all().into_iter().map(|controller| {
+        let kept_m = BuiltInController::all().into_iter().map(|controller| {
             let results = [EstimatorKind::Truth, EstimatorKind::Kalman]
                 .map(|eyes| run(&scenario, &controller, eyes, 1.0));
             (
@@ -370,7 +371,7 @@ fn a_certificate_is_about_its_own_scenario() {
         |s| s.vehicles[2].reaction_delay_s += s.step_s,
         |s| {
             s.vehicles[2].driver =
-                Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s: 1.3 }))
+                Driver::Controller(BuiltInController::Baseline(AebSettings { ttc_s: 1.3 }))
         },
         |s| s.vehicles.truncate(2),
     ];
@@ -507,7 +508,7 @@ fn unmodelled_scenarios_are_undecided_or_still_proved() {
             _ => None,
         }
     };
-    let idm = ControllerSpec::from_name("idm").unwrap();
+    let idm = BuiltInController::from_name("idm").unwrap();
     let idm = crumple_world::scenario::Driver::Controller(idm);
     // With any leader, a collision-free script is an escape; without one there is no verdict.
     assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), None);

@@ -3,13 +3,14 @@
 //! Shares no code with the optimiser: profiles are pieces with random knots, levels and held constants; half of them
 //! are random changes of the best ones so far.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use crumple_search::worst_case::{
     AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Optimality, avoid,
 };
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
@@ -161,7 +162,7 @@ fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec
 }
 
 fn script_options() -> RunOptions {
-    RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+    RunOptions::new(BuiltInController::MatchLeader(Default::default()))
         .with_estimator(EstimatorKind::Truth)
 }
 
@@ -170,6 +171,7 @@ fn load_escape_scenario(name: &str) -> Scenario {
         &Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("tests/suite/worst_case/escapes")
             .join(name),
+        &NoDriverFiles,
     )
     .expect("a scenario")
 }

@@ -1,7 +1,7 @@
 //! Random scenarios with an emergency.
 
 use crumple_verify::{ConstantPiece, Scene};
-use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::control::{AebSettings, BuiltInController};
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::{
     Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec,
@@ -60,7 +60,7 @@ pub(crate) fn random_scenario(seed: u64) -> Scenario {
         let aeb = AebSettings {
             ttc_s: dice.between(0.8, 2.0),
         };
-        let driver = Driver::Controller(ControllerSpec::Baseline(aeb));
+        let driver = Driver::Controller(BuiltInController::Baseline(aeb));
         let mut follower = VehicleSpec::new(class(dice), dice.between(2.0, 80.0), 0.0, driver);
         follower.speed_mps = speed_mps + dice.between(-3.0, 3.0);
         if dice.one_in(2.0) {
@@ -100,7 +100,7 @@ pub(crate) fn small_scenario(seed: u64) -> Scenario {
         ego_mps,
         Driver::UnderTest,
     );
-    let driver = Driver::Controller(ControllerSpec::Baseline(AebSettings::default()));
+    let driver = Driver::Controller(BuiltInController::Baseline(AebSettings::default()));
     let follower = VehicleSpec::new(
         VehicleClass::Heavy,
         dice.between(3.0, 12.0),
@@ -193,7 +193,7 @@ pub(crate) fn scenario_of_scene(
         vehicles.push(vehicle);
     }
     if let Some(follower) = &scene.follower {
-        let driver = Driver::Controller(ControllerSpec::Baseline(AebSettings {
+        let driver = Driver::Controller(BuiltInController::Baseline(AebSettings {
             ttc_s: follower.ttc_s,
         }));
         let (position_m, speed_mps) = (follower.position_m.low(), follower.speed_mps.low());

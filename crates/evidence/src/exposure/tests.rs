@@ -3,6 +3,7 @@ use crate::fit::refit;
 use crate::rare::Level;
 use crumple_spaces::{DrivingExposure, ObservedData, ObservedParameter, file};
 use crumple_world::random::{Purpose, Stream, stream};
+use crumple_world::scenario::NoDriverFiles;
 use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;
@@ -29,7 +30,7 @@ correlation = [[1.0, -0.4], [-0.4, 1.0]]
 "#;
 
 fn traffic() -> ScenarioSpace {
-    file::from_toml(TRAFFIC, Path::new("synthetic.toml")).unwrap()
+    file::from_toml(TRAFFIC, Path::new("synthetic.toml"), &NoDriverFiles).unwrap()
 }
 
 fn fails(values: &[f64]) -> bool {
@@ -154,7 +155,7 @@ fn space_with_exposure(undescribed_brakings: u64) -> ScenarioSpace {
         undescribed_brakings,
         sources,
     });
-    ScenarioSpace::new(spec, Path::new("")).unwrap()
+    ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).unwrap()
 }
 
 #[test]
@@ -298,7 +299,7 @@ fn percentiles_of_few_resamples_are_not_stated() {
     assert_eq!(few, Err(ResamplingError::TooFew { requested: 78 }));
     let mut spec = space.spec().clone();
     spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
-    let changed = ScenarioSpace::new(spec, Path::new("")).unwrap();
+    let changed = ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).unwrap();
     let refused = count_on_resamples(&changed, 0, 79, 10, &mut failures).unwrap();
     assert_eq!(
         refused,

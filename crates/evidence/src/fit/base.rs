@@ -3,7 +3,7 @@
 use super::episodes::EpisodeSample;
 use super::space::median;
 use crumple_exchange::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
-use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::control::{AebSettings, BuiltInController};
 use crumple_world::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors,
     VehicleClass, VehicleSpec,
@@ -35,7 +35,7 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
         let driver = match index {
             0 => Driver::Profile(lead.clone()),
             _ if index == last && last > 1 => {
-                Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
+                Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
             }
             _ => Driver::UnderTest,
         };

@@ -11,6 +11,7 @@ use crumple_spaces::{
     Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter,
     ParameterValue, ScenarioSpace, SpaceSpec,
 };
+use crumple_world::scenario::NoDriverFiles;
 
 /// Tolerance of a distribution or correlation that is fitted again, relative to the observed values: other machines
 /// round differently.
@@ -83,7 +84,7 @@ pub(super) fn build_space(
         correlation: dependence::estimate_correlation(&columns),
     };
     spec.dependence = merge_copulas(spec.dependence.take(), fitted).map(Dependence::GaussianCopula);
-    Ok(ScenarioSpace::new(spec, Path::new(""))?)
+    Ok(ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles)?)
 }
 
 /// Merges fitted correlations with stated ones of parameters that were not both observed.

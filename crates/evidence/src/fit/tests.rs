@@ -1,3 +1,4 @@
+use crumple_world::scenario::NoDriverFiles;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -190,7 +191,7 @@ distribution.weibull = { shape = 2.0, scale = 20.0, low = 1.0, high = 100.0 }
 parameters = ["behind_m", "friction", "ahead_m"]
 correlation = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]]
 "#;
-    file::from_toml(text, Path::new("known.toml")).unwrap()
+    file::from_toml(text, Path::new("known.toml"), &NoDriverFiles).unwrap()
 }
 
 /// The standard deviation of the estimate for −0.3 from 2000 samples is 0.02; one in seventy has an error above 0.05.
@@ -274,7 +275,7 @@ correlation = [[1.0, 0.6, -0.5], [0.6, 1.0, 0.3], [-0.5, 0.3, 1.0]]
 
 #[test]
 fn point_masses_and_sizes_are_recovered_with_their_dependence() {
-    let space = file::from_toml(WITH_POINTS, Path::new("points.toml")).unwrap();
+    let space = file::from_toml(WITH_POINTS, Path::new("points.toml"), &NoDriverFiles).unwrap();
     let truth = [[1.0, 0.6, -0.5], [0.6, 1.0, 0.3], [-0.5, 0.3, 1.0]];
     let (mut errors, mut most) = ([0.0; 3], 0.0_f64);
     for seed in 0..8 {
@@ -318,7 +319,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
         );
         let text = file::to_toml(&again).unwrap();
         assert_eq!(
-            file::from_toml(&text, Path::new("again.toml"))
+            file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles)
                 .unwrap()
                 .draw(3, 4),
             again.draw(3, 4)
@@ -335,6 +336,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let apart = file::from_toml(
         WITH_POINTS.split("[dependence").next().unwrap(),
         Path::new("apart.toml"),
+        &NoDriverFiles,
     )
     .unwrap();
     let density =
@@ -361,7 +363,11 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     let changed = |change: &dyn Fn(&mut crumple_spaces::SpaceSpec)| {
         let mut spec = fitted.spec().clone();
         change(&mut spec);
-        find_edit(&ScenarioSpace::new(spec, Path::new("")).unwrap(), &observed).unwrap()
+        find_edit(
+            &ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).unwrap(),
+            &observed,
+        )
+        .unwrap()
     };
     let narrower = changed(&|spec| {
         let values = &observed.parameters[1].values;
@@ -605,7 +611,7 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
         }
     }
     let text = file::to_toml(&again).unwrap();
-    let read = file::from_toml(&text, Path::new("again.toml")).unwrap();
+    let read = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
     assert_eq!(read.draw(3, 4), again.draw(3, 4));
     let paired = ObservedData {
         braking_clusters: (0..2000).map(|index| index / 2).collect(),

@@ -15,7 +15,7 @@ use crumple_verify::{Certificate, InvariantClaim, Rejection, Statement};
 use super::reach::{InvalidBox, checker_file};
 use crumple_core::observer::Observer;
 use crumple_search::worst_case::build_certificate;
-use crumple_world::control::{Controller, ControllerSource, ControllerSpec, Ego, IntoSource};
+use crumple_world::control::{BuiltInController, Controller, ControllerSource, Ego, IntoSource};
 use crumple_world::scenario::file;
 use crumple_world::scenario::{Driver, Scenario};
 pub use refute::Defeat;
@@ -100,7 +100,7 @@ impl InvariantPlan {
     ) -> Result<Self, InvalidBox> {
         let controller = controller.into_source();
         let bytes = checker_file(&controller)?;
-        spec.controller = match controller.downcast_ref::<ControllerSpec>() {
+        spec.controller = match controller.downcast_ref::<BuiltInController>() {
             Some(law) if bytes.is_none() => Some(Driver::Controller(law.clone())),
             _ => None,
         };

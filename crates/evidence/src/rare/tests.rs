@@ -13,7 +13,7 @@ use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
 use crumple_spaces::built_in_space;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::estimate::{Filter, Sensor, Tuning};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{NoiseShare, Purpose, Stream};
@@ -276,7 +276,7 @@ fn both_engines_agree_on_shares_of_noise() {
             .clone()
             .with_noise_shares(&shares.collect::<Vec<_>>())
     };
-    let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
+    let options = RunOptions::new(BuiltInController::from_name("idm").unwrap());
     let run = |scenario| Run::new(&scenario, options.clone()).unwrap();
     let runs = [scenario.clone(), with(&[1.0]), with(&[0.8, 0.6])].map(run);
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);

@@ -5,7 +5,7 @@ use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::{ElementPlace, Node};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, VehicleClass};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -73,7 +73,7 @@ impl Entity<'_> {
 pub(super) struct AssignedController {
     name: String,
     /// Built-in controller of this name, with the settings of the properties.
-    built_in: Option<ControllerSpec>,
+    built_in: Option<BuiltInController>,
     notes: Vec<String>,
 }
 
@@ -167,7 +167,7 @@ fn read_controller(node: Node<'_>) -> Result<AssignedController> {
         .iter()
         .map(|(property, value)| format!(",{property}={value}"));
     let built_in =
-        ControllerSpec::parse(&(name.clone() + &settings.collect::<String>())).transpose();
+        BuiltInController::parse(&(name.clone() + &settings.collect::<String>())).transpose();
     let built_in = built_in.map_err(|invalid| node.refuse(invalid.to_string()))?;
     let mut notes = Vec::new();
     if built_in.is_none() {

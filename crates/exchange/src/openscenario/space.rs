@@ -4,6 +4,7 @@
 //! at three values of each parameter show which.
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
+use crumple_world::scenario::NoDriverFiles;
 use serde_json::Value;
 
 use super::distribution::ParameterDistributionFile;
@@ -119,7 +120,7 @@ impl OpenScenarioSource {
             exposure: None,
             observed: None,
         };
-        let space = ScenarioSpace::new(spec, std::path::Path::new(""))
+        let space = ScenarioSpace::new(spec, std::path::Path::new(""), &NoDriverFiles)
             .map_err(|invalid| refuse(invalid.to_string()))?;
         Ok((space, notes))
     }

@@ -1,6 +1,6 @@
 use super::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_core::observer::Quiet;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -102,7 +102,7 @@ fn import(text: &str) -> Result<Scenario, String> {
 
 /// Returns the first and the last speed of the leader, and its largest braking and acceleration, in a simulation.
 fn drive(scenario: &Scenario) -> [f64; 4] {
-    let options = RunOptions::new(ControllerSpec::from_name("match-leader").unwrap())
+    let options = RunOptions::new(BuiltInController::from_name("match-leader").unwrap())
         .with_estimator(EstimatorKind::Truth);
     let trace = simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
         .trace

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::control::{AebSettings, BuiltInController};
 use crumple_world::scenario::{
     Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass,
     VehicleSpec,
@@ -93,7 +93,7 @@ impl BrakingEpisode {
                     speed_mps: self.speed_mps.clone(),
                 })),
                 _ if index == last && last > 1 => {
-                    Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
+                    Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
                 }
                 _ => Driver::UnderTest,
             };

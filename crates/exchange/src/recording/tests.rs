@@ -1,5 +1,6 @@
 //! Synthetic recordings in the formats of the published ones.
 
+use crumple_world::scenario::NoDriverFiles;
 use std::path::Path;
 
 use super::*;
@@ -435,6 +436,7 @@ fn names_of_imported_scenarios_are_distinct_and_errors_end_the_import() {
         let read_back = crumple_world::scenario::file::from_toml(
             &imported.toml,
             Path::new(&imported.file_name),
+            &NoDriverFiles,
         );
         assert_eq!(read_back.expect("valid"), imported.scenario);
     }

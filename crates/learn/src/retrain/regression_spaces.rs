@@ -8,7 +8,7 @@ use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
 use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
 use crumple_measure::UsefulnessMeasures;
 use crumple_spaces::ScenarioSpace;
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
@@ -97,7 +97,7 @@ impl RegressionSpace {
             estimator: plan.estimator(),
             checks_usefulness: true,
         };
-        let found = drawn.evaluate(&ControllerSpec::Idm(Default::default()).into_source())?;
+        let found = drawn.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
         drawn.checks_usefulness = found
             .not_useful
             .is_some_and(|of_no_use| of_no_use.is_empty());
@@ -151,6 +151,7 @@ fn is_not_useful(found: UsefulnessMeasures) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use crumple_world::scenario::NoDriverFiles;
     use std::path::Path;
     use std::sync::Arc;
 
@@ -179,7 +180,7 @@ mod tests {
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),
             initial_policy_name: "retrained".to_owned(),
-            spaces: file::from_toml(QUEUE, Path::new("queue.toml"))
+            spaces: file::from_toml(QUEUE, Path::new("queue.toml"), &NoDriverFiles)
                 .unwrap()
                 .into(),
             attacked: Vec::new(),

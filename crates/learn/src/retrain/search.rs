@@ -180,8 +180,10 @@ impl RoundContext<'_> {
 
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.run_folder.path(&self.path(SEARCH));
-        let read =
-            |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
+        let read = |name: &String| {
+            file::load(&search.join(name), &self.plan.spaces)
+                .map(|scenario| scenario.spec().clone())
+        };
         let counterexamples = found
             .counterexamples
             .iter()

@@ -4,11 +4,26 @@ use super::RetrainError;
 use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
 use crumple_spaces::ScenarioSpace;
+use crumple_world::control::ControllerSource;
+use crumple_world::scenario::{DriverProblem, NoDriverFiles, OpenDriver};
 use crumple_world::scenario::{InvalidField, Scenario};
+use std::path::Path;
+use std::sync::Arc;
 
 /// One or more scenario spaces that are searched and drawn from in turn.
 #[derive(Debug, Clone)]
 pub struct SearchedSpaces(Vec<ScenarioSpace>);
+
+/// Opens the drivers that the spaces have read already.
+impl OpenDriver for SearchedSpaces {
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
+        let opened = self.0.iter().find_map(|space| {
+            let nominal = space.scenario_at(&space.nominal()).ok()?;
+            nominal.open_driver(path).ok()
+        });
+        opened.map_or_else(|| NoDriverFiles.open_driver(path), Ok)
+    }
+}
 
 impl SearchedSpaces {
     /// Creates the list; `None` if it is empty.

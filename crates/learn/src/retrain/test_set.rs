@@ -1,7 +1,5 @@
 //! Results of controllers in the test set.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
@@ -9,6 +7,7 @@ use super::corpus::Corpus;
 use super::files::{read_json, write_json};
 use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
+use crumple_controllers::find_built_in;
 use crumple_evidence::RateInterval;
 use crumple_store::run_folder::RunFolder;
 use crumple_world::sim::{Contact, NamedController};
@@ -73,9 +72,7 @@ const BASELINES: [&str; 5] = [
 
 /// Returns the controllers that can show that a scenario is avoidable: some policies and the baselines.
 pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
-    let others = BASELINES
-        .iter()
-        .filter_map(|name| NamedController::find(name, Path::new("")).ok());
+    let others = BASELINES.iter().filter_map(|name| find_built_in(name));
     policies.iter().cloned().chain(others).collect()
 }
 

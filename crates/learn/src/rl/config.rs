@@ -13,6 +13,7 @@ use super::replay::TransitionLayout;
 use super::serde_helpers::deserialize_f32_no_underflow;
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
+use crumple_controllers::Controllers;
 use crumple_core::text_file::{self, is_default};
 use crumple_world::observation::EstimatorKind;
 
@@ -59,6 +60,9 @@ pub struct TrainingConfig {
     /// Scenario spaces that episodes are drawn from; if empty, the paper's distribution.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spaces: Vec<TrainingSpace>,
+    /// Opens the drivers that spaces name as files; not part of the file.
+    #[serde(skip)]
+    pub controllers: Controllers,
 }
 
 /// The Markov decision process (paper, section "Markov decision process").
@@ -351,7 +355,7 @@ impl TrainingConfig {
         if self.spaces.is_empty() {
             Ok(Arc::new(PaperSource))
         } else {
-            Ok(Arc::new(SpaceMixture::new(&self.spaces)?))
+            Ok(Arc::new(SpaceMixture::new(&self.spaces, self.controllers)?))
         }
     }
 }

@@ -16,7 +16,7 @@ use super::serde_helpers::deserialize_f32_no_underflow;
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::text_file::is_default;
 use crumple_measure::EASY_BRAKE_MPS2;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{FrameStack, Policy, Workspace};
 use crumple_world::random::{self, Purpose};
@@ -157,7 +157,7 @@ impl ImitationConfig {
     ///
     /// # Errors
     /// [`TrainingConfigError::Field`] if it is no built-in controller.
-    pub fn expert_in(&self, scenario: &Scenario) -> Result<ControllerSpec, TrainingConfigError> {
+    pub fn expert_in(&self, scenario: &Scenario) -> Result<BuiltInController, TrainingConfigError> {
         match &self.expert_if_unaware {
             Some(expert) if has_unaware_follower(scenario) => {
                 find_expert("expert_if_unaware", expert)
@@ -192,10 +192,10 @@ impl ImitationConfig {
     }
 }
 
-fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfigError> {
+fn find_expert(field: &str, text: &str) -> Result<BuiltInController, TrainingConfigError> {
     let problem =
         |problem: String| TrainingConfigError::field(format!("imitation.{field}"), problem);
-    match ControllerSpec::parse(text) {
+    match BuiltInController::parse(text) {
         Some(Ok(expert)) => Ok(expert),
         Some(Err(error)) => Err(problem(error.to_string())),
         None => Err(problem(format!(

@@ -8,7 +8,7 @@ use super::config::PRIVILEGED_WIDTH;
 use super::environment::TrainingEpisode;
 use super::reward::FULL_BRAKE_MPS2;
 use super::source::EGO;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
 
 /// Times ahead at which the leader's acceleration is known, in seconds.
@@ -23,7 +23,7 @@ pub(super) fn has_unaware_follower(scenario: &Scenario) -> bool {
     behind.is_some_and(|vehicle| {
         matches!(
             vehicle.driver,
-            Driver::Controller(ControllerSpec::Baseline(_))
+            Driver::Controller(BuiltInController::Baseline(_))
         )
     })
 }
@@ -94,7 +94,7 @@ mod tests {
             .unwrap();
         let run = Run::new(
             &scenario,
-            RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+            RunOptions::new(BuiltInController::MatchLeader(Default::default())),
         )
         .unwrap();
         let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));

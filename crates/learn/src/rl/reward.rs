@@ -94,7 +94,7 @@ mod tests {
 
     use super::*;
     use crate::rl::TrainingConfig;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions};
 
@@ -107,7 +107,7 @@ mod tests {
         let scenario = built_in_scenario("paper-1").unwrap();
         let run = Run::new(
             &scenario,
-            RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+            RunOptions::new(BuiltInController::MatchLeader(Default::default())),
         )
         .unwrap();
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::config_error::{TrainingConfigError, check_range};
 use super::serde_helpers::{is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
+use crumple_controllers::Controllers;
 use crumple_core::text_file::is_default;
 use crumple_spaces::{ScenarioSpace, find_space};
 use crumple_world::random::{self, Purpose};
@@ -68,7 +69,10 @@ impl SpaceMixture {
     ///
     /// # Errors
     /// [`TrainingConfigError`] if a space is unknown, unreadable, unsuitable or duplicate, or a weight invalid.
-    pub fn new(shares: &[TrainingSpace]) -> Result<Self, TrainingConfigError> {
+    pub fn new(
+        shares: &[TrainingSpace],
+        controllers: Controllers,
+    ) -> Result<Self, TrainingConfigError> {
         check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
@@ -84,7 +88,8 @@ impl SpaceMixture {
         {
             let problem =
                 |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
-            let space = find_space(name).map_err(|error| problem(error.to_string()))?;
+            let space =
+                find_space(name, &controllers).map_err(|error| problem(error.to_string()))?;
             let first = space
                 .draw(0, 0)
                 .map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
@@ -255,8 +260,11 @@ mod tests {
     #[test]
     fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
         let spaces = [("traffic", 3.0), ("paper", 1.0), ("high-risk", 4.0)];
-        let blend = SpaceMixture::new(&spaces.map(|(space, weight)| training_space(space, weight)))
-            .unwrap();
+        let blend = SpaceMixture::new(
+            &spaces.map(|(space, weight)| training_space(space, weight)),
+            Controllers::default(),
+        )
+        .unwrap();
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
@@ -284,7 +292,9 @@ mod tests {
     #[test]
     fn too_many_spaces_and_infinite_numbers_are_named() {
         let refused = |shares: &[TrainingSpace], expected: &str| {
-            let found = SpaceMixture::new(shares).unwrap_err().to_string();
+            let found = SpaceMixture::new(shares, Controllers::default())
+                .unwrap_err()
+                .to_string();
             assert!(found.starts_with(expected), "{found}");
         };
         refused(
@@ -305,7 +315,9 @@ mod tests {
             std::fs::write(&path, &text).unwrap();
             training_space(path.to_str().unwrap(), 1.0)
         });
-        let refused = SpaceMixture::new(&shares).unwrap_err().to_string();
+        let refused = SpaceMixture::new(&shares, Controllers::default())
+            .unwrap_err()
+            .to_string();
         assert!(refused.starts_with("spaces[1].space: `"), "{refused}");
         assert!(
             refused.ends_with("other.toml` is the space of spaces[0]: give it one weight"),
@@ -320,7 +332,8 @@ mod tests {
             cost_multiplier: 10.0,
             ..training_space("traffic", 1.0)
         };
-        let blend = SpaceMixture::new(&[ten, training_space("paper", 1.0)]).unwrap();
+        let blend = SpaceMixture::new(&[ten, training_space("paper", 1.0)], Controllers::default())
+            .unwrap();
         let weight = 1.0;
         let mut config = TrainingConfig::preset("road").unwrap().environment;
         config.costs.jerk = weight;

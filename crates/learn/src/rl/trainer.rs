@@ -18,7 +18,7 @@ use crumple_core::digits::format_rounded;
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::policy::{
     FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader,
 };
@@ -242,7 +242,7 @@ impl Trainer {
         let imitation = self.config.imitation.as_ref();
         let controller = match imitation {
             Some(imitation) => imitation.expert_in(&scenario)?,
-            None => ControllerSpec::MatchLeader(Default::default()),
+            None => BuiltInController::MatchLeader(Default::default()),
         };
         let options = RunOptions::new(controller).with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;

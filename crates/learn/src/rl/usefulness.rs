@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crumple_measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_spaces::built_in_space;
-use crumple_world::control::{ControllerSource, ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_world::sim::{
@@ -90,7 +90,7 @@ impl TrafficBenchmark {
             estimator,
             idm_rms: [1.0; 2],
         };
-        let idm = traffic.evaluate(&ControllerSpec::Idm(Default::default()).into_source())?;
+        let idm = traffic.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
         traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
         Ok(traffic)
     }
@@ -170,7 +170,7 @@ mod tests {
     fn idm_is_useful_and_the_reference_policy_is_not() {
         let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
         let idm = traffic
-            .evaluate(&ControllerSpec::Idm(Default::default()).into_source())
+            .evaluate(&BuiltInController::Idm(Default::default()).into_source())
             .unwrap();
         assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));

@@ -4,7 +4,7 @@ use crumple_core::observer::Stopped;
 use crumple_search::falsify::InvalidPoints;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::control::{ControllerSpec, InvalidSetting};
+use crumple_world::control::{BuiltInController, InvalidSetting};
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
 
@@ -76,11 +76,11 @@ impl TuneError {
 
 /// Returns the names of the built-in controllers with settings.
 fn tunable_controllers() -> String {
-    let all = ControllerSpec::all();
+    let all = BuiltInController::all();
     let names: Vec<_> = all
         .iter()
         .filter(|spec| !spec.fields().is_empty())
-        .map(ControllerSpec::name)
+        .map(BuiltInController::name)
         .collect();
     names.join(", ")
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::TuneError;
 use crate::rl::{TrafficBenchmark, TrafficUsefulness};
 use crumple_spaces::ScenarioSpace;
-use crumple_world::control::{ControllerSpec, IntoSource};
+use crumple_world::control::{BuiltInController, IntoSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
@@ -83,7 +83,10 @@ impl ScoringSet {
     }
 
     /// Simulates a controller in all scenarios.
-    pub(super) fn score(&self, controller: &ControllerSpec) -> Result<ControllerScore, RunError> {
+    pub(super) fn score(
+        &self,
+        controller: &BuiltInController,
+    ) -> Result<ControllerScore, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let (mut collisions, mut share, mut total_weight) = (Vec::new(), 0.0, 0.0);
         for (scenarios, weight) in &self.spaces {

@@ -12,7 +12,7 @@ use crumple_core::digest::sha256;
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownText;
 use crumple_evidence::RateInterval;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 
 const CONFIDENCE: f64 = 0.95;
 
@@ -100,11 +100,11 @@ pub struct TuningReport {
 impl TuningReport {
     pub(super) fn new(
         plan: &TuningPlan,
-        tuned: ControllerSpec,
+        tuned: BuiltInController,
         finalists: Vec<TuningFinalist>,
         test: Vec<ControllerScore>,
     ) -> Result<Self, TuneError> {
-        let default = ControllerSpec::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
+        let default = BuiltInController::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
         let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
             let field: &crumple_world::control::SettingField = field;
             let searched = plan

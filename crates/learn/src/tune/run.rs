@@ -7,7 +7,7 @@ use super::plan::{CANDIDATES, PLAN, REPORT_JSON, REPORT_MARKDOWN, SetKind};
 use super::{TuneError, TuningFinalist, TuningPlan, TuningReport};
 use crumple_core::observer::Observer;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 
 /// Number of candidates that the selection set compares with the initial settings.
 const FINALISTS: usize = 5;
@@ -131,12 +131,12 @@ impl TuningPlan {
     fn test(
         &self,
         log: &CandidateLog<'_>,
-        tuned: &ControllerSpec,
+        tuned: &BuiltInController,
     ) -> Result<Vec<ControllerScore>, TuneError> {
         let set = self.scoring_set(SetKind::Test)?;
         let mut done = (self.evaluations + 1 + FINALISTS as u64) * self.runs_per_candidate();
-        let idm = ControllerSpec::Idm(Default::default());
-        let test = |controller: ControllerSpec| {
+        let idm = BuiltInController::Idm(Default::default());
+        let test = |controller: BuiltInController| {
             log.notify(done)?;
             done += self.test_runs * (self.spaces.len() as u64 + 1);
             Ok(set.score(&controller)?)
@@ -186,7 +186,7 @@ impl<'a> CandidateLog<'a> {
     }
 
     /// Evaluates the next candidate, or reads its result, and returns its objective.
-    fn add(&mut self, set: &ScoringSet, controller: &ControllerSpec) -> Result<f64, TuneError> {
+    fn add(&mut self, set: &ScoringSet, controller: &BuiltInController) -> Result<f64, TuneError> {
         let name = controller.to_arg();
         let score = match self.earlier.get(self.candidates.len()) {
             Some(earlier) if earlier.controller == name => earlier.clone(),
@@ -233,8 +233,8 @@ impl<'a> CandidateLog<'a> {
     }
 }
 
-fn parse_controller(text: &str) -> Result<ControllerSpec, TuneError> {
-    Ok(ControllerSpec::parse(text).ok_or_else(|| TuneError::NotBuiltIn(text.to_owned()))??)
+fn parse_controller(text: &str) -> Result<BuiltInController, TuneError> {
+    Ok(BuiltInController::parse(text).ok_or_else(|| TuneError::NotBuiltIn(text.to_owned()))??)
 }
 
 fn parse_json<T: serde::de::DeserializeOwned>(

@@ -2,7 +2,7 @@
 
 use super::TuneError;
 use crumple_search::falsify::{EmptyBlock, UnitCube};
-use crumple_world::control::{ControllerSpec, SettingField};
+use crumple_world::control::{BuiltInController, SettingField};
 
 /// A setting to search, by name, and its range; none for the typical one.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,18 +61,18 @@ impl SearchedSetting {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SettingSearch {
-    initial: ControllerSpec,
+    initial: BuiltInController,
     searched: Vec<SearchedSetting>,
 }
 
 impl SettingSearch {
-    /// Parses a controller as [`ControllerSpec::parse`] does. The settings in the text are fixed. Searches the
+    /// Parses a controller as [`BuiltInController::parse`] does. The settings in the text are fixed. Searches the
     /// requested settings, or all others if `requests` is empty.
     ///
     /// # Errors
     /// [`TuneError`] for a controller that is not built in or has no settings, or an invalid setting or range.
     pub fn parse(controller: &str, requests: &[SettingRequest]) -> Result<Self, TuneError> {
-        let mut initial = ControllerSpec::parse(controller)
+        let mut initial = BuiltInController::parse(controller)
             .ok_or_else(|| TuneError::NotBuiltIn(controller.to_owned()))??;
         if initial.fields().is_empty() {
             return Err(TuneError::NoSettings(initial.name()));
@@ -158,7 +158,7 @@ impl SettingSearch {
     /// Returns the controller with the initial settings: those that are fixed, and the defaults, or the middle of the
     /// requested range if it excludes the default.
     #[must_use]
-    pub fn initial(&self) -> &ControllerSpec {
+    pub fn initial(&self) -> &BuiltInController {
         &self.initial
     }
 
@@ -173,7 +173,7 @@ impl SettingSearch {
     }
 
     /// Returns the controller at a point of the cube.
-    pub(super) fn controller_at(&self, point: &[f64]) -> ControllerSpec {
+    pub(super) fn controller_at(&self, point: &[f64]) -> BuiltInController {
         let mut controller = self.initial.clone();
         for (setting, &coordinate) in self.searched.iter().zip(point) {
             if let Some(value) = controller.get_mut(setting.index) {
@@ -202,18 +202,18 @@ mod tests {
         /// Every point is a controller whose text names it, in the ranges, with the initial settings at the centre.
         #[test]
         fn every_point_is_a_valid_controller(coordinates in prop::collection::vec(0.0..=1.0f64, 20)) {
-            for spec in ControllerSpec::all().iter().filter(|spec| !spec.fields().is_empty()) {
+            for spec in BuiltInController::all().iter().filter(|spec| !spec.fields().is_empty()) {
                 let search = SettingSearch::parse(spec.name(), &[]).unwrap();
                 let point = &coordinates[..search.searched().len()];
                 let found = search.controller_at(point);
-                prop_assert_eq!(ControllerSpec::parse(&found.to_arg()), Some(Ok(found.clone())));
+                prop_assert_eq!(BuiltInController::parse(&found.to_arg()), Some(Ok(found.clone())));
                 for ((field, value), setting) in found.values().zip(search.searched()) {
                     prop_assert!((setting.range[0]..=setting.range[1]).contains(&value), "{}: {value}", field.name);
                 }
                 let [low, high] = [0.0, 1.0].map(|end| search.controller_at(&vec![end; point.len()]));
                 let centre = search.controller_at(&vec![0.5; point.len()]);
                 for (index, setting) in search.searched().iter().enumerate() {
-                    let at = |spec: &ControllerSpec| spec.values().nth(index).unwrap().1;
+                    let at = |spec: &BuiltInController| spec.values().nth(index).unwrap().1;
                     prop_assert_eq!([at(&low), at(&high)], setting.range);
                     let error = (at(&centre) - at(search.initial())).abs();
                     let [from, to] = setting.range;

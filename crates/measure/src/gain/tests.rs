@@ -3,7 +3,8 @@ use std::sync::Arc;
 
 use super::*;
 use crumple_world::control::{
-    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IdmSettings, IntoSource,
+    BuiltInController, Controller, ControllerFailure, ControllerSource, Ego, IdmSettings,
+    IntoSource,
 };
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::{FollowingLine, SpeedOscillation};
@@ -55,10 +56,10 @@ fn survey(controller: impl IntoSource, speeds_mps: &[f64]) -> GainSurvey {
     GainSurvey::at_speeds(&controller.into_source(), speeds_mps).unwrap()
 }
 
-fn idm_with(change: impl FnOnce(&mut IdmSettings)) -> ControllerSpec {
+fn idm_with(change: impl FnOnce(&mut IdmSettings)) -> BuiltInController {
     let mut settings = IdmSettings::default();
     change(&mut settings);
-    ControllerSpec::Idm(settings)
+    BuiltInController::Idm(settings)
 }
 
 #[test]
@@ -91,11 +92,11 @@ fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
 #[test]
 fn idm_amplifies_at_low_speeds_and_damps_at_high_ones() {
     for (speed_mps, reference) in [(8.0, 1.034), (15.0, 1.022), (22.0, 1.001)] {
-        let found = survey(ControllerSpec::Idm(IdmSettings::default()), &[speed_mps]);
+        let found = survey(BuiltInController::Idm(IdmSettings::default()), &[speed_mps]);
         let (at, gain) = found.largest().unwrap();
         assert!((gain - reference).abs() < 0.003, "{at:?} {gain}");
     }
-    let (at, gain) = survey(ControllerSpec::Idm(IdmSettings::default()), &[30.0])
+    let (at, gain) = survey(BuiltInController::Idm(IdmSettings::default()), &[30.0])
         .largest()
         .unwrap();
     assert!((gain - 0.80).abs() < 0.006, "{at:?} {gain}");
@@ -120,7 +121,7 @@ fn road_amplifies_more_than_idm() {
         frequency_rad_per_s: 0.2,
     };
     let gain = |name: &str| {
-        let controller = ControllerSpec::from_name(name).unwrap().into_source();
+        let controller = BuiltInController::from_name(name).unwrap().into_source();
         LineRuns::new(&controller).measure(&[at]).unwrap()[0]
             .gain
             .clone()
@@ -137,7 +138,7 @@ fn road_amplifies_more_than_idm() {
         build_up_s: 100.0,
     };
     let scenario = line.scenario(Some(oscillation), 40_000).unwrap();
-    let road = RunOptions::new(ControllerSpec::from_name("road").unwrap())
+    let road = RunOptions::new(BuiltInController::from_name("road").unwrap())
         .with_estimator(EstimatorKind::Truth);
     let trace = simulate(&Run::new(&scenario, road).unwrap(), RecordingLevel::Trace)
         .trace
@@ -174,7 +175,7 @@ fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
     let periods = 3;
     let window = (100.0 * f64::from(periods) * TAU / 0.2).round() as usize;
     let scenario = line.scenario(Some(oscillation), 30_000 + window).unwrap();
-    let options = RunOptions::new(ControllerSpec::Idm(IdmSettings::default()));
+    let options = RunOptions::new(BuiltInController::Idm(IdmSettings::default()));
     let trace = simulate(
         &Run::new(&scenario, options).unwrap(),
         RecordingLevel::Trace,
@@ -191,7 +192,7 @@ fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
 
 #[test]
 fn a_controller_that_follows_no_leader_has_no_gain() {
-    let found = survey(ControllerSpec::from_name("baseline").unwrap(), &[8.0]);
+    let found = survey(BuiltInController::from_name("baseline").unwrap(), &[8.0]);
     assert!(
         found.largest().is_none()
             && found

@@ -141,7 +141,7 @@ mod tests {
     use super::*;
     use crate::LeadMeasures;
     use crate::stl::Formula;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -150,7 +150,7 @@ mod tests {
         let scenario = built_in_scenario("paper-1").unwrap();
         let run = Run::new(
             &scenario,
-            RunOptions::new(ControllerSpec::from_name("match-leader").unwrap()),
+            RunOptions::new(BuiltInController::from_name("match-leader").unwrap()),
         )
         .unwrap();
         let result = simulate(&run, RecordingLevel::Trace);

@@ -76,7 +76,7 @@ impl SpeedAmplification {
 mod tests {
     use super::*;
     use crate::testing::{driven_track, trace};
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::observation::EstimatorKind;
     use crumple_world::scenario::{SPEED_DIP_ONSET_S, speed_dip};
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn a_line_of_cruise_controls_carries_a_speed_dip_back() {
         let scenario = speed_dip(5, 1.5).unwrap();
-        let acc = ControllerSpec::from_name("acc-aeb").unwrap();
+        let acc = BuiltInController::from_name("acc-aeb").unwrap();
         let options = RunOptions::new(acc).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options).unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();

@@ -156,7 +156,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{driven_track, trace};
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::PaperDistribution;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -223,7 +223,7 @@ mod tests {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
             let run = Run::new(
                 &scenario,
-                RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+                RunOptions::new(BuiltInController::from_name("idm").unwrap()),
             )
             .unwrap();
             let result = simulate(&run, RecordingLevel::Trace);

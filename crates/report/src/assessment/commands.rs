@@ -13,10 +13,11 @@ use super::controller_arg::{controller_arg, network_path, policy_path, process_f
 use super::parts::scenario_path;
 use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
+use crumple_controllers::controller_file;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{controller_file, file};
+use crumple_world::scenario::file;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::gate::AssessmentGate;
 use super::planned_suite::SuiteConfig;
+use crumple_controllers::Controllers;
 use crumple_core::text_file::FileError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::ScenarioFileError;
@@ -80,6 +81,9 @@ pub struct AssessConfig {
     /// Conditions of the assessment; `crumple assess` ends with exit code 1 if one does not hold. Default none.
     #[serde(default)]
     pub gates: Vec<AssessmentGate>,
+    /// Opens the controllers that scenarios, spaces and suites name as files; not part of the file.
+    #[serde(skip)]
+    pub controllers_of_files: Controllers,
 }
 
 /// Settings of the search for failures.
@@ -219,6 +223,7 @@ impl Default for AssessConfig {
                 },
                 AssessmentGate::ProofsAccepted {},
             ],
+            controllers_of_files: Controllers::default(),
         }
     }
 }

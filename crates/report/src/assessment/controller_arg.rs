@@ -1,10 +1,10 @@
 //! Arguments that name controllers in the commands of a report, and their files in its folder.
 
-use crumple_world::control::{
-    ControllerSource, ControllerSpec, NetworkController, PolicySource, ProcessController,
-};
+use crumple_controllers::controller_file;
+use crumple_networks::NetworkController;
+use crumple_process::ProcessController;
+use crumple_world::control::{BuiltInController, ControllerSource, PolicySource};
 use crumple_world::policy::Policy;
-use crumple_world::scenario::controller_file;
 
 /// Returns the controller's command-line argument in the report folder; `None` for an external controller, and for a
 /// process that copies of its files do not determine.
@@ -13,7 +13,7 @@ pub(super) fn controller_arg(source: &dyn ControllerSource) -> Option<String> {
         let inner = controller_arg(&*shield.controller)?;
         return Some(format!("shield{}:{inner}", shield.settings.to_arg()));
     }
-    if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+    if let Some(spec) = source.downcast_ref::<BuiltInController>() {
         return Some(spec.to_arg());
     }
     if let Some(network) = source.downcast_ref::<NetworkController>() {

@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use crumple_controllers::Controllers;
 use crumple_verify::Certificate;
+use crumple_world::scenario::OpenDriver;
 use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
@@ -11,11 +13,12 @@ use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
 use super::gate::AssessmentGate;
 use super::parts::{self, EVERYDAY_SPACES};
 use super::planned_suite::PlannedSuite;
+use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::control::{ControllerSource, ControllerSpec};
+use crumple_world::control::{BuiltInController, ControllerSource};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, built_in_scenario_names, file};
@@ -130,13 +133,15 @@ impl AssessmentPlan {
         loading.build_plan(config, controllers)
     }
 
-    /// Reads a configuration file and everything that it names.
+    /// Reads a configuration file and everything that it names. `controllers` opens the controllers that the named files
+    /// name.
     ///
     /// # Errors
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
-    pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
+    pub fn load(path: &Path, controllers: Controllers) -> Result<Self, AssessConfigError> {
         let text = text_file::read(path)?;
-        let config: AssessConfig = text_file::parse_toml(&text, path)?;
+        let mut config: AssessConfig = text_file::parse_toml(&text, path)?;
+        config.controllers_of_files = controllers;
         let loading = PlanLoader {
             path,
             text: &text,
@@ -287,7 +292,7 @@ fn default_subject(controllers: &[NamedController]) -> usize {
 }
 
 fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate> {
-    let reference = ControllerSpec::Policy(Default::default()).identity();
+    let reference = BuiltInController::Policy(Default::default()).identity();
     if !controllers
         .iter()
         .any(|controller| controller.source.identity().as_deref() == reference.as_deref())
@@ -346,7 +351,7 @@ impl PlanLoader<'_> {
         self.check_numbers(&config)?;
         // Controllers have one name, however the configuration spells it.
         let place_of = |name: &mut String| {
-            if let Ok(found) = NamedController::find_for_user(name, self.folder) {
+            if let Ok(found) = find_for_user(name, self.folder) {
                 *name = found.name;
             }
             controllers
@@ -377,8 +382,16 @@ impl PlanLoader<'_> {
         }
         let (recorded, left_out) = self.import_recordings(&config)?;
         let file_scenarios = self.load_scenarios(&config, recorded)?;
-        let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
-        let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
+        let search_spaces = self.load_spaces(
+            "search.spaces",
+            &config.search_spaces(),
+            &config.controllers_of_files,
+        )?;
+        let rate_spaces = self.load_spaces(
+            "distributions",
+            &config.rate_spaces(),
+            &config.controllers_of_files,
+        )?;
         let clash = rate_spaces.iter().find(|one| {
             search_spaces.iter().any(|other| {
                 one.space.name() == other.space.name() && one.content_id != other.content_id
@@ -478,7 +491,7 @@ impl PlanLoader<'_> {
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
-            let controller = NamedController::find_and_try(name, self.folder)
+            let controller = find_and_try(name, self.folder)
                 .map_err(|error| self.field_error(&field, error.to_string()))?;
             self.add_controller(&mut controllers, &field, controller)?;
         }
@@ -524,7 +537,7 @@ impl PlanLoader<'_> {
             self.ensure(at.exists(), &field, || {
                 format!("{} does not exist", at.display())
             })?;
-            let found = file::load_all(&at)?;
+            let found = file::load_all(&at, &config.controllers_of_files)?;
             self.ensure(!found.is_empty(), &field, || {
                 format!("the folder {} has no scenario file", named.display())
             })?;
@@ -565,6 +578,7 @@ impl PlanLoader<'_> {
         &self,
         list: &str,
         names: &[String],
+        opener: &dyn OpenDriver,
     ) -> Result<Vec<NamedSpace>, AssessConfigError> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
@@ -572,8 +586,10 @@ impl PlanLoader<'_> {
             let wrong = |problem: String| self.field_error(&field, problem);
             let space = match built_in_space(name) {
                 Some(space) => space,
-                None if name.ends_with(".toml") => space_file::load(&self.folder.join(name))
-                    .map_err(|error| wrong(error.to_string()))?,
+                None if name.ends_with(".toml") => {
+                    space_file::load(&self.folder.join(name), opener)
+                        .map_err(|error| wrong(error.to_string()))?
+                }
                 None => {
                     return Err(wrong(format!(
                         "`{name}` is neither a built-in space nor a .toml file"

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use resvg::{tiny_skia, usvg};
 
 use super::*;
-use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::control::{AebSettings, BuiltInController};
 use crumple_world::scenario::{
     Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario,
 };
@@ -32,7 +32,7 @@ fn simulate_line(
             };
             let driver = match (rank, ttc_s) {
                 (1.., Some(ttc_s)) => {
-                    Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s }))
+                    Driver::Controller(BuiltInController::Baseline(AebSettings { ttc_s }))
                 }
                 _ => Driver::Profile(LeadProfile::Brake(Brake {
                     onset_s: 1.0 + 0.1 * rank as f64,
@@ -46,7 +46,7 @@ fn simulate_line(
         spec.vehicles = heavy.iter().enumerate().map(vehicle).collect();
     });
     let scenario = scenario.unwrap();
-    let nobody = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
+    let nobody = RunOptions::new(BuiltInController::MatchLeader(Default::default()));
     let simulated = simulate(
         &Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(),
         RecordingLevel::Trace,

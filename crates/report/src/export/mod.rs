@@ -109,7 +109,7 @@ mod tests {
     use super::*;
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use ::parquet::record::RowAccessor;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -118,7 +118,7 @@ mod tests {
         let scenario = built_in_scenario("paper-1").unwrap();
         let run = Run::new(
             &scenario,
-            RunOptions::new(ControllerSpec::from_name("baseline").unwrap()),
+            RunOptions::new(BuiltInController::from_name("baseline").unwrap()),
         )
         .unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crumple_controllers::{Controllers, UnknownController};
 use crumple_measure::RunVerdict;
-use crumple_world::sim::{NamedController, UnknownController};
+use crumple_world::sim::NamedController;
 
 /// A condition that a partner simulation must satisfy for a failure to count.
 #[derive(Debug, Clone)]
@@ -86,11 +87,15 @@ impl FailureCriterionRecord {
     ///
     /// # Errors
     /// [`UnknownController`] if there is no such controller.
-    pub(super) fn resolve(&self, folder: &Path) -> Result<FailureCriterion, UnknownController> {
+    pub(super) fn resolve(
+        &self,
+        folder: &Path,
+        controllers: Controllers,
+    ) -> Result<FailureCriterion, UnknownController> {
         let Self::Differential { controller, .. } = self;
-        Ok(FailureCriterion::Differential(NamedController::find(
-            controller, folder,
-        )?))
+        Ok(FailureCriterion::Differential(
+            controllers.find(controller, folder)?,
+        ))
     }
 
     /// Describes the failures that count, as the end of a sentence.

@@ -168,13 +168,13 @@ pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 /// ```
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::worst_case::{AttackObjective, Envelope, attack};
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_world::observation::EstimatorKind;
 /// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::RunOptions;
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
-/// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap()).with_estimator(EstimatorKind::Truth);
+/// let options = RunOptions::new(BuiltInController::from_name("baseline").unwrap()).with_estimator(EstimatorKind::Truth);
 /// let envelope = Envelope::from_scenario(&scenario);
 /// let result = attack(&scenario, &options, AttackObjective::Mildest, envelope, 100, &Quiet).unwrap();
 /// // The paper's leader brakes at 3 m/s².

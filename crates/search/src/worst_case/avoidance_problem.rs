@@ -8,7 +8,7 @@ use crumple_verify::{Interval, SceneEgo, SceneFollower};
 
 use super::reason::UndecidedReason;
 use super::scripted_leader::ScriptedLeader;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
 
 /// A leader, one or more egos, perhaps a follower, and a time grid.
@@ -67,7 +67,7 @@ impl AvoidanceProblem {
         let mut follower = None;
         if let Some(vehicle) = vehicles.get(behind) {
             match &vehicle.driver {
-                Driver::Controller(ControllerSpec::Baseline(aeb)) if !has_lag(vehicle) => {
+                Driver::Controller(BuiltInController::Baseline(aeb)) if !has_lag(vehicle) => {
                     if vehicle.acceleration_noise_mps2 > 0.0 {
                         proof_caveat.get_or_insert(UndecidedReason::Noise { vehicle: behind });
                     }

@@ -1,6 +1,6 @@
 //! Emergency brakes behind the vehicles under test, read from a replay.
 
-use crumple_world::control::{AccAebSettings, AebSettings, ControllerSpec};
+use crumple_world::control::{AccAebSettings, AebSettings, BuiltInController};
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::Trace;
 
@@ -57,12 +57,12 @@ impl Threshold {
     fn from_driver(driver: &Driver) -> Self {
         match driver {
             Driver::Controller(
-                ControllerSpec::Baseline(AebSettings { ttc_s })
-                | ControllerSpec::BaselineUnlatched(AebSettings { ttc_s })
-                | ControllerSpec::AccAeb(AccAebSettings { ttc_s, .. }),
+                BuiltInController::Baseline(AebSettings { ttc_s })
+                | BuiltInController::BaselineUnlatched(AebSettings { ttc_s })
+                | BuiltInController::AccAeb(AccAebSettings { ttc_s, .. }),
             ) => Self::TimeToCollision(*ttc_s),
             Driver::Profile(_)
-            | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => {
+            | Driver::Controller(BuiltInController::Idm(_) | BuiltInController::MatchLeader(_)) => {
                 Self::None
             }
             Driver::UnderTest | Driver::Controller(_) | Driver::File(_) => Self::Unknown,

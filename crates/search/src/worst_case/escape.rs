@@ -3,7 +3,7 @@
 use super::avoidance_problem::AvoidanceProblem;
 use super::emergency_brake::EmergencyBrake;
 use super::firing_search::ModelEscape;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec,
@@ -144,7 +144,7 @@ fn round_acceleration(acceleration_mps2: f64) -> f64 {
 }
 
 pub(super) fn scripted_run_options() -> RunOptions {
-    RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+    RunOptions::new(BuiltInController::MatchLeader(Default::default()))
         .with_estimator(EstimatorKind::Truth)
 }
 

@@ -1,6 +1,6 @@
 //! Motion of a scripted leader, which reacts to no vehicle.
 
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 use crumple_world::sim::{Motion, RecordingLevel, Run, RunOptions, simulate};
 
@@ -103,7 +103,7 @@ fn simulated_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let Ok(alone) = alone else { return Vec::new() };
     let Ok(run) = Run::new(
         &alone,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+        RunOptions::new(BuiltInController::MatchLeader(Default::default())),
     ) else {
         return Vec::new();
     };

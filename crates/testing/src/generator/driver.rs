@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use super::choices::Choices;
 use super::shape::DriverKind;
-use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::control::{BuiltInController, Role};
 use crumple_world::scenario::{
     Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
     VehicleSpec,
@@ -30,7 +30,7 @@ pub fn profile_from_bytes(index: u8, bytes: &[u8]) -> LeadProfile {
 
 /// Reads the `index`-th built-in controller with valid settings; no bytes give its defaults.
 #[must_use]
-pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> ControllerSpec {
+pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> BuiltInController {
     read_controller(index, &mut Choices::new(bytes))
 }
 
@@ -80,16 +80,16 @@ fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec
 }
 
 /// Controllers to generate: all with a role up to [`Role::Reference`], and the built-in policy.
-pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
-    let rules = ControllerSpec::all()
+pub static CONTROLLERS: LazyLock<Vec<BuiltInController>> = LazyLock::new(|| {
+    let rules = BuiltInController::all()
         .into_iter()
         .filter(|spec| spec.role() <= Role::Reference);
     rules
-        .chain([ControllerSpec::Policy(Default::default())])
+        .chain([BuiltInController::Policy(Default::default())])
         .collect()
 });
 
-fn read_controller(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
+fn read_controller(index: u8, choices: &mut Choices<'_>) -> BuiltInController {
     let mut spec = CONTROLLERS[usize::from(index) % CONTROLLERS.len()].clone();
     for (place, field) in spec.fields().iter().enumerate() {
         if let Some(value) = spec.get_mut(place) {

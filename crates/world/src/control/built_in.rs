@@ -51,7 +51,7 @@ macro_rules! define {
     ) => {
         /// A built-in controller and its settings.
         #[derive(Debug, Clone, PartialEq)]
-        pub enum ControllerSpec {
+        pub enum BuiltInController {
             $($(#[$doc])* $rule(<$rule as BuiltIn>::Settings),)*
             $($(#[$policy_doc])* $policy(<$known_by as BuiltIn>::Settings),)*
         }
@@ -60,13 +60,13 @@ macro_rules! define {
         macro_rules! of_row {
             ($spec:expr, |$row:ident, $settings:ident| $of:expr) => {
                 match $spec {
-                    $(ControllerSpec::$rule($settings) => { type $row = $rule; $of })*
-                    $(ControllerSpec::$policy($settings) => { type $row = $known_by; $of })*
+                    $(BuiltInController::$rule($settings) => { type $row = $rule; $of })*
+                    $(BuiltInController::$policy($settings) => { type $row = $known_by; $of })*
                 }
             };
         }
 
-        impl ControllerSpec {
+        impl BuiltInController {
             /// Returns every built-in controller with its default settings, in the order of `crumple list controllers`.
             #[must_use]
             pub fn all() -> Vec<Self> {
@@ -111,10 +111,10 @@ macro_rules! define {
         }
 
         impl AnyController {
-            pub(crate) fn from_spec(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
+            pub(crate) fn from_spec(spec: &BuiltInController, ego: &Ego, seed: u64) -> Self {
                 match spec {
-                    $(ControllerSpec::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
-                    $(ControllerSpec::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
+                    $(BuiltInController::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
+                    $(BuiltInController::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
                 }
             }
         }
@@ -176,7 +176,7 @@ fn describe_known_settings(known: &[SettingField]) -> String {
     }
 }
 
-impl ControllerSpec {
+impl BuiltInController {
     /// Returns the built-in controller of that name with its default settings.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
@@ -189,11 +189,11 @@ impl ControllerSpec {
     /// after a comma (`acc-aeb,ttc_s=2.0`). Returns `None` if the name is not built in.
     ///
     /// ```
-    /// use crumple_world::control::ControllerSpec;
+    /// use crumple_world::control::BuiltInController;
     ///
-    /// let spec = ControllerSpec::parse("acc-aeb,ttc_s=2.0").unwrap().unwrap();
+    /// let spec = BuiltInController::parse("acc-aeb,ttc_s=2.0").unwrap().unwrap();
     /// assert_eq!(spec.to_arg(), "acc-aeb,ttc_s=2");
-    /// assert!(ControllerSpec::parse("acc-aeb,ttc_s=-1").unwrap().is_err());
+    /// assert!(BuiltInController::parse("acc-aeb,ttc_s=-1").unwrap().is_err());
     /// ```
     #[must_use]
     pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
@@ -311,7 +311,7 @@ impl ControllerSpec {
     }
 }
 
-impl ControllerSource for ControllerSpec {
+impl ControllerSource for BuiltInController {
     fn identity(&self) -> Option<String> {
         Some(self.sha256())
     }

@@ -64,22 +64,18 @@ mod autoware_aeb;
 mod baseline;
 mod batch_query;
 mod built_in;
-mod checker_file;
 mod competent_human;
 mod constant_brake;
 mod decision_timer;
 mod emergency_brake;
 mod fuzzy_safety;
-mod history;
 mod human;
 mod idm;
-mod mapping;
 mod match_leader;
-mod network;
 mod openpilot;
 mod policy;
 mod predictive;
-mod process;
+mod process_failure;
 mod r157_simple;
 mod reaction;
 mod rss;
@@ -88,7 +84,7 @@ mod set_speed;
 mod shield;
 mod source;
 mod source_file;
-mod space_check;
+mod start_refusal;
 mod stateless;
 mod stress;
 mod zero_order_hold;
@@ -99,24 +95,18 @@ pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use batch_query::{BatchQuery, decide_by_query};
 pub(crate) use built_in::AnyController;
-pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub use built_in::{BuiltIn, BuiltInController, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
+pub use decision_timer::DecisionTimer;
 pub use emergency_brake::{EmergencyBrake, EmergencyBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
 pub use human::{Human, HumanSettings};
-pub use mapping::{HistoryPadding, InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 pub use match_leader::MatchLeader;
-pub use network::NetworkController;
 pub use openpilot::{Openpilot, OpenpilotSettings};
 pub use policy::{PolicyDriver, PolicySource, ReferencePolicy, RetrainedPolicy, RoadPolicy};
 pub use predictive::{Predictive, PredictiveSettings};
-#[cfg(feature = "process")]
-pub use process::find_fmu_host;
-pub use process::{
-    FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission,
-    StartRefusal, allow_external, is_external_allowed,
-};
+pub use process_failure::{PROTOCOL_VERSION, ProcessFailure, ProcessProblem, escaped_excerpt};
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
@@ -132,6 +122,7 @@ pub use source::{
 };
 pub(crate) use source::{ShieldAssumptions, not_started};
 pub use source_file::SourceFile;
+pub use start_refusal::StartRefusal;
 pub use stateless::{StatelessController, stateless};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
@@ -340,7 +331,7 @@ pub(crate) mod tests {
             ahead: None,
             behind: None,
         };
-        for spec in ControllerSpec::all() {
+        for spec in BuiltInController::all() {
             let command = AnyController::from_spec(&spec, &EGO, 0)
                 .decide(&alone)
                 .unwrap();
@@ -355,7 +346,7 @@ pub(crate) mod tests {
 
     #[test]
     fn words_and_files_stand_for_one_specification() {
-        for mut spec in ControllerSpec::all() {
+        for mut spec in BuiltInController::all() {
             let plain = (spec.identity(), spec.to_arg());
             assert_eq!(plain.1, spec.name());
             let fields = spec.fields();
@@ -364,7 +355,7 @@ pub(crate) mod tests {
                     0.3 * field.typical_range[0] + 0.7 * field.typical_range[1];
             }
             assert_eq!(
-                ControllerSpec::parse(&spec.to_arg()),
+                BuiltInController::parse(&spec.to_arg()),
                 Some(Ok(spec.clone()))
             );
             assert_eq!(
@@ -379,12 +370,12 @@ pub(crate) mod tests {
     #[test]
     fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
         let problem = |words: &str| {
-            ControllerSpec::parse(words)
+            BuiltInController::parse(words)
                 .unwrap()
                 .unwrap_err()
                 .to_string()
         };
-        assert_eq!(ControllerSpec::parse("no-such,ttc_s=1"), None);
+        assert_eq!(BuiltInController::parse("no-such,ttc_s=1"), None);
         assert_eq!(
             problem("baseline,ttc=1"),
             "`ttc=1` is not a setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"

@@ -37,7 +37,7 @@ pub(super) fn max_accel_mps2(set_speed_mps: f64, gain_per_s: f64, seen: &Observa
 mod tests {
     use super::super::tests::leader_observation;
     use super::*;
-    use crate::control::ControllerSpec;
+    use crate::control::BuiltInController;
     use crate::observation::EstimatorKind;
     use crate::scenario::{
         Driver, LeadProfile, PiecewiseAcceleration, RecordedSpeeds, Scenario, ScenarioSpec,
@@ -63,7 +63,7 @@ mod tests {
         let scenario =
             Scenario::new(ScenarioSpec::new("drive".to_owned(), seconds, vehicles)).unwrap();
         ["acc-aeb", "openpilot"].map(|name| {
-            let spec = ControllerSpec::parse(&format!("{name}{settings}"))
+            let spec = BuiltInController::parse(&format!("{name}{settings}"))
                 .unwrap()
                 .unwrap();
             let run = Run::new(

@@ -8,12 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use super::zero_order_hold::ZeroOrderHold;
 use super::{
-    Controller, ControllerSpec, Ego, ShieldParams, ShieldRefusal, ShieldSettings, ShieldedSource,
-    SourceFile,
+    BuiltInController, Controller, Ego, ProcessFailure, ShieldParams, ShieldRefusal,
+    ShieldSettings, ShieldedSource, SourceFile,
 };
 use crate::observation::Observation;
 use crate::policy::Policy;
-use crate::process::ProcessFailure;
 
 /// Reason why a controller gave no usable answer. The run ends there: a vehicle without a controller does not coast.
 ///
@@ -295,7 +294,7 @@ impl<S: ControllerSource> IntoSource for Arc<S> {
     }
 }
 
-impl IntoSource for ControllerSpec {
+impl IntoSource for BuiltInController {
     fn into_source(self) -> Arc<dyn ControllerSource> {
         Arc::new(self)
     }

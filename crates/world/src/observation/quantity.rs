@@ -70,8 +70,8 @@ impl ObservedQuantity {
         Self::LastAnswerMps2,
     ];
 
-    #[cfg(feature = "process")]
-    pub(crate) fn names() -> impl Iterator<Item = &'static str> {
+    /// Returns all names, in the order of the documentation.
+    pub fn names() -> impl Iterator<Item = &'static str> {
         Self::ALL.into_iter().map(Self::name)
     }
 
@@ -84,7 +84,8 @@ impl ObservedQuantity {
     }
 
     /// Returns the usual range in car following.
-    pub(crate) fn typical_range(self) -> [f64; 2] {
+    #[must_use]
+    pub fn typical_range(self) -> [f64; 2] {
         use ObservedQuantity as Q;
         match self {
             Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
@@ -126,7 +127,8 @@ impl ObservedQuantity {
     }
 
     /// True if the quantity belongs to a neighbour, which may be absent.
-    pub(crate) fn is_of_neighbour(self) -> bool {
+    #[must_use]
+    pub fn is_of_neighbour(self) -> bool {
         use ObservedQuantity as Q;
         !matches!(
             self,
@@ -134,13 +136,10 @@ impl ObservedQuantity {
         )
     }
 
+    /// Returns the value of the quantity in an observation; `absent` replaces that of a missing neighbour.
+    #[must_use]
     #[inline]
-    pub(crate) fn value(
-        self,
-        seen: &Observation,
-        last_answer_mps2: f64,
-        absent: Option<f64>,
-    ) -> f64 {
+    pub fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
         use ObservedQuantity as Q;
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }

@@ -4,7 +4,6 @@
 ///
 /// Uses single precision in a fixed order, with `tanh` and `exp` from `libm`: bit-identical on every machine.
 #[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
 pub enum Elementwise {
     /// x + a.
     Add(Vec<f32>),
@@ -39,7 +38,8 @@ pub enum Elementwise {
 
 impl Elementwise {
     /// Returns the number of operands; `None` without operands.
-    pub(crate) fn width(&self) -> Option<usize> {
+    #[must_use]
+    pub fn width(&self) -> Option<usize> {
         match self {
             Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => {
                 Some(operands.len())
@@ -49,7 +49,8 @@ impl Elementwise {
         }
     }
 
-    pub(crate) fn apply(&self, values: &mut [f32], width: usize) {
+    /// Applies the operation to rows of `width` values.
+    pub fn apply(&self, values: &mut [f32], width: usize) {
         match self {
             Self::Add(operands) => map_rows(values, operands, |x, a| x + a),
             Self::Multiply(operands) => map_rows(values, operands, |x, a| x * a),
@@ -77,7 +78,8 @@ impl Elementwise {
     }
 
     /// Returns the range of number `index` for an input between `low` and `high`, without rounding.
-    pub(crate) fn range(&self, index: usize, [low, high]: [f64; 2]) -> [f64; 2] {
+    #[must_use]
+    pub fn range(&self, index: usize, [low, high]: [f64; 2]) -> [f64; 2] {
         let of = |operands: &[f32]| operands.get(index).copied().map_or(f64::NAN, f64::from);
         let sorted = |a: f64, b: f64| if a <= b { [a, b] } else { [b, a] };
         let both = |f: &dyn Fn(f64) -> f64| [f(low), f(high)];

@@ -22,7 +22,7 @@ pub use header::{
 };
 pub use held_action::HeldAction;
 pub use learning_curve::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
-pub(crate) use network::PackedNetwork;
+pub use network::PackedNetwork;
 pub use network::{Network, Workspace};
 pub use product::{Lhs, PackedPanels, Rhs, multiply_vector, with_workers};
 #[cfg(test)]

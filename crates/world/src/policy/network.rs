@@ -149,7 +149,7 @@ impl Network {
 
 /// A network with packed weights for fast evaluation.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct PackedNetwork {
+pub struct PackedNetwork {
     steps: Vec<PackedStep>,
 }
 
@@ -188,7 +188,7 @@ impl PackedNetwork {
     }
 
     /// Appends a product with a matrix of one row per input. The last product to one output cannot be `rectified`.
-    pub(crate) fn push_product(
+    pub fn push_product(
         &mut self,
         weights: &[f32],
         biases: &[f32],
@@ -213,17 +213,13 @@ impl PackedNetwork {
         });
     }
 
-    pub(crate) fn push_elementwise(&mut self, each: Elementwise, width: usize) {
+    /// Appends an elementwise operation on `width` values.
+    pub fn push_elementwise(&mut self, each: Elementwise, width: usize) {
         self.steps.push(PackedStep::Elementwise(each, width));
     }
 
     /// Returns the output for `batch` rows of `input`; the bits of a row do not depend on other rows.
-    pub(crate) fn forward<'w>(
-        &self,
-        input: &[f32],
-        batch: usize,
-        space: &'w mut Workspace,
-    ) -> &'w [f32] {
+    pub fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
         space.front.clear();
         space.front.extend_from_slice(input);
         for step in &self.steps {

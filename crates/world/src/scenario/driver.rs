@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::controller_file::{self, ControllerFileError, is_regular_file};
+use super::Scenario;
 use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
 use crate::control::{
-    self, BuiltIn, ControllerSource, ControllerSpec, NameOrigin, with_controllers,
+    self, BuiltIn, BuiltInController, ControllerSource, StartRefusal, with_controllers,
 };
 
 /// The source of a vehicle's acceleration.
@@ -23,9 +23,61 @@ pub enum Driver {
     /// Scripted motion, independent of other vehicles.
     Profile(LeadProfile),
     /// Named controller, the same in every run.
-    Controller(ControllerSpec),
+    Controller(BuiltInController),
     /// Controller from a file.
     File(FileDriver),
+}
+
+/// Opens the controllers that scenario files name as drivers.
+pub trait OpenDriver: Sync {
+    /// Opens the controller in the file at `path`.
+    ///
+    /// # Errors
+    /// [`DriverProblem`] for a file without a usable controller, and for a program that may not start.
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem>;
+}
+
+/// Reason why a file gives no driver.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DriverProblem {
+    /// The file holds no usable controller.
+    #[error("{0}")]
+    Unusable(String),
+    /// A program that only a file names.
+    #[error(transparent)]
+    StartRefused(#[from] StartRefusal),
+}
+
+/// Opens no file: for scenarios whose drivers are built in.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoDriverFiles;
+
+impl OpenDriver for NoDriverFiles {
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
+        let path = path.display();
+        let problem = format!("{path} is not read here: use a driver that is built in");
+        Err(DriverProblem::Unusable(problem))
+    }
+}
+
+/// Opens the drivers that a scenario has read already, for copies of it.
+impl OpenDriver for Scenario {
+    fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
+        let has_path = |file: &&FileDriver| Path::new(&file.path) == path;
+        let drivers = self
+            .vehicles()
+            .iter()
+            .filter_map(|vehicle| match &vehicle.driver {
+                Driver::File(file) => Some(file),
+                _ => None,
+            });
+        let known = { drivers }.find(has_path).and_then(FileDriver::controller);
+        match known {
+            Some(controller) => Ok(Arc::clone(controller)),
+            None => NoDriverFiles.open_driver(path),
+        }
+    }
 }
 
 /// A driver that is a controller from a file, the same in every run.
@@ -69,18 +121,24 @@ impl FileDriver {
 
     /// Reads the controller; its path is relative to `folder`. Then stores its identity and absolute path, so that a
     /// scenario written to another folder finds the same controller.
-    pub(super) fn read(&mut self, folder: &Path) -> Result<(), FieldProblem> {
+    pub(super) fn read(
+        &mut self,
+        folder: &Path,
+        opener: &dyn OpenDriver,
+    ) -> Result<(), FieldProblem> {
+        if self.controller.is_some() {
+            return Ok(());
+        }
         let unusable = |why: String| FieldProblem::DriverFile { reason: why };
         let path =
             path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
-        if !is_regular_file(&path) {
+        if !path.is_file() {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller =
-            controller_file::load(&path, NameOrigin::File).map_err(|error| match error {
-                ControllerFileError::StartRefused(refused) => refused.into(),
-                other => unusable(other.to_string()),
-            })?;
+        let controller = opener.open_driver(&path).map_err(|problem| match problem {
+            DriverProblem::StartRefused(refused) => refused.into(),
+            DriverProblem::Unusable(reason) => unusable(reason),
+        })?;
         let Some(identity) = controller.identity() else {
             // Without an identity, the scenario does not determine its runs.
             return Err(unusable(format!(
@@ -149,8 +207,8 @@ macro_rules! define_form {
                     F::BrakeToSpeed(profile) => Self::Profile(LeadProfile::BrakeToSpeed(profile)),
                     F::Pieces(profile) => Self::Profile(LeadProfile::Pieces(profile)),
                     F::Recorded(profile) => Self::Profile(LeadProfile::Recorded(profile)),
-                    $(F::$rule(settings) => Self::Controller(ControllerSpec::$rule(settings)),)*
-                    $(F::$policy(settings) => Self::Controller(ControllerSpec::$policy(settings)),)*
+                    $(F::$rule(settings) => Self::Controller(BuiltInController::$rule(settings)),)*
+                    $(F::$policy(settings) => Self::Controller(BuiltInController::$policy(settings)),)*
                     F::File(file) => Self::File(file),
                 }
             }
@@ -166,8 +224,8 @@ macro_rules! define_form {
                     Driver::Profile(LeadProfile::BrakeToSpeed(profile)) => Self::BrakeToSpeed(profile),
                     Driver::Profile(LeadProfile::Pieces(profile)) => Self::Pieces(profile),
                     Driver::Profile(LeadProfile::Recorded(profile)) => Self::Recorded(profile),
-                    $(Driver::Controller(ControllerSpec::$rule(settings)) => Self::$rule(settings),)*
-                    $(Driver::Controller(ControllerSpec::$policy(settings)) => Self::$policy(settings),)*
+                    $(Driver::Controller(BuiltInController::$rule(settings)) => Self::$rule(settings),)*
+                    $(Driver::Controller(BuiltInController::$policy(settings)) => Self::$policy(settings),)*
                     Driver::File(file) => Self::File(file),
                 }
             }
@@ -194,7 +252,7 @@ impl Driver {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,
             Self::Profile(_) | Self::File(_) => false,
             Self::Controller(controller) => {
-                ControllerSpec::from_name(controller.name()).as_ref() == Some(controller)
+                BuiltInController::from_name(controller.name()).as_ref() == Some(controller)
             }
         }
     }
@@ -253,7 +311,7 @@ impl schemars::JsonSchema for Driver {
     fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
         let with_settings = generator.subschema_for::<DriverForm>();
         let mut names = vec!["under-test", "constant-speed"];
-        names.extend(ControllerSpec::all().iter().map(ControllerSpec::name));
+        names.extend(BuiltInController::all().iter().map(BuiltInController::name));
         schemars::json_schema!({
             "description": "Who drives: a bare name, or one name with its settings.",
             "anyOf": [{ "enum": names }, with_settings],

@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{FieldProblem, InvalidField, Scenario, ScenarioSpec};
+use super::{FieldProblem, InvalidField, OpenDriver, Scenario, ScenarioSpec};
 use crumple_core::text_file::{
     FileError, line_in_json, line_in_toml, parse_json, parse_toml, read,
 };
@@ -71,12 +71,12 @@ impl ScenarioFileFormat {
 ///
 /// # Errors
 /// [`ScenarioFileError`] for a file that cannot be read, parsed or accepted.
-pub fn load(path: &Path) -> Result<Scenario, ScenarioFileError> {
+pub fn load(path: &Path, opener: &dyn OpenDriver) -> Result<Scenario, ScenarioFileError> {
     let format =
         ScenarioFileFormat::from_path(path).ok_or_else(|| ScenarioFileError::Extension {
             path: path.to_owned(),
         })?;
-    parse(&read(path)?, format, path)
+    parse(&read(path)?, format, path, opener)
 }
 
 /// Reads the scenario file at `path`, or all scenario files of the folder `path`, in order of their names. Skips other
@@ -85,9 +85,12 @@ pub fn load(path: &Path) -> Result<Scenario, ScenarioFileError> {
 /// # Errors
 /// [`ScenarioFileError`] for the first file that cannot be read, parsed or accepted, and for a folder with more than
 /// `MAX_FILES` files or `MAX_FOLDER_BYTES` bytes.
-pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, ScenarioFileError> {
+pub fn load_all(
+    path: &Path,
+    opener: &dyn OpenDriver,
+) -> Result<Vec<(PathBuf, Scenario)>, ScenarioFileError> {
     if !path.is_dir() {
-        return Ok(vec![(path.to_owned(), load(path)?)]);
+        return Ok(vec![(path.to_owned(), load(path, opener)?)]);
     }
     let unreadable = |source| {
         ScenarioFileError::File(FileError::Read {
@@ -126,7 +129,7 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, ScenarioFileErr
     }
     files
         .into_iter()
-        .map(|path| load(&path).map(|scenario| (path, scenario)))
+        .map(|path| load(&path, opener).map(|scenario| (path, scenario)))
         .collect()
 }
 
@@ -146,28 +149,37 @@ pub const MAX_FOLDER_BYTES: u64 = 64 << 20;
 ///
 /// # Errors
 /// [`ScenarioFileError`] for text that is not a valid scenario.
-pub fn from_toml(text: &str, path: &Path) -> Result<Scenario, ScenarioFileError> {
-    parse(text, ScenarioFileFormat::Toml, path)
+pub fn from_toml(
+    text: &str,
+    path: &Path,
+    opener: &dyn OpenDriver,
+) -> Result<Scenario, ScenarioFileError> {
+    parse(text, ScenarioFileFormat::Toml, path, opener)
 }
 
 /// Reads a scenario from JSON text; `path` only names it in errors.
 ///
 /// # Errors
 /// [`ScenarioFileError`] for text that is not a valid scenario.
-pub fn from_json(text: &str, path: &Path) -> Result<Scenario, ScenarioFileError> {
-    parse(text, ScenarioFileFormat::Json, path)
+pub fn from_json(
+    text: &str,
+    path: &Path,
+    opener: &dyn OpenDriver,
+) -> Result<Scenario, ScenarioFileError> {
+    parse(text, ScenarioFileFormat::Json, path, opener)
 }
 
 fn parse(
     text: &str,
     format: ScenarioFileFormat,
     path: &Path,
+    opener: &dyn OpenDriver,
 ) -> Result<Scenario, ScenarioFileError> {
     let mut spec: ScenarioSpec = match format {
         ScenarioFileFormat::Toml => parse_toml(text, path)?,
         ScenarioFileFormat::Json => parse_json(text, path)?,
     };
-    let drivers = spec.read_drivers(path.parent().unwrap_or(Path::new("")));
+    let drivers = spec.read_drivers(path.parent().unwrap_or(Path::new("")), opener);
     drivers
         .and_then(|()| Scenario::new(spec))
         .map_err(|invalid| {

@@ -3,7 +3,6 @@
 //! [`ScenarioSpec`] is the unchecked content of a file. [`Scenario`] is a valid spec; only a successful check creates
 //! one.
 
-pub mod controller_file;
 mod driver;
 pub mod file;
 mod following_line;
@@ -25,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::random::NoiseShare;
 use crumple_core::text_file::is_default;
 
-pub use driver::{Driver, FileDriver};
+pub use driver::{Driver, DriverProblem, FileDriver, NoDriverFiles, OpenDriver};
 pub use following_line::{FollowingLine, SpeedOscillation};
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
@@ -175,13 +174,16 @@ impl ScenarioSpec {
     /// invalid.
     ///
     /// # Errors
-    /// [`InvalidField`] names the first driver that cannot be read, or that is a program unless
-    /// [`allow_external`](crate::control::allow_external) was called.
-    pub fn read_drivers(&mut self, folder: &Path) -> Result<(), InvalidField> {
+    /// [`InvalidField`] names the first driver that cannot be read, or that is a program that the opener refuses.
+    pub fn read_drivers(
+        &mut self,
+        folder: &Path,
+        opener: &dyn OpenDriver,
+    ) -> Result<(), InvalidField> {
         for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
                 let field = || format!("vehicles[{index}].driver.file.path");
-                file.read(folder).map_err(|problem| InvalidField {
+                file.read(folder, opener).map_err(|problem| InvalidField {
                     field: field(),
                     problem,
                 })?;

@@ -10,7 +10,7 @@ use rand_distr::{Distribution, Normal};
 use super::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
-use crate::control::{AebSettings, ControllerSpec};
+use crate::control::{AebSettings, BuiltInController};
 use crate::random::{self, Purpose};
 
 /// Time step of the paper, in seconds.
@@ -90,7 +90,7 @@ fn spec(name: String, about: String, seed: u64, vehicles: Vec<VehicleSpec>) -> S
 }
 
 fn baseline() -> Driver {
-    Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
+    Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
 }
 
 /// The training distribution of the paper: scenario 1 or 2 with random start, lead braking and noise.

@@ -61,7 +61,7 @@ pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidF
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::ControllerSpec;
+    use crate::control::BuiltInController;
     use crate::observation::EstimatorKind;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -72,7 +72,7 @@ mod tests {
             (1..=5).all(|index| scenario.is_under_test(index)
                 && scenario.initial_gap_m(index) == Some(30.0))
         );
-        let acc = ControllerSpec::from_name("acc-aeb").unwrap();
+        let acc = BuiltInController::from_name("acc-aeb").unwrap();
         let run = Run::new(
             &scenario,
             RunOptions::new(acc).with_estimator(EstimatorKind::Truth),

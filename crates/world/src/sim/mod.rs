@@ -23,7 +23,7 @@ pub use crate::control::ShieldRefusal;
 pub use lane::TIME_TOLERANCE_S;
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m};
-pub use named::{NamedController, RefusedController, UnknownController};
+pub use named::{NamedController, NotStarted, RefusedController};
 pub use outcome::{
     AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome,
     SimulationResult, VehicleSummary,

@@ -7,7 +7,7 @@ use super::lane::{Bodies, LaneState};
 use super::motion::Motion;
 use super::platoon::PlatoonState;
 use crate::control::{
-    AnyController, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
+    AnyController, BuiltInController, Controller, ControllerFailure, ControllerSource, Ego,
     IntoSource, PolicyDriver, PolicySource, RequiredNeighbours, ShieldRefusal, VehicleInRun,
     clamp_command, not_started,
 };
@@ -20,11 +20,11 @@ use crate::scenario::{
 /// Options of a run.
 ///
 /// ```
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_world::observation::EstimatorKind;
 /// use crumple_world::sim::{AfterContact, RunOptions};
 ///
-/// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap())
+/// let options = RunOptions::new(BuiltInController::from_name("baseline").unwrap())
 ///     .with_estimator(EstimatorKind::Truth)
 ///     .with_after_contact(AfterContact::Continue);
 /// assert_eq!(options.dt_s, None);
@@ -166,12 +166,12 @@ pub enum RunError {
 /// A scenario with the options of its run, ready to be simulated.
 ///
 /// ```
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
-/// let idm = ControllerSpec::from_name("idm").unwrap();
+/// let idm = BuiltInController::from_name("idm").unwrap();
 /// let run = Run::new(&scenario, RunOptions::new(idm)).unwrap();
 /// assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
 /// ```
@@ -401,7 +401,7 @@ impl Run {
 
     fn start_controller(&self, index: usize, source: &Arc<dyn ControllerSource>) -> AnyController {
         let vehicle = self.vehicle_in_run(index, source);
-        if let Some(spec) = source.downcast_ref::<ControllerSpec>() {
+        if let Some(spec) = source.downcast_ref::<BuiltInController>() {
             return AnyController::from_spec(spec, &vehicle.ego, vehicle.seed);
         }
         if let Some(policy) = source.downcast_ref::<PolicySource>() {

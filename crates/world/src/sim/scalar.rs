@@ -7,12 +7,12 @@ use super::{RecordingLevel, Run, SimulationResult, Stepper};
 /// Simulates a run.
 ///
 /// ```
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 ///
 /// let scenario = built_in_scenario("paper-1").unwrap();
-/// let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("baseline").unwrap())).unwrap();
+/// let run = Run::new(&scenario, RunOptions::new(BuiltInController::from_name("baseline").unwrap())).unwrap();
 /// let result = simulate(&run, RecordingLevel::Trace);
 /// assert_eq!(result.trace.unwrap().vehicles.len(), 3);
 /// ```

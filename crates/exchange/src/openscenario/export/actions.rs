@@ -8,7 +8,7 @@ use std::io;
 use super::polyline::simplify_polyline;
 use super::storyboard::{VehicleManeuver, write_speed_action};
 use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -102,7 +102,7 @@ fn scripted_action(
                 why,
             };
             let alone = isolate_vehicle(scenario, index).map_err(why)?;
-            let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
+            let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()));
             let run = Run::new(&alone, options).map_err(|error| why(error.to_string()))?;
             let trace = simulate(&run, RecordingLevel::Trace).trace;
             let motion = trace.and_then(|trace| {

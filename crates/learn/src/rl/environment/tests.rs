@@ -1,6 +1,6 @@
 use super::*;
 use crate::rl::TrainingConfig;
-use crumple_world::control::ControllerSpec;
+use crumple_world::control::BuiltInController;
 use crumple_world::scenario::{Driver, LeadProfile, built_in_scenario};
 use crumple_world::sim::RunOptions;
 
@@ -9,7 +9,7 @@ fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<StepOutco
     let scenario = built_in_scenario("paper-2").unwrap();
     let run = Run::new(
         &scenario,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+        RunOptions::new(BuiltInController::MatchLeader(Default::default())),
     )
     .unwrap();
     let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));
@@ -91,7 +91,7 @@ fn the_time_limit_is_terminal_only_if_configured() {
         .unwrap();
     let run = Run::new(
         &scenario,
-        RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+        RunOptions::new(BuiltInController::MatchLeader(Default::default())),
     )
     .unwrap();
     for (time_limit, continues) in [

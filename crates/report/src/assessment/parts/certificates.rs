@@ -1,5 +1,6 @@
 //! Certificates of an assessment: of kernels, of counted rates, and given ones.
 
+use crumple_controllers::Controllers;
 use crumple_verify::{
     Assumption, Certificate, ProvedClaim, RateClaim, Registration, Statement, WorkLimit,
 };
@@ -138,9 +139,19 @@ impl CertificateStatus {
         }
     }
 
-    fn check(certificate: &Certificate, policy: Option<&[u8]>, counts_others: bool) -> Self {
-        let report =
-            CertificateReport::check(String::new(), certificate, policy, WorkLimit::default());
+    fn check(
+        certificate: &Certificate,
+        policy: Option<&[u8]>,
+        counts_others: bool,
+        controllers: Controllers,
+    ) -> Self {
+        let report = CertificateReport::check(
+            String::new(),
+            certificate,
+            policy,
+            WorkLimit::default(),
+            controllers,
+        );
         let accepted = match report
             .map_err(|refused| refused.to_string())
             .and_then(|report| report.accepted)
@@ -320,7 +331,12 @@ pub(super) fn check_certificate(
     let text = serde_json::to_string_pretty(certificate).map_err(CacheError::encoding)? + "\n";
     let counts_others = includes_others(plan, &certificate.statement);
     // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
-    let status = CertificateStatus::check(certificate, policy, counts_others);
+    let status = CertificateStatus::check(
+        certificate,
+        policy,
+        counts_others,
+        plan.config.controllers_of_files,
+    );
     let is_accepted = matches!(status, CertificateStatus::Accepted { .. });
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),

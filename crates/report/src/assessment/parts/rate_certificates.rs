@@ -150,10 +150,15 @@ pub(super) fn recount_controllers(
         Statement::Comparison(claim) => &claim.registration,
         _ => return None,
     };
-    if Rerun::new(certificate, &[]).is_ok() {
+    if Rerun::new(certificate, &[], plan.config.controllers_of_files).is_ok() {
         return Some(Vec::new());
     }
-    Rerun::new(certificate, &plan.controllers).ok()?;
+    Rerun::new(
+        certificate,
+        &plan.controllers,
+        plan.config.controllers_of_files,
+    )
+    .ok()?;
     let identities =
         ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
     let argument = |identity: &String| {

@@ -73,7 +73,11 @@ pub(super) fn simulate_failures(
     let mut drawn = Vec::new();
     for failure in failures.iter().take(MAX_DRAWN) {
         // A file that a campaign wrote and read back can be read again.
-        let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else {
+        let Ok(scenario) = file::from_toml(
+            &failure.text,
+            Path::new(&failure.file),
+            &plan.config.controllers_of_files,
+        ) else {
             continue;
         };
         // Add the failure's name, to be unique on the page: scenarios are named after their space.

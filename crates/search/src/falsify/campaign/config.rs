@@ -24,12 +24,12 @@ pub const MAX_SEED: u64 = i64::MAX as u64;
 /// ```
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_spaces::built_in_space;
 ///
 /// let campaign = Campaign {
 ///     budget: 50,
-///     ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+///     ..Campaign::new(BuiltInController::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
 /// };
 /// let folder = tempfile::tempdir().unwrap();
 /// let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet).unwrap();
@@ -157,8 +157,8 @@ impl Campaign {
         seed: u64,
     ) -> Self {
         use crumple_spaces::built_in_space;
-        use crumple_world::control::ControllerSpec;
-        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        use crumple_world::control::BuiltInController;
+        let controller = BuiltInController::from_name("match-leader").unwrap();
         let campaign = Self::new(controller, built_in_space(space).unwrap());
         Self {
             estimator: EstimatorKind::Truth,

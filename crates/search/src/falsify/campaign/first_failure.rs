@@ -67,12 +67,12 @@ mod tests {
     use crate::falsify::Method;
     use crate::falsify::campaign::CampaignOptions;
     use crumple_core::observer::Quiet;
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
 
     #[test]
     fn the_first_failure_is_that_of_the_campaign() {
         for method in [Method::Halton, Method::CmaEs] {
-            let controller = ControllerSpec::from_name("predictive").unwrap().into();
+            let controller = BuiltInController::from_name("predictive").unwrap().into();
             let campaign = Campaign {
                 controller,
                 ..Campaign::of_match_leader("high-risk", method, 80, 3)

@@ -7,6 +7,7 @@ use super::resolved_config::ResolvedConfig;
 use super::run::{CAMPAIGN_KIND, CONFIGURATION_FILE, SUMMARY_FILE};
 use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, table};
 use crate::falsify::Method;
+use crumple_controllers::Controllers;
 use crumple_measure::Specification;
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::{self, CompletedRun, RunFolderError, RunState};
@@ -25,14 +26,15 @@ pub struct CampaignReader {
     evaluations: Vec<(Method, EvaluatedPoint)>,
     finished: CompletedRun,
     summary: CampaignSummary,
+    controllers: Controllers,
 }
 
 impl CampaignReader {
-    /// Reads the campaign in a folder.
+    /// Reads the campaign in a folder. `controllers` opens the drivers that its scenarios name as files.
     ///
     /// # Errors
     /// [`CampaignError`] if there is none, it is incomplete, or it is damaged.
-    pub fn open(folder: &Path) -> Result<Self, CampaignError> {
+    pub fn open(folder: &Path, controllers: Controllers) -> Result<Self, CampaignError> {
         let refused =
             |problem: &str| CampaignError::Folder(format!("{}: {problem}", folder.display()));
         let finished = match run_folder::read_state(folder)? {
@@ -54,7 +56,7 @@ impl CampaignReader {
         let record: CampaignRecord =
             toml::from_str(&finished.read_configuration(CONFIGURATION_FILE)?)
                 .map_err(|error| damaged(error.message().to_owned()))?;
-        let config = ResolvedConfig::from_record(record, false).map_err(damaged)?;
+        let config = ResolvedConfig::from_record(record, false, controllers).map_err(damaged)?;
         let mut parts = finished.file_names();
         parts.retain(|name| name.starts_with("evaluations/"));
         parts.sort_unstable();
@@ -72,6 +74,7 @@ impl CampaignReader {
         Ok(Self {
             folder: folder.to_owned(),
             config,
+            controllers,
             evaluations,
             finished,
             summary,
@@ -170,7 +173,7 @@ impl CampaignReader {
             return Ok(None);
         };
         let text = self.finished.read(&found.file)?;
-        let scenario = file::from_toml(&text, &self.folder.join(&found.file));
+        let scenario = file::from_toml(&text, &self.folder.join(&found.file), &self.controllers);
         Ok(Some(scenario.map_err(|error| {
             CampaignError::Encoding(error.to_string())
         })?))
@@ -190,6 +193,7 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
+    use crumple_world::scenario::NoDriverFiles;
     use std::fs;
     use std::ops::ControlFlow;
 
@@ -198,7 +202,11 @@ mod tests {
         let campaign = Campaign::of_match_leader("high-risk", Method::Auto, 300, 7);
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("campaign");
-        let refused_in = |folder: &Path| CampaignReader::open(folder).unwrap_err().to_string();
+        let refused_in = |folder: &Path| {
+            CampaignReader::open(folder, Controllers::default())
+                .unwrap_err()
+                .to_string()
+        };
         let refused = || refused_in(&folder);
         assert!(refused_in(parent.path()).ends_with("the folder holds no campaign"));
         let stop = |progress: &CampaignProgress| match progress.evaluations {
@@ -218,7 +226,7 @@ mod tests {
             ..CampaignOptions::default()
         };
         let summary = campaign.run(&folder, resume, &Quiet).unwrap();
-        let reader = CampaignReader::open(&folder).unwrap();
+        let reader = CampaignReader::open(&folder, Controllers::default()).unwrap();
         assert_eq!(
             (reader.summary(), reader.evaluations().len() as u64),
             (&summary, reader.total_evaluations())
@@ -238,7 +246,7 @@ mod tests {
                 .all(|method| failing(&method.method) == method.failures)
         );
         for (place, found) in summary.counterexamples.iter().enumerate() {
-            let expected = file::load(&folder.join(&found.file)).unwrap();
+            let expected = file::load(&folder.join(&found.file), &NoDriverFiles).unwrap();
             assert_eq!(reader.counterexample(place).unwrap(), Some(expected));
         }
         assert!(

@@ -7,6 +7,7 @@ use super::{
     CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective,
 };
 use crate::falsify::{Method, UnitCube};
+use crumple_controllers::Controllers;
 use crumple_measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_spaces::ScenarioSpace;
 use crumple_world::scenario::Scenario;
@@ -42,6 +43,7 @@ impl ResolvedConfig {
     pub(super) fn from_record(
         record: CampaignRecord,
         nondeterministic: bool,
+        controllers: Controllers,
     ) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
             return Err(format!(
@@ -50,7 +52,7 @@ impl ResolvedConfig {
             ));
         }
         // The record contains the space with its base scenario, so no folder is searched.
-        let space = ScenarioSpace::new(record.space.clone(), Path::new(""))
+        let space = ScenarioSpace::new(record.space.clone(), Path::new(""), &controllers)
             .map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
             return Err("space: differs from what crumple writes for this space".to_owned());

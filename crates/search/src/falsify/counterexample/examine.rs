@@ -210,7 +210,8 @@ impl<'a> Examiner<'a> {
 
 fn write_and_read_back(scenario: &Scenario) -> Result<Scenario, CampaignError> {
     let text = file::to_toml(scenario).map_err(CampaignError::from_encoding_error)?;
-    file::from_toml(&text, Path::new("counterexample")).map_err(CampaignError::from_encoding_error)
+    file::from_toml(&text, Path::new("counterexample"), scenario)
+        .map_err(CampaignError::from_encoding_error)
 }
 
 fn tidy(spec: &mut ScenarioSpec) {

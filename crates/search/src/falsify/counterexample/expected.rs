@@ -7,11 +7,12 @@ use serde::{Deserialize, Serialize};
 use super::{Avoidability, AvoidabilityClass};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord};
+use crumple_controllers::{Controllers, UnknownController};
 use crumple_core::text_file::{self, FileError};
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, ScenarioFileError};
-use crumple_world::sim::{NamedController, UnknownController};
+use crumple_world::sim::NamedController;
 
 pub(crate) const EXPECTED_VERSION: u32 = 1;
 
@@ -178,13 +179,17 @@ impl ExpectedVerdict {
     /// # Errors
     /// [`ReplayError`] if a file cannot be read, a controller is unknown or not the recorded one, or the simulation or
     /// the specification fails.
-    pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
-        let scenario = file::load(&folder.join(&self.scenario))?;
-        let contender = self.find_controller(folder)?;
+    pub fn replay(
+        &self,
+        folder: &Path,
+        controllers: Controllers,
+    ) -> Result<ReplayResult, ReplayError> {
+        let scenario = file::load(&folder.join(&self.scenario), &controllers)?;
+        let contender = self.find_controller(folder, controllers)?;
         let criterion = self
             .failure_criterion
             .as_ref()
-            .map(|record| record.resolve(folder))
+            .map(|record| record.resolve(folder, controllers))
             .transpose()?;
         if let (
             Some(FailureCriterion::Differential(other)),
@@ -233,8 +238,12 @@ impl ExpectedVerdict {
     ///
     /// # Errors
     /// [`ReplayError`] if the controller is unknown or not the recorded one.
-    pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
-        let found = NamedController::find(&self.controller, folder)?;
+    pub fn find_controller(
+        &self,
+        folder: &Path,
+        controllers: Controllers,
+    ) -> Result<NamedController, ReplayError> {
+        let found = controllers.find(&self.controller, folder)?;
         self.check_identity(
             &found,
             self.policy_sha256.as_ref(),
@@ -273,16 +282,16 @@ impl ExpectedVerdict {
     ///
     /// # Errors
     /// [`ReplayError`] if a file cannot be read, a controller is unknown, or the simulation or the specification fails.
-    pub fn renew(&self, folder: &Path) -> Result<Self, ReplayError> {
-        let scenario = file::load(&folder.join(&self.scenario))?;
-        let found = NamedController::find(&self.controller, folder)?;
+    pub fn renew(&self, folder: &Path, controllers: Controllers) -> Result<Self, ReplayError> {
+        let scenario = file::load(&folder.join(&self.scenario), &controllers)?;
+        let found = controllers.find(&self.controller, folder)?;
         let policy_sha256 = found.policy().map(|policy| policy.digest());
         let controller_sha256 = found.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
         let criterion = self
             .failure_criterion
             .as_ref()
-            .map(|record| record.resolve(folder))
+            .map(|record| record.resolve(folder, controllers))
             .transpose()?;
         let criterion = criterion.as_ref().map(FailureCriterion::to_record);
         let mut renewed = Self {
@@ -292,7 +301,7 @@ impl ExpectedVerdict {
             dt_fragile: false,
             ..self.clone()
         };
-        let verdict = renewed.replay(folder)?.nominal;
+        let verdict = renewed.replay(folder, controllers)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::classify(&specification, &verdict, &scenario);
         renewed = Self {
@@ -307,7 +316,7 @@ impl ExpectedVerdict {
             ..renewed
         };
         // All other fields agree with the replay by now, so `as_recorded` is false only if the finer step differs.
-        renewed.dt_fragile = !renewed.replay(folder)?.as_recorded;
+        renewed.dt_fragile = !renewed.replay(folder, controllers)?.as_recorded;
         Ok(renewed)
     }
 }

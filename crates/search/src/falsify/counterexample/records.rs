@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{ExpectedFile, ExpectedVerdict, ReplayError};
+use crumple_controllers::{ControllerSpec, Controllers, UnknownController};
 use crumple_core::text_file::FileError;
 use crumple_world::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
 use crumple_world::sim::NamedController;
@@ -104,9 +105,11 @@ impl<'a> RecordedVerdicts<'a> {
     pub fn find_controller(
         &self,
         verdict: &ExpectedVerdict,
+        controllers: Controllers,
     ) -> Result<NamedController, ReplayError> {
+        let parsed = ControllerSpec::parse(&verdict.controller).ok();
         let (own, current) = (self.folder.clone(), PathBuf::new());
-        let folders = match NamedController::file_in_name(&verdict.controller) {
+        let folders = match parsed.as_ref().and_then(ControllerSpec::file) {
             None => vec![current, own],
             Some(file) => {
                 let has_hash =
@@ -130,8 +133,8 @@ impl<'a> RecordedVerdicts<'a> {
             }
         };
         let find = |folder: &PathBuf| {
-            let found = verdict.find_controller(folder)?;
-            found.try_start()?;
+            let found = verdict.find_controller(folder, controllers)?;
+            found.try_start().map_err(UnknownController::from)?;
             Ok(found)
         };
         let mut found = folders.iter().map(find);

@@ -213,7 +213,7 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
-    use crumple_world::control::ControllerSpec;
+    use crumple_world::control::BuiltInController;
     use crumple_world::scenario::{
         Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
     };
@@ -258,7 +258,7 @@ mod tests {
             let behind = |gap_m: f64| {
                 let changed = paper.edited(|spec| {
                     spec.vehicles[2].driver =
-                        Driver::Controller(ControllerSpec::from_name(follower).unwrap());
+                        Driver::Controller(BuiltInController::from_name(follower).unwrap());
                     spec.vehicles[1].position_m = spec.vehicles[0].position_m - 2.0 - gap_m;
                     spec.vehicles[2].position_m = spec.vehicles[1].position_m - 20.0;
                 });

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::control::tests::{EGO, command_behind, leader_observation};
-use crate::control::{ControllerSource, ControllerSpec};
+use crate::control::{BuiltInController, ControllerSource};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
@@ -151,7 +151,7 @@ proptest! {
 }
 
 fn full_throttle_shield(frame: ShieldParams) -> ShieldedController {
-    let full_throttle = ControllerSpec::FullThrottle(Default::default());
+    let full_throttle = BuiltInController::FullThrottle(Default::default());
     ShieldedController::new(full_throttle.start(&EGO, 0).unwrap(), frame)
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::super::{EgoEstimator, EgoTuning};
 use super::*;
-use crate::control::ControllerSpec;
+use crate::control::BuiltInController;
 use crate::observation::Observation;
 use crate::scenario::built_in_scenario;
 use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -253,7 +253,7 @@ fn the_integration_step_changes_nothing() {
     let faulty = faulty.unwrap();
     let min_gaps_m = |dt_s: f64, seed: u64| {
         let scenario = faulty.edited(|spec| spec.seed = seed).unwrap();
-        let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap()).with_dt_s(dt_s);
+        let options = RunOptions::new(BuiltInController::from_name("idm").unwrap()).with_dt_s(dt_s);
         let result = simulate(
             &Run::new(&scenario, options).unwrap(),
             RecordingLevel::Summary,

@@ -1,9 +1,10 @@
 use super::super::{built_in_scenario, built_in_scenario_names};
 use super::*;
+use crate::scenario::NoDriverFiles;
 use crumple_core::text_file::{MAX_BYTES, MAX_TOML_BYTES};
 
 fn error_of(text: &str) -> String {
-    from_toml(text, Path::new("bad.toml"))
+    from_toml(text, Path::new("bad.toml"), &NoDriverFiles)
         .expect_err("must be refused")
         .to_string()
 }
@@ -31,7 +32,7 @@ fn errors_name_the_line_of_invalid_or_truncated_text() {
     let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
     for at in (1..json.len()).filter(|&at| json.is_char_boundary(at)) {
         let cut = &json[..at];
-        let output = from_json(cut, Path::new("cut.json"))
+        let output = from_json(cut, Path::new("cut.json"), &NoDriverFiles)
             .unwrap_err()
             .to_string();
         let line = output
@@ -48,7 +49,7 @@ fn errors_name_the_line_of_invalid_or_truncated_text() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("latin-1.toml");
     fs::write(&path, b"version = 1\nname = \"two\"\n# f\xfcr\n").unwrap();
-    let output = load(&path).unwrap_err().to_string();
+    let output = load(&path, &NoDriverFiles).unwrap_err().to_string();
     assert!(
         output.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"),
         "{output}"
@@ -66,7 +67,7 @@ fn no_depth_or_length_is_too_much() {
         format!("{}1{}", times("{\"a\":"), times("}")),
         format!("{{\"vehicles\": {}", times("[")),
     ] {
-        assert!(from_json(&text, Path::new("deep.json")).is_err());
+        assert!(from_json(&text, Path::new("deep.json"), &NoDriverFiles).is_err());
     }
     for text in [
         format!("a = {}{}", times("["), times("]")),
@@ -76,7 +77,7 @@ fn no_depth_or_length_is_too_much() {
         format!("[a{}]\n", times(".a")),
         format!("[[vehicles{}]]\n", times(".driver")),
     ] {
-        assert!(from_toml(&text, Path::new("deep.toml")).is_err());
+        assert!(from_toml(&text, Path::new("deep.toml"), &NoDriverFiles).is_err());
     }
     let long = format!("{GOOD}#{}\n", " ".repeat(MAX_TOML_BYTES as usize));
     let output = error_of(&long);
@@ -88,7 +89,7 @@ fn no_depth_or_length_is_too_much() {
     let path = folder.path().join("long.json");
     fs::write(&path, " ".repeat(MAX_BYTES as usize + 1)).unwrap();
     assert!(
-        load(&path)
+        load(&path, &NoDriverFiles)
             .unwrap_err()
             .to_string()
             .ends_with("holds more than 8 MiB, too much for such a file")
@@ -97,7 +98,7 @@ fn no_depth_or_length_is_too_much() {
     fs::create_dir(&many).unwrap();
     (0..=MAX_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
     assert!(
-        load_all(&many)
+        load_all(&many, &NoDriverFiles)
             .unwrap_err()
             .to_string()
             .contains("more than 10000 scenario files")
@@ -138,11 +139,11 @@ fn a_list_is_no_structure_at_any_depth() {
     for (name, _) in built_in_scenario_names() {
         let whole = serde_json::to_value(built_in_scenario(name).unwrap().spec()).unwrap();
         for (index, changed) in lists(&whole).into_iter().enumerate() {
-            let found = from_json(&changed.to_string(), Path::new("list.json"));
+            let found = from_json(&changed.to_string(), Path::new("list.json"), &NoDriverFiles);
             assert!(found.is_err(), "{name}, list {index} is read: {changed}");
             if let Ok(toml) = toml::to_string(&changed) {
                 assert!(
-                    from_toml(&toml, Path::new("list.toml")).is_err(),
+                    from_toml(&toml, Path::new("list.toml"), &NoDriverFiles).is_err(),
                     "{name}, list {index}: {toml}"
                 );
             }
@@ -156,7 +157,7 @@ fn a_list_is_no_structure_at_any_depth() {
         "\"vehicles\": [\n    [1, 2], {",
         1,
     );
-    let output = from_json(&bad, Path::new("bad.json"))
+    let output = from_json(&bad, Path::new("bad.json"), &NoDriverFiles)
         .unwrap_err()
         .to_string();
     let line = 1 + bad
@@ -167,43 +168,4 @@ fn a_list_is_no_structure_at_any_depth() {
         output,
         format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names")
     );
-}
-
-/// The error for a text or a number where a list is required shows the list.
-#[test]
-fn errors_show_how_a_list_is_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("aeb.toml");
-    for (line, expected) in [
-        (
-            "command = \"./aeb --fast\"",
-            "command: must be a list of the program and its arguments, as in `command = [\"./aeb\", \"--fast\"]`",
-        ),
-        (
-            "command = 5",
-            "command: invalid type: integer `5`, expected a list of the program and its arguments",
-        ),
-        (
-            "command = [\"./aeb\", 5]",
-            "command[1]: invalid type: integer `5`, expected a string",
-        ),
-        (
-            "command = [\"./aeb\"]\nfiles = \"aeb\"",
-            "files: must be a list in square brackets, as in `[\"aeb\"]`",
-        ),
-        (
-            "network = [\"a.onnx\"]",
-            "network: must be one text in quotation marks, not a list",
-        ),
-    ] {
-        fs::write(&path, format!("version = 1\n{line}\n")).unwrap();
-        let error =
-            crate::sim::NamedController::find_for_user(&path.to_string_lossy(), Path::new(""))
-                .unwrap_err();
-        let number = 1 + line.lines().count();
-        assert_eq!(
-            error.to_string(),
-            format!("{}:{number}: {expected}", path.display())
-        );
-    }
 }

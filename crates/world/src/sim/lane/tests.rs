@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::super::{
     AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
 };
-use crate::control::ControllerSpec;
+use crate::control::BuiltInController;
 use crate::observation::EstimatorKind;
 use crate::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
@@ -36,7 +36,7 @@ fn steady_vehicle(position_m: f64, speed_mps: f64) -> VehicleSpec {
 }
 
 fn controlled_vehicle(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
-    let controller = ControllerSpec::from_name(controller).unwrap();
+    let controller = BuiltInController::from_name(controller).unwrap();
     VehicleSpec::new(
         VehicleClass::Light,
         position_m,
@@ -62,7 +62,7 @@ fn with_exit(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
 fn run(scenario: &Scenario) -> SimulationResult {
     run_with(
         scenario,
-        RunOptions::new(ControllerSpec::from_name("idm").unwrap()),
+        RunOptions::new(BuiltInController::from_name("idm").unwrap()),
     )
 }
 
@@ -205,7 +205,7 @@ fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
 
 #[test]
 fn entering_at_the_start_equals_presence() {
-    for spec in ControllerSpec::all() {
+    for spec in BuiltInController::all() {
         for estimator in EstimatorKind::ALL {
             let paper = built_in_scenario("paper-1").unwrap();
             let entering = paper
@@ -315,7 +315,7 @@ proptest! {
             return Err(TestCaseError::reject("leaves before it enters"));
         };
         let after = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        let options = || RunOptions::new(ControllerSpec::from_name("idm").unwrap()).with_after_contact(after);
+        let options = || RunOptions::new(BuiltInController::from_name("idm").unwrap()).with_after_contact(after);
         let (coarse, fine) = (run_with(&scenario, options()), run_with(&scenario, options().with_dt_s(0.002)));
         let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-6;
         prop_assert_eq!(coarse.impacts.len(), fine.impacts.len());

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use self::block::LockstepBlock;
 use self::per_run::RunSet;
 use super::{RecordingLevel, Run, SimulationResult, simulate};
-use crate::control::ControllerSpec;
+use crate::control::BuiltInController;
 
 /// Maximum number of runs in a block: enough to fill vector registers and hide latencies, few enough for the L1 cache.
 const MAX_RUNS: usize = RunSet::CAPACITY;
@@ -38,13 +38,13 @@ const MAX_TRACED_SAMPLES: usize = 2_000_000;
 /// Returns the values of `reduce` in the order of `runs`. Only results that `reduce` returned stay in memory.
 ///
 /// ```
-/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::control::BuiltInController;
 /// use crumple_world::scenario::PaperDistribution;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 ///
 /// let paper = PaperDistribution { seed: 0 };
 /// let scenarios: Vec<_> = (0..100).map(|index| paper.draw(index).unwrap()).collect();
-/// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap());
+/// let options = RunOptions::new(BuiltInController::from_name("baseline").unwrap());
 /// let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
 /// let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.is_safe());
 /// assert_eq!(safe.into_iter().filter(|&safe| safe).count(), 0);
@@ -109,7 +109,7 @@ fn compare_shapes(a: &Run, b: &Run) -> Ordering {
 /// Returns the properties that runs of one block share, except the kinds of drivers.
 fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
     let controller = &run.options().controller;
-    let under_test = match controller.downcast_ref::<ControllerSpec>() {
+    let under_test = match controller.downcast_ref::<BuiltInController>() {
         Some(spec) => spec.name(),
         None if controller.as_shield().is_some() => "shield",
         None if controller.program_field().is_some() => "program",
@@ -143,7 +143,7 @@ mod tests {
                 .unwrap()
         });
         let lines: Vec<_> = lines.collect();
-        for spec in ControllerSpec::all() {
+        for spec in BuiltInController::all() {
             let runs: Vec<_> = lines
                 .iter()
                 .map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap())

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::control::ControllerSpec;
+use crate::control::BuiltInController;
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
 use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
@@ -220,7 +220,7 @@ fn idm_drives_off_as_a_point_mass_does() {
             body.map_or(PlantKind::PointMass, |_| PlantKind::MultiBody),
             body,
         );
-        let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap())
+        let options = RunOptions::new(BuiltInController::from_name("idm").unwrap())
             .with_estimator(EstimatorKind::Truth);
         let run = Run::new(&Scenario::new(spec).unwrap(), options).unwrap();
         *simulate(&run, RecordingLevel::Trace)
@@ -262,7 +262,7 @@ fn both_engines_agree_through_collisions() {
         .into_iter()
         .flat_map(|name| (0..3).map(move |index| (name, index)))
         .map(|(name, index)| {
-            let options = RunOptions::new(ControllerSpec::from_name(name).unwrap())
+            let options = RunOptions::new(BuiltInController::from_name(name).unwrap())
                 .with_estimator(EstimatorKind::Truth)
                 .with_after_contact(AfterContact::Continue);
             Run::new(&paper_scenario(index), options).unwrap()

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::*;
 use crate::control::{
-    Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego, IntoSource,
+    BuiltInController, Controller, ControllerFailure, ControllerSource, Ego, IntoSource,
     ShieldedSource,
 };
 use crate::observation::{EstimatorKind, Observation};
@@ -29,7 +29,7 @@ struct FarAway {
     substeps: u32,
     spare_m: f64,
     onset_s: f64,
-    driver: ControllerSpec,
+    driver: BuiltInController,
 }
 
 impl FarAway {
@@ -45,7 +45,7 @@ impl FarAway {
             substeps: 1,
             spare_m: 20.0,
             onset_s: 0.0,
-            driver: ControllerSpec::FullThrottle(Default::default()),
+            driver: BuiltInController::FullThrottle(Default::default()),
         }
     }
 
@@ -141,7 +141,7 @@ fn rounding_far_from_the_origin_costs_no_contact() {
         },
     ];
     for far in found {
-        for driver in ControllerSpec::all() {
+        for driver in BuiltInController::all() {
             check_no_collision(&FarAway {
                 driver,
                 ..far.clone()
@@ -158,7 +158,8 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
     let refusal = |duration_s: f64| {
         let long = far.scenario().edited(|spec| {
             (spec.duration_s, spec.step_s) = (duration_s, 0.01);
-            spec.vehicles[0].driver = Driver::Controller(ControllerSpec::Idm(Default::default()));
+            spec.vehicles[0].driver =
+                Driver::Controller(BuiltInController::Idm(Default::default()));
         });
         Run::new(&long.unwrap(), far.shielded_options()).err()
     };
@@ -288,8 +289,8 @@ prop_compose! {
         spare_m in prop_oneof![Just(2e-3), 2e-3..5.0_f64],
         onset_s in 0.0..4.0_f64,
         driver in prop_oneof![
-            Just(ControllerSpec::FullThrottle(Default::default())),
-            prop::sample::select(ControllerSpec::all()),
+            Just(BuiltInController::FullThrottle(Default::default())),
+            prop::sample::select(BuiltInController::all()),
         ],
     ) -> FarAway {
         let speeds_mps = speeds_mps.map(|speed| speed * friction.sqrt());
@@ -319,7 +320,7 @@ fn delays_add_up() {
         let late = late.unwrap();
         let run = Run::new(
             &late,
-            RunOptions::new(ControllerSpec::MatchLeader(Default::default())),
+            RunOptions::new(BuiltInController::MatchLeader(Default::default())),
         )
         .unwrap();
         run.shield_params(1, &ShieldSettings::default()).unwrap()
@@ -360,7 +361,7 @@ fn assumptions_match_the_scenario() {
         edited.unwrap()
     };
     let asked = |scenario: &Scenario, estimator: EstimatorKind| {
-        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
+        let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()))
             .with_estimator(estimator);
         let run = Run::new(scenario, options).unwrap();
         (
@@ -587,7 +588,7 @@ fn a_shield_around_a_shield_is_refused() {
         ahead_brake_mps2: Some(ahead_mps2),
         ..Default::default()
     };
-    let controller = ControllerSpec::FullThrottle(Default::default()).into_source();
+    let controller = BuiltInController::FullThrottle(Default::default()).into_source();
     let inner = ShieldedSource {
         controller,
         settings: settings(9.0),
@@ -609,10 +610,4 @@ fn a_shield_around_a_shield_is_refused() {
             ..
         })
     ));
-    let name = "shield,ahead=3:shield,ahead=9:full-throttle";
-    let error = crate::sim::NamedController::find(name, std::path::Path::new(""))
-        .unwrap_err()
-        .to_string();
-    assert_eq!(error, "only one shield may stand before a controller");
-    assert!(crate::sim::NamedController::find_built_in(name).is_none());
 }

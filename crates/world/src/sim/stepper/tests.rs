@@ -1,11 +1,11 @@
 use super::*;
-use crate::control::{AebSettings, AnyController, ControllerSpec, Ego};
+use crate::control::{AebSettings, AnyController, BuiltInController, Ego};
 use crate::scenario::PaperDistribution;
 use crate::sim::{RunOptions, simulate};
 
 #[test]
 fn commands_from_outside_equal_the_same_controller_inside() {
-    let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
+    let spec = BuiltInController::BaselineUnlatched(AebSettings::default());
     for index in 0..20 {
         let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
         let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
@@ -36,7 +36,7 @@ fn commands_from_outside_equal_the_same_controller_inside() {
 
 #[test]
 fn summaries_change_nothing_else() {
-    let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
+    let spec = BuiltInController::BaselineUnlatched(AebSettings::default());
     for index in 0..20 {
         let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
         let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();

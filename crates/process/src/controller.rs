@@ -1,0 +1,541 @@
+//! Controller processes: their setup, their identity, and the pool of idle processes.
+
+mod driver;
+mod portable;
+
+use std::fmt;
+use std::io::{self, Read as _};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crumple_core::digest::{Sha256, sha256};
+use crumple_core::quoting::ShellWord;
+use crumple_core::regular_file;
+use crumple_networks::{InputMapping, InvalidMapping, Mapping};
+use crumple_world::control::{
+    Controller, ControllerFailure, ControllerSource, Ego, ProcessFailure, ProcessProblem,
+    SourceFile, VehicleInRun, escaped_excerpt,
+};
+use crumple_world::random::{self, Purpose};
+use rand::Rng as _;
+use serde::Serialize;
+
+use self::driver::ProcessDriver;
+use super::child::ChildProcess;
+use super::permission::StartPermission;
+use super::protocol::{self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams};
+use super::setup::ProcessSetup;
+
+const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// Maximum number of consecutive failed starts, and of all starts.
+const MAX_FAILED_STARTS: u32 = 3;
+const MAX_STARTS: u32 = 10_000;
+
+/// Determinism check. Per vehicle the first `ALWAYS_CHECKED_RUNS` runs send every query twice. Run n later is checked
+/// with probability `CHECKED_RUNS_PER_TWO_DOUBLINGS` / next_power_of_two(n).
+const ALWAYS_CHECKED_RUNS: u64 = 2;
+const CHECKED_RUNS_PER_TWO_DOUBLINGS: u64 = 3;
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct ListedFile {
+    path: String,
+    sha256: String,
+    #[serde(skip)]
+    bytes: u64,
+}
+
+/// A controller that is a process. Clones share the processes.
+///
+/// A run starts a process if none is idle; idle processes wait for the next run and end with the last clone.
+/// There is one process per driven vehicle of the current runs, or one per thread if processes answer in batches.
+#[derive(Clone)]
+pub struct ProcessController(Arc<ProcessPool>);
+
+/// The processes of a controller.
+struct ProcessPool {
+    setup: ProcessSetup,
+    files: Vec<ListedFile>,
+    identity: Option<String>,
+    state: Mutex<ProcessPoolState>,
+}
+
+#[derive(Default)]
+struct ProcessPoolState {
+    idle: Vec<ConnectedProcess>,
+    /// Handshake of the first process.
+    greeting: Option<HelloReply>,
+    refusal: Option<ControllerFailure>,
+    starts: u32,
+    consecutive_failures: u32,
+    runs: Vec<(usize, VehicleRunCounts)>,
+}
+
+/// Numbers of runs of a vehicle. State that a reset does not clear shows only in reused processes.
+#[derive(Default)]
+struct VehicleRunCounts {
+    fresh: u64,
+    reused: u64,
+}
+
+/// A process after its handshake.
+struct ConnectedProcess {
+    program: ChildProcess,
+    hello: Arc<[u8]>,
+    greeting: HelloReply,
+    /// Queries since the first handshake.
+    question_count: u64,
+}
+
+impl ConnectedProcess {
+    fn next_id(&mut self) -> u64 {
+        self.question_count += 1;
+        self.question_count
+    }
+}
+
+impl ProcessController {
+    /// Creates a controller and reads the files of its identity. Only runs start the program.
+    ///
+    /// # Errors
+    /// [`InvalidMapping`] names the first field that is wrong.
+    pub fn new(
+        mut setup: ProcessSetup,
+        _permission: StartPermission,
+    ) -> Result<Self, InvalidMapping> {
+        #[derive(Serialize)]
+        struct Identity<'a> {
+            command: &'a [String],
+            files: &'a [ListedFile],
+            mapping: &'a Mapping,
+            answer_within_s: f64,
+        }
+        setup.check()?;
+        // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
+        setup.mapping.output.answer = Some(0);
+        let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
+            Ok((sha256, bytes)) => Ok(ListedFile {
+                path: path.clone(),
+                sha256,
+                bytes,
+            }),
+            Err(error) => Err(InvalidMapping::new(
+                format!("files[{index}]"),
+                format!("{path}: {error}"),
+            )),
+        };
+        let files = setup
+            .files
+            .iter()
+            .enumerate()
+            .map(digest)
+            .collect::<Result<Vec<_>, _>>()?;
+        let ProcessSetup {
+            command,
+            mapping,
+            answer_within_s,
+            ..
+        } = &setup;
+        let parts = Identity {
+            command,
+            files: &files,
+            mapping,
+            answer_within_s: *answer_within_s,
+        };
+        let parts = serde_json::to_string(&parts)
+            .map_err(|e| InvalidMapping::new("command", e.to_string()))?;
+        let identity =
+            (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
+        Ok(Self(Arc::new(ProcessPool {
+            setup,
+            files,
+            identity,
+            state: Mutex::default(),
+        })))
+    }
+
+    /// Returns true for an FMU, which runs in its own process.
+    #[must_use]
+    pub fn is_fmu(&self) -> bool {
+        self.0.setup.program.is_some()
+    }
+
+    /// Returns the setup.
+    #[must_use]
+    pub fn setup(&self) -> &ProcessSetup {
+        &self.0.setup
+    }
+}
+
+impl ControllerSource for ProcessController {
+    /// Returns the SHA-256 of command, mapping and files; `None` without files or for a nondeterministic process.
+    fn identity(&self) -> Option<String> {
+        self.0.identity.clone()
+    }
+
+    fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        let driver = ProcessDriver::new(Arc::clone(&self.0), ego, seed)?;
+        Ok(Box::new(driver))
+    }
+
+    fn start_in_run(
+        &self,
+        vehicle: &VehicleInRun<'_>,
+    ) -> Result<Box<dyn Controller>, ControllerFailure> {
+        self.start(&vehicle.ego, vehicle.seed)
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.setup().mapping.decision_interval_s
+    }
+
+    fn description(&self) -> String {
+        let kind = if self.is_fmu() { "FMU" } else { "process" };
+        if self.is_deterministic() {
+            kind.to_owned()
+        } else {
+            format!(
+                "{kind} that is not deterministic: a repeated assessment may have other results"
+            )
+        }
+    }
+
+    fn file(&self) -> Option<&SourceFile> {
+        self.setup().file.as_ref()
+    }
+
+    fn program_field(&self) -> Option<&'static str> {
+        Some(if self.is_fmu() { "fmu" } else { "command" })
+    }
+
+    fn is_deterministic(&self) -> bool {
+        self.0.is_deterministic()
+    }
+
+    fn try_start(&self) -> Result<(), ControllerFailure> {
+        self.0.try_start()
+    }
+
+    fn refusal(&self) -> Option<ControllerFailure> {
+        self.0.state().refusal.clone()
+    }
+
+    fn supports_lockstep(&self, ego: &Ego) -> bool {
+        self.0.supports_batches(ego)
+    }
+}
+
+impl ProcessPool {
+    /// True unless the controller file or the handshake declares the process nondeterministic.
+    fn is_deterministic(&self) -> bool {
+        self.setup.deterministic
+            && self
+                .state()
+                .greeting
+                .as_ref()
+                .is_none_or(|greeting| greeting.deterministic)
+    }
+
+    /// Starts a process without a run, completes the handshake, and ends the process.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if the start or the handshake fails.
+    fn try_start(&self) -> Result<(), ControllerFailure> {
+        let ego = Ego {
+            vehicle: 1,
+            max_brake_mps2: 7.5,
+            max_accel_mps2: 3.0,
+            length_m: 2.0,
+            step_s: 0.01,
+        };
+        let greeted = self.start(&self.hello(&ego))?;
+        // Dropped instead of killed: a killed FMU host would leave its extraction folder behind.
+        drop(greeted);
+        Ok(())
+    }
+
+    /// True if one process can answer for many runs at once. Starts a process if that is not known yet.
+    fn supports_batches(&self, ego: &Ego) -> bool {
+        if let Some(greeting) = &self.state().greeting {
+            return greeting.batch;
+        }
+        self.acquire(&self.hello(ego)).is_ok_and(|greeted| {
+            let batch = greeted.greeting.batch;
+            self.release(greeted);
+            batch
+        })
+    }
+
+    /// Locks the state. Poisoning is ignored: a panic elsewhere leaves no partial change here.
+    fn state(&self) -> MutexGuard<'_, ProcessPoolState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn answer_timeout(&self) -> Duration {
+        Duration::from_secs_f64(self.setup.answer_within_s)
+    }
+
+    fn hello(&self, ego: &Ego) -> Arc<[u8]> {
+        let Mapping {
+            history,
+            newest_first,
+            inputs,
+            output,
+            ..
+        } = &self.setup.mapping;
+        let hello = HelloParams {
+            vehicle: VehicleParams {
+                index: ego.vehicle,
+                max_brake_mps2: ego.max_brake_mps2,
+                max_accel_mps2: ego.max_accel_mps2,
+                length_m: ego.length_m,
+            },
+            step_s: ego.step_s,
+            inputs: inputs.iter().map(InputMapping::name).collect(),
+            history: *history,
+            newest_first: *newest_first,
+            low_mps2: output.low_mps2,
+            high_mps2: output.high_mps2,
+        };
+        let mut line = Vec::new();
+        // Writing cannot fail for these numbers and names; the process would reject an incomplete line.
+        let _ = protocol::write_line(
+            &mut line,
+            &HelloRequest {
+                crumple: VERSION,
+                hello,
+            },
+        );
+        line.into()
+    }
+
+    /// Returns a process with the handshake of this vehicle: an idle one, or else a new one.
+    fn acquire(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
+        let waiting = {
+            let mut state = self.state();
+            if let Some(refused) = &state.refusal {
+                return Err(refused.clone());
+            }
+            let known = state
+                .idle
+                .iter()
+                .position(|greeted| greeted.hello == *hello);
+            known
+                .map(|place| state.idle.swap_remove(place))
+                .or_else(|| state.idle.pop())
+        };
+        match waiting {
+            Some(greeted) if greeted.hello == *hello => Ok(greeted),
+            Some(other) => self.greet(other.program, other.question_count, hello),
+            None => self.start(hello),
+        }
+    }
+
+    fn start(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
+        {
+            let mut state = self.state();
+            if state.starts == MAX_STARTS {
+                drop(state);
+                return Err(self.refuse(self.end_with_failure(
+                    ProcessProblem::TooManyStarts { starts: MAX_STARTS },
+                    None,
+                )));
+            }
+            state.starts += 1;
+        }
+        let changed = |file: &&ListedFile| {
+            !file_sha256(&self.setup.folder.join(&file.path))
+                .is_ok_and(|(sha256, _)| sha256 == file.sha256)
+        };
+        if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
+            return Err(self.refuse(self.end_with_failure(
+                ProcessProblem::FileChanged {
+                    file: escaped_excerpt(path),
+                },
+                None,
+            )));
+        }
+        let ProcessSetup {
+            command,
+            program,
+            folder,
+            ..
+        } = &self.setup;
+        let started = ChildProcess::start(command, program.as_deref(), folder)
+            .map_err(|problem| self.end_with_failure(problem, None))
+            .and_then(|program| self.greet(program, 0, hello));
+        let mut state = self.state();
+        match &started {
+            Ok(_) => state.consecutive_failures = 0,
+            Err(failure) => {
+                state.consecutive_failures += 1;
+                if state.consecutive_failures == MAX_FAILED_STARTS {
+                    state.refusal = Some(failure.clone());
+                }
+            }
+        }
+        started
+    }
+
+    fn greet(
+        &self,
+        mut program: ChildProcess,
+        asked: u64,
+        hello: &Arc<[u8]>,
+    ) -> Result<ConnectedProcess, ControllerFailure> {
+        let within = Duration::from_secs_f64(self.setup.start_within_s);
+        let greeting = program
+            .query(hello, within)
+            .and_then(protocol::parse_hello_reply);
+        match greeting.and_then(|greeting| self.check_greeting(greeting)) {
+            Ok(greeting) => Ok(ConnectedProcess {
+                program,
+                hello: Arc::clone(hello),
+                greeting,
+                question_count: asked,
+            }),
+            Err(problem) => Err(self.end_with_failure(problem, Some(program))),
+        }
+    }
+
+    /// Checks the reply of a handshake against the mapping, the identity and the first reply.
+    fn check_greeting(&self, greeting: HelloReply) -> Result<HelloReply, ProcessProblem> {
+        let shown = self.setup.mapping.width();
+        if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
+            return Err(ProcessProblem::Inputs { wanted, shown });
+        }
+        if let (Some(interval_s), Some(stated_s)) =
+            (greeting.interval_s, self.setup.mapping.decision_interval_s)
+            && interval_s != stated_s
+        {
+            let wanted = format!("the {stated_s} s of its controller file");
+            return Err(ProcessProblem::Interval { interval_s, wanted });
+        }
+        if !greeting.deterministic && self.identity.is_some() {
+            return Err(ProcessProblem::UndeclaredNondeterminism);
+        }
+        let mut state = self.state();
+        match &state.greeting {
+            Some(first) if *first != greeting => Err(ProcessProblem::HandshakeChanged),
+            Some(_) => Ok(greeting),
+            None => {
+                state.greeting = Some(greeting.clone());
+                Ok(greeting)
+            }
+        }
+    }
+
+    fn release(&self, greeted: ConnectedProcess) {
+        self.state().idle.push(greeted);
+    }
+
+    /// Counts a run and selects it for the determinism check by its number and the scenario's seed.
+    fn is_selected_for_check(&self, vehicle: usize, reused: bool, seed: u64) -> bool {
+        if !self.is_deterministic() {
+            return false;
+        }
+        let mut state = self.state();
+        let place = state
+            .runs
+            .iter()
+            .position(|(known, _)| *known == vehicle)
+            .unwrap_or_else(|| {
+                state.runs.push((vehicle, VehicleRunCounts::default()));
+                state.runs.len() - 1
+            });
+        let Some((_, runs)) = state.runs.get_mut(place) else {
+            return false;
+        };
+        let made = if reused {
+            &mut runs.reused
+        } else {
+            &mut runs.fresh
+        };
+        let number = *made;
+        *made += 1;
+        if number < ALWAYS_CHECKED_RUNS {
+            return true;
+        }
+        // Nondeterminism of fresh processes shows in the first runs; left-over state of reused ones may show late.
+        let drawn = random::stream(seed, Purpose::DeterminismCheck, number).next_u64();
+        reused && drawn % number.next_power_of_two() < CHECKED_RUNS_PER_TWO_DOUBLINGS
+    }
+
+    /// Records a permanent failure: no process is started any more.
+    fn refuse(&self, failure: ControllerFailure) -> ControllerFailure {
+        self.state().refusal.get_or_insert(failure).clone()
+    }
+
+    fn end_with_failure(
+        &self,
+        problem: ProcessProblem,
+        program: Option<ChildProcess>,
+    ) -> ControllerFailure {
+        // A program that still answers may end by itself, so that an FMU host can remove its extraction folder.
+        let last_words = match &problem {
+            ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => {
+                program.map(ChildProcess::terminate)
+            }
+            _ => program.map(ChildProcess::shut_down),
+        };
+        let last_words = last_words.unwrap_or_default();
+        let command = || {
+            let words: Vec<_> = self
+                .setup
+                .command
+                .iter()
+                .map(|word| ShellWord(word).to_string())
+                .collect();
+            escaped_excerpt(&words.join(" "))
+        };
+        let name = self
+            .state()
+            .greeting
+            .as_ref()
+            .map(|greeting| greeting.name.clone());
+        ControllerFailure::Process(Box::new(ProcessFailure {
+            controller: name.unwrap_or_else(command),
+            problem,
+            stderr_tail: last_words,
+        }))
+    }
+}
+
+impl fmt::Debug for ProcessController {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("ProcessController")
+            .field("setup", &self.0.setup)
+            .field("identity", &self.0.identity)
+            .finish()
+    }
+}
+
+impl Drop for ProcessPool {
+    fn drop(&mut self) {
+        let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
+        // Close all stdins first, so that the processes exit concurrently.
+        state
+            .idle
+            .iter_mut()
+            .for_each(|greeted| greeted.program.close_stdin());
+    }
+}
+
+/// Returns the SHA-256 of a regular file in hexadecimal, and its size in bytes.
+fn file_sha256(path: &Path) -> io::Result<(String, u64)> {
+    let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
+    let mut file = regular_file::open(path)?.take(MAX_FILE_BYTES + 1);
+    let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
+    loop {
+        let read = file.read(&mut chunk)?;
+        length += read as u64;
+        if length > MAX_FILE_BYTES {
+            return Err(refused("holds more than 1024 MiB"));
+        }
+        match chunk.get(..read) {
+            Some(new @ [_, ..]) => digest.update(new),
+            _ => return Ok((digest.hexadecimal(), length)),
+        }
+    }
+}

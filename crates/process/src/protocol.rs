@@ -1,0 +1,273 @@
+//! Messages of protocol version 1: lines of JSON (`docs/controllers.md`).
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crumple_world::control::{ProcessProblem, escaped_excerpt};
+
+pub(crate) use crumple_world::control::PROTOCOL_VERSION as VERSION;
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct HelloRequest<'a> {
+    pub(crate) crumple: u64,
+    pub(crate) hello: HelloParams<'a>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct HelloParams<'a> {
+    pub(crate) vehicle: VehicleParams,
+    pub(crate) step_s: f64,
+    pub(crate) inputs: Vec<&'a str>,
+    pub(crate) history: usize,
+    pub(crate) newest_first: bool,
+    /// Range of the answers as accelerations.
+    pub(crate) low_mps2: f64,
+    pub(crate) high_mps2: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct VehicleParams {
+    pub(crate) index: usize,
+    pub(crate) max_brake_mps2: f64,
+    pub(crate) max_accel_mps2: f64,
+    pub(crate) length_m: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct HelloReply {
+    #[serde(rename = "crumple")]
+    _version: u64,
+    pub(crate) name: String,
+    pub(crate) deterministic: bool,
+    /// Time between its decisions, in seconds.
+    pub(crate) interval_s: Option<f64>,
+    /// True if one query may hold the decisions of several independent runs.
+    #[serde(default)]
+    pub(crate) batch: bool,
+    /// Expected number of inputs.
+    pub(crate) inputs: Option<u64>,
+}
+
+/// Start of a run. Replies repeat the `id` of their query, which reveals surplus and late lines.
+#[derive(Serialize)]
+pub(crate) struct ResetRequest {
+    pub(crate) id: u64,
+    pub(crate) reset: ResetParams,
+}
+
+#[derive(Serialize)]
+pub(crate) struct ResetParams {
+    pub(crate) seed: u64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ResetReply {
+    id: u64,
+    ready: bool,
+}
+
+#[derive(Serialize)]
+pub(crate) struct DecisionRequest<'a> {
+    pub(crate) id: u64,
+    pub(crate) time_s: f64,
+    #[serde(rename = "see")]
+    pub(crate) inputs: &'a [f64],
+}
+
+#[derive(Serialize)]
+pub(crate) struct BatchDecisionRequest<'a> {
+    pub(crate) id: u64,
+    pub(crate) times_s: &'a [f64],
+    #[serde(rename = "see")]
+    pub(crate) inputs: Vec<&'a [f64]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DecisionReply<T> {
+    id: u64,
+    acceleration_mps2: T,
+}
+
+pub(crate) fn write_line(
+    into: &mut Vec<u8>,
+    message: &impl Serialize,
+) -> Result<(), ProcessProblem> {
+    into.clear();
+    // Cannot fail: the messages hold only numbers and text.
+    serde_json::to_writer(&mut *into, message).map_err(|error| ProcessProblem::NotStarted {
+        reason: error.to_string(),
+    })?;
+    into.push(b'\n');
+    Ok(())
+}
+
+pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProblem> {
+    #[derive(Deserialize)]
+    struct Version {
+        crumple: serde_json::Value,
+    }
+    let Version { crumple: found } = parse_message(line)?;
+    if found != VERSION {
+        return Err(ProcessProblem::Version {
+            found: escaped_excerpt(&found.to_string()),
+        });
+    }
+    let greeting: HelloReply = parse_message(line)?;
+    Ok(HelloReply {
+        name: escaped_excerpt(&greeting.name),
+        ..greeting
+    })
+}
+
+/// Checks that the process is ready for a run, in reply to query `asked`.
+pub(crate) fn parse_reset_reply(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
+    let ResetReply { id, ready } = parse_message(line)?;
+    check_id(id, asked)?;
+    if ready {
+        Ok(())
+    } else {
+        Err(invalid_reply(line, "it is not ready"))
+    }
+}
+
+pub(crate) fn parse_decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
+    let DecisionReply {
+        id,
+        acceleration_mps2,
+    } = parse_message(line)?;
+    check_id(id, asked)?;
+    Ok(acceleration_mps2)
+}
+
+pub(crate) fn parse_decisions(
+    line: &[u8],
+    asked: u64,
+    count: usize,
+) -> Result<Vec<f64>, ProcessProblem> {
+    let DecisionReply::<Vec<f64>> {
+        id,
+        acceleration_mps2: answers,
+    } = parse_message(line)?;
+    check_id(id, asked)?;
+    if answers.len() == count {
+        Ok(answers)
+    } else {
+        Err(ProcessProblem::Answers {
+            found: answers.len(),
+            asked: count,
+        })
+    }
+}
+
+fn check_id(found: u64, asked: u64) -> Result<(), ProcessProblem> {
+    if found == asked {
+        Ok(())
+    } else {
+        Err(ProcessProblem::WrongRequestId { found, asked })
+    }
+}
+
+fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
+    // Serde would accept a list as a structure.
+    if line.trim_ascii_start().first() != Some(&b'{') {
+        return Err(invalid_reply(line, "a line is a JSON object"));
+    }
+    serde_json::from_slice(line).map_err(|error| {
+        // Python and others write these numbers, which JSON lacks.
+        let names = |number: &str| {
+            line.windows(number.len())
+                .any(|part| part == number.as_bytes())
+        };
+        let is_decision = names("\"acceleration_mps2\"");
+        let is_not_finite = ["NaN", "nan", "Infinity", "inf", "number out of range"]
+            .into_iter()
+            .any(names);
+        if is_decision && (is_not_finite || error.to_string().starts_with("number out of range")) {
+            ProcessProblem::NotFinite
+        } else {
+            invalid_reply(line, &error.to_string())
+        }
+    })
+}
+
+fn invalid_reply(line: &[u8], reason: &str) -> ProcessProblem {
+    ProcessProblem::InvalidReply {
+        found: escaped_excerpt(String::from_utf8_lossy(line).trim_end()),
+        reason: escaped_excerpt(reason),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn invalid_answers_are_distinguished() {
+        let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
+        assert_eq!(
+            parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7),
+            Ok(-1.5)
+        );
+        let other = problem("{\"id\":6,\"acceleration_mps2\":1}");
+        assert_eq!(other, ProcessProblem::WrongRequestId { found: 6, asked: 7 });
+        for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
+            let found = problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}"));
+            assert_eq!(found, ProcessProblem::NotFinite, "{line}");
+        }
+        for rest in [
+            "",
+            "\"acceleration_mps2\":null}",
+            "\"acceleration_mps2\":1,\"x\":2}",
+            "\"x\":2}",
+        ] {
+            let line = format!("{{\"id\":7,{rest}");
+            assert!(
+                matches!(problem(&line), ProcessProblem::InvalidReply { .. }),
+                "{line}"
+            );
+        }
+        for line in [
+            "",
+            "[1.0]",
+            "{}",
+            "{\"acceleration_mps2\":1}",
+            "{\"id\":7.0,\"acceleration_mps2\":1}",
+        ] {
+            assert!(
+                matches!(problem(line), ProcessProblem::InvalidReply { .. }),
+                "{line}"
+            );
+        }
+        let all = |line: &str| parse_decisions(line.as_bytes(), 7, 2);
+        assert_eq!(
+            all("{\"id\":7,\"acceleration_mps2\":[1,2.5]}"),
+            Ok(vec![1.0, 2.5])
+        );
+        assert_eq!(
+            all("{\"id\":7,\"acceleration_mps2\":[1]}"),
+            Err(ProcessProblem::Answers { found: 1, asked: 2 })
+        );
+        let is_ready = |line: &str| parse_reset_reply(line.as_bytes(), 7).is_ok();
+        assert!(!is_ready("{\"id\":7,\"ready\":false}") && is_ready("{\"id\":7,\"ready\":true}"));
+        let version = parse_hello_reply(b"{\"crumple\":2,\"whatever\":0}").unwrap_err();
+        assert_eq!(
+            version,
+            ProcessProblem::Version {
+                found: "2".to_owned()
+            }
+        );
+        assert!(
+            parse_hello_reply(b"{\"crumple\":1,\"name\":\"a\"}").is_err(),
+            "says not whether it is deterministic"
+        );
+        assert!(
+            parse_hello_reply(
+                b"{\"crumple\":1,\"name\":\"a\",\"deterministic\":true,\"interval\":1}"
+            )
+            .is_err()
+        );
+    }
+}
