@@ -278,12 +278,12 @@ impl CrateModules {
         });
         statements
             .flat_map(split_use_tree)
-            .filter_map(|path| self.from_root(module, &path))
+            .filter_map(|path| self.local_path(module, &path))
             .collect()
     }
 
     /// Returns a path from the root of the crate; `None` for a path into another crate.
-    fn from_root(&self, module: &ModulePath, path: &[String]) -> Option<ModulePath> {
+    fn local_path(&self, module: &ModulePath, path: &[String]) -> Option<ModulePath> {
         let supers = path.iter().take_while(|part| *part == "super").count();
         let (base, rest) = match path.first()?.as_str() {
             "crate" => (&[][..], &path[1..]),
@@ -330,7 +330,7 @@ impl CrateModules {
                     .map(str::to_owned)
                     .collect()
             });
-            let inline = inline.filter_map(|path: Vec<String>| self.from_root(module, &path));
+            let inline = inline.filter_map(|path: Vec<String>| self.local_path(module, &path));
             let named = self.uses(module, false).into_iter().chain(inline);
             let defined = named.map(|path| self.defining_module(&path, 9));
             (module, defined.filter(|used| used != module).collect())
