@@ -109,10 +109,6 @@ pub enum HistoryPadding {
 }
 
 impl HistoryPadding {
-    #[expect(
-        clippy::trivially_copy_pass_by_ref,
-        reason = "serde passes a reference"
-    )]
     /// Returns true for the first inputs.
     #[must_use]
     pub fn is_default(&self) -> bool {

@@ -198,24 +198,22 @@ pub enum ColumnProblem {
         known: String,
     },
     /// A unit in the file that is none of the quantity, or that crumple does not know.
-    #[error("the file states the unit `{unit}`, which is not one of {known}: {remedy}")]
+    #[error("the file states the unit `{unit}`, which is {advice}")]
     UnknownUnit {
         /// Name of the unit.
         unit: String,
-        /// Known units of the quantity.
-        known: String,
-        /// Change of the map or of the file.
-        remedy: &'static str,
+        /// Known units of the quantity, and a change of the map or of the file.
+        advice: Box<str>,
     },
     /// A unit in the name of a column that differs from that of the map.
     #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: {remedy}")]
     OtherUnit {
         /// Unit in the name.
-        in_name: String,
+        in_name: Box<str>,
         /// Unit in the map.
         in_map: &'static str,
         /// Change of the map or of the file.
-        remedy: String,
+        remedy: Box<str>,
     },
     /// Two columns of one name.
     #[error("named twice")]

@@ -341,8 +341,7 @@ impl<'a> CsvRow<'a> {
                 &name,
                 ColumnProblem::UnknownUnit {
                     unit: excerpt(in_file),
-                    known: list_units(units),
-                    remedy: "state the unit in the map",
+                    advice: unit_advice(units, STATE_UNIT),
                 },
             ),
         }
@@ -355,32 +354,33 @@ impl<'a> CsvRow<'a> {
         units: &[NamedUnit],
         stated: Option<NamedUnit>,
     ) -> Result<(f64, Option<&'static str>), RecordingError> {
-        const CONVERT: &str = "convert the column, and rename it";
         let named = unit_in_name(units, full_name);
         let unknown = unknown_unit_in_name(units, full_name);
         let problem = match (stated, named, unknown) {
             (Some((in_map, factor)), Some((in_name, other)), _) if other != factor => {
                 ColumnProblem::OtherUnit {
-                    in_name: in_name.to_owned(),
+                    in_name: in_name.into(),
                     in_map,
-                    remedy: "correct the map".to_owned(),
+                    remedy: "correct the map".into(),
                 }
             }
             (Some((in_map, _)), None, Some(unknown)) if unknown.is_certain => {
                 ColumnProblem::OtherUnit {
-                    in_name: excerpt(&unknown.text),
+                    in_name: excerpt(&unknown.text).into(),
                     in_map,
-                    remedy: format!("crumple knows {}; {CONVERT}", list_units(units)),
+                    remedy: format!("crumple knows {}; {CONVERT}", list_units(units)).into(),
                 }
             }
             (None, None, Some(unknown)) => ColumnProblem::UnknownUnit {
                 unit: excerpt(&unknown.text),
-                known: list_units(units),
-                remedy: if unknown.is_certain {
-                    CONVERT
-                } else {
-                    "state the unit in the map"
-                },
+                advice: unit_advice(
+                    units,
+                    if unknown.is_certain {
+                        CONVERT
+                    } else {
+                        STATE_UNIT
+                    },
+                ),
             },
             (Some((_, factor)), ..) => return Ok((factor, None)),
             (None, Some((unit, factor)), _) => return Ok((factor, Some(unit))),
@@ -429,6 +429,15 @@ impl<'a> CsvRow<'a> {
             omission: what,
         }
     }
+}
+
+/// Changes that end an error about a unit.
+const CONVERT: &str = "convert the column, and rename it";
+const STATE_UNIT: &str = "state the unit in the map";
+
+/// Returns the known units of a quantity, with a change that ends the error.
+fn unit_advice(units: &[NamedUnit], change: &str) -> Box<str> {
+    format!("not one of {}: {change}", list_units(units)).into()
 }
 
 /// Returns whether a text stands for a missing value.
