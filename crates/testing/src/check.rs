@@ -75,7 +75,6 @@ pub fn check(controller: impl IntoSource) -> ControllerCheck {
 
 impl ControllerCheck {
     /// Sets the permission for programs that scenario files of the corpus name as drivers. Default: refused.
-    #[must_use]
     pub fn controllers_of_files(mut self, controllers: Controllers) -> Self {
         self.controllers = controllers;
         self

@@ -62,7 +62,7 @@ pub enum ScenarioImportError {
         /// Name of the element.
         element: String,
         /// Field and problem.
-        invalid: InvalidField,
+        invalid: Box<InvalidField>,
     },
     /// The observer stopped the import.
     #[error(transparent)]

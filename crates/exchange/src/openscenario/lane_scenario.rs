@@ -116,7 +116,7 @@ impl LaneScenarioBuilder<'_, '_> {
             path: path.to_path_buf(),
             line,
             element: name,
-            invalid,
+            invalid: Box::new(invalid),
         }
     }
 
