@@ -212,6 +212,7 @@ impl Trainer {
         }
         if (TrainingConfig {
             episodes: config.episodes,
+            controllers: config.controllers,
             ..header.config
         }) != *config
         {

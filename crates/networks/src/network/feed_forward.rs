@@ -24,7 +24,7 @@ pub enum NetworkStep {
 /// A fully connected network.
 ///
 /// ```
-/// use crumple_sim::network::{Elementwise, FeedForward, Linear, NetworkStep};
+/// use crumple_networks::network::{Elementwise, FeedForward, Linear, NetworkStep};
 /// use crumple_sim::policy::Workspace;
 ///
 /// let layer = Linear { weights: vec![1.0, -2.0], biases: vec![0.5] };

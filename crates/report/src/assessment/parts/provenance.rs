@@ -6,6 +6,7 @@ use serde::Serialize;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash, ReportPart};
+use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
 use crumple_core::markdown::Inline;
 
@@ -54,7 +55,12 @@ impl AssessmentProvenance {
             .iter()
             .chain(&plan.search_spaces)
             .map(|named| named.text.clone());
-        let config = std::iter::once(format!("{:?}", plan.config));
+        let config = AssessConfig {
+            // A permission determines no result.
+            controllers_of_files: Controllers::default(),
+            ..plan.config.clone()
+        };
+        let config = std::iter::once(format!("{config:?}"));
         let all = config
             .chain(scenarios)
             .chain(spaces)
