@@ -2,17 +2,21 @@
 
 use super::derived::{apply_cruise, apply_load, closing_gap_m};
 use super::numeric_fields::{
-    DERIVED_FIELDS, DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS,
+    DERIVED_FIELDS, DRIVER_FIELDS, FAULTS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS,
     VEHICLE_FIELDS, accelerations_mut, brake_rate_mut, final_speed_mut, known_fields_text,
     pieces_mut, setting_mut,
 };
 use super::spec::{DriverName, ValueKind};
-use crumple_sim::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_sim::scenario::{
+    Driver, FAULT_FIELDS, LaneChange, ScenarioSpec, SensorFaults, VehicleClass, VehicleSpec,
+};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum FieldTarget {
     /// A number of the whole scenario.
     Scenario(fn(&mut ScenarioSpec) -> &mut f64),
+    /// A number of the faults of sensors.
+    Fault(fn(&mut SensorFaults) -> &mut f64),
     /// A number of all vehicles.
     AllVehicles(fn(&mut VehicleSpec) -> &mut f64),
     /// A field of one vehicle.
@@ -82,6 +86,11 @@ impl ParameterField {
         };
         if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(known, ..)| *known == path) {
             return Ok(scalar(FieldTarget::Scenario(*access), unit));
+        }
+        if let Some(fault) = path.strip_prefix(FAULTS)
+            && let Some(field) = FAULT_FIELDS.iter().find(|field| field.path == fault)
+        {
+            return Ok(scalar(FieldTarget::Fault(field.value_mut), field.unit));
         }
         let unknown = || format!("no field `{path}` may vary");
         let (index, rest) = path
@@ -178,7 +187,7 @@ impl FieldTarget {
             Self::Vehicle(_, F::RateShare | F::PiecesShare | F::PiecesCruise) => 3,
             Self::Vehicle(_, F::TimeGap | F::ClosingTime | F::FinalSpeedShare) => 3,
             Self::Vehicle(_, F::PiecesScale) => 4,
-            Self::Scenario(_) | Self::Vehicle(..) => 2,
+            Self::Scenario(_) | Self::Fault(_) | Self::Vehicle(..) => 2,
         }
     }
 
@@ -189,6 +198,10 @@ impl FieldTarget {
         let (index, field) = match self {
             Self::Scenario(access) => {
                 *access(spec) = value;
+                return;
+            }
+            Self::Fault(access) => {
+                *access(&mut spec.sensors.faults) = value;
                 return;
             }
             Self::AllVehicles(access) => {
@@ -261,6 +274,7 @@ impl FieldTarget {
     pub(super) fn get(self, spec: &ScenarioSpec) -> Vec<f64> {
         let (index, field) = match self {
             Self::Scenario(access) => return vec![*access(&mut spec.clone())],
+            Self::Fault(access) => return vec![*access(&mut spec.sensors.faults.clone())],
             Self::AllVehicles(access) => (0, VehicleField::Number(access)),
             Self::Vehicle(index, field) => (index, field),
         };
@@ -315,7 +329,7 @@ impl FieldTarget {
     pub(super) fn driver_vehicle(self) -> Option<usize> {
         use VehicleField as F;
         match self {
-            Self::Scenario(_) | Self::AllVehicles(_) => None,
+            Self::Scenario(_) | Self::Fault(_) | Self::AllVehicles(_) => None,
             Self::Vehicle(
                 _,
                 F::Number(_) | F::LaneChange(_) | F::Class | F::Size | F::Gap | F::TimeGap,
@@ -328,7 +342,7 @@ impl FieldTarget {
     /// Returns the vehicle whose limits or position the field changes, if that can make a scenario invalid.
     pub(super) fn affected_vehicle(self) -> Option<usize> {
         match self {
-            Self::Scenario(_) | Self::AllVehicles(_) => None,
+            Self::Scenario(_) | Self::Fault(_) | Self::AllVehicles(_) => None,
             Self::Vehicle(_, VehicleField::Gap | VehicleField::PiecesOnset) => None,
             Self::Vehicle(index, _) => Some(index),
         }

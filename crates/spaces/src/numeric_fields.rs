@@ -2,7 +2,7 @@
 
 use super::field::VehicleField;
 use crumple_sim::scenario::{
-    Driver, GhostObject, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec,
+    Driver, FAULT_FIELDS, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec,
 };
 
 /// Path after `vehicles[i].`, unit, and accessor.
@@ -41,51 +41,18 @@ pub(super) type ScenarioNumericField = (
     fn(&mut ScenarioSpec) -> &mut f64,
 );
 
-pub(super) const SCENARIO_FIELDS: [ScenarioNumericField; 15] = [
+/// Without the faults of sensors ([`FAULT_FIELDS`]).
+pub(super) const SCENARIO_FIELDS: [ScenarioNumericField; 4] = [
     ("environment.friction", "1", |s| &mut s.environment.friction),
     ("sensors.position_noise_m", "m", |s| {
         &mut s.sensors.position_noise_m
     }),
     ("sensors.gap_noise_m", "m", |s| &mut s.sensors.gap_noise_m),
     ("sensors.dropout", "1", |s| &mut s.sensors.dropout),
-    ("sensors.faults.latency_s", "s", |s| {
-        &mut s.sensors.faults.latency_s
-    }),
-    ("sensors.faults.gap_bias_m", "m", |s| {
-        &mut s.sensors.faults.gap_bias_m
-    }),
-    ("sensors.faults.gap_resolution_m", "m", |s| {
-        &mut s.sensors.faults.gap_resolution_m
-    }),
-    ("sensors.faults.outage_rate_per_s", "1/s", |s| {
-        &mut s.sensors.faults.outage_rate_per_s
-    }),
-    ("sensors.faults.outage_length_s", "s", |s| {
-        &mut s.sensors.faults.outage_length_s
-    }),
-    ("sensors.faults.range_m", "m", |s| {
-        s.sensors.faults.range_m.get_or_insert(1e4)
-    }),
-    ("sensors.faults.detection_delay_s", "s", |s| {
-        &mut s.sensors.faults.detection_delay_s
-    }),
-    ("sensors.faults.ghost.onset_s", "s", |s| {
-        &mut ghost_mut(s).onset_s
-    }),
-    ("sensors.faults.ghost.duration_s", "s", |s| {
-        &mut ghost_mut(s).duration_s
-    }),
-    ("sensors.faults.ghost.gap_m", "m", |s| {
-        &mut ghost_mut(s).gap_m
-    }),
-    ("sensors.faults.ghost.speed_mps", "m/s", |s| {
-        &mut ghost_mut(s).speed_mps
-    }),
 ];
 
-fn ghost_mut(spec: &mut ScenarioSpec) -> &mut GhostObject {
-    spec.sensors.faults.ghost.get_or_insert(GhostObject::NEVER)
-}
+/// Path of the faults of sensors.
+pub(super) const FAULTS: &str = "sensors.faults.";
 
 pub(super) type DriverNumericField = (
     &'static str,
@@ -271,7 +238,13 @@ pub(super) const DERIVED_FIELDS: [DerivedField; 19] = [
 ];
 
 pub(super) fn known_fields_text() -> String {
-    let scenario = SCENARIO_FIELDS.iter().map(|(name, ..)| *name);
+    let faults = FAULT_FIELDS
+        .iter()
+        .map(|field| format!("{FAULTS}{}", field.path));
+    let scenario = SCENARIO_FIELDS
+        .iter()
+        .map(|(name, ..)| (*name).to_owned())
+        .chain(faults);
     let derived = DERIVED_FIELDS
         .iter()
         .map(|(name, ..)| *name)

@@ -33,7 +33,7 @@ pub use plant::{BodyKind, PlantKind};
 pub use profile::{
     Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
 };
-pub use sensor_faults::{GhostObject, SensorFaults};
+pub use sensor_faults::{FAULT_FIELDS, FaultField, GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;
 pub use validate::{MAX_MULTIPLE, whole_multiple};

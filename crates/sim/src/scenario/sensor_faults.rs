@@ -74,42 +74,108 @@ impl SensorFaults {
 
     /// Returns path, value and range of every field that is present.
     pub(super) fn limits(&self) -> impl Iterator<Item = (&'static str, f64, [f64; 2])> {
-        let ghost = self.ghost;
-        let fields = [
-            ("latency_s", Some(self.latency_s), [0.0, 2.0]),
-            ("gap_bias_m", Some(self.gap_bias_m), [-10.0, 10.0]),
-            ("gap_resolution_m", Some(self.gap_resolution_m), [0.0, 10.0]),
-            (
-                "outage_rate_per_s",
-                Some(self.outage_rate_per_s),
-                [0.0, 100.0],
-            ),
-            ("outage_length_s", Some(self.outage_length_s), [0.0, 100.0]),
-            ("range_m", self.range_m, [1.0, 1e4]),
-            (
-                "detection_delay_s",
-                Some(self.detection_delay_s),
-                [0.0, 10.0],
-            ),
-            (
-                "ghost.onset_s",
-                ghost.map(|ghost| ghost.onset_s),
-                [0.0, 1e5],
-            ),
-            (
-                "ghost.duration_s",
-                ghost.map(|ghost| ghost.duration_s),
-                [0.0, 1e5],
-            ),
-            ("ghost.gap_m", ghost.map(|ghost| ghost.gap_m), [0.1, 1e4]),
-            (
-                "ghost.speed_mps",
-                ghost.map(|ghost| ghost.speed_mps),
-                [0.0, 100.0],
-            ),
-        ];
-        fields
-            .into_iter()
-            .filter_map(|(path, value, range)| Some((path, value?, range)))
+        FAULT_FIELDS
+            .iter()
+            .filter_map(|field| Some((field.path, (field.value)(self)?, field.range)))
+    }
+
+    fn ghost_mut(&mut self) -> &mut GhostObject {
+        self.ghost.get_or_insert(GhostObject::NEVER)
     }
 }
+
+/// A number of [`SensorFaults`].
+#[derive(Debug)]
+pub struct FaultField {
+    /// Path after `sensors.faults.`.
+    pub path: &'static str,
+    /// Unit; `1` for none.
+    pub unit: &'static str,
+    /// Allowed minimum and maximum.
+    pub range: [f64; 2],
+    /// Returns the value; `None` if it is absent.
+    pub value: fn(&SensorFaults) -> Option<f64>,
+    /// Returns a reference to the value, and inserts one without effect if it is absent.
+    pub value_mut: fn(&mut SensorFaults) -> &mut f64,
+}
+
+/// All numbers, in the order of the files. Scenario files check their ranges, and spaces may vary each of them.
+pub const FAULT_FIELDS: [FaultField; 11] = [
+    FaultField {
+        path: "latency_s",
+        unit: "s",
+        range: [0.0, 2.0],
+        value: |faults| Some(faults.latency_s),
+        value_mut: |faults| &mut faults.latency_s,
+    },
+    FaultField {
+        path: "gap_bias_m",
+        unit: "m",
+        range: [-10.0, 10.0],
+        value: |faults| Some(faults.gap_bias_m),
+        value_mut: |faults| &mut faults.gap_bias_m,
+    },
+    FaultField {
+        path: "gap_resolution_m",
+        unit: "m",
+        range: [0.0, 10.0],
+        value: |faults| Some(faults.gap_resolution_m),
+        value_mut: |faults| &mut faults.gap_resolution_m,
+    },
+    FaultField {
+        path: "outage_rate_per_s",
+        unit: "1/s",
+        range: [0.0, 100.0],
+        value: |faults| Some(faults.outage_rate_per_s),
+        value_mut: |faults| &mut faults.outage_rate_per_s,
+    },
+    FaultField {
+        path: "outage_length_s",
+        unit: "s",
+        range: [0.0, 100.0],
+        value: |faults| Some(faults.outage_length_s),
+        value_mut: |faults| &mut faults.outage_length_s,
+    },
+    FaultField {
+        path: "range_m",
+        unit: "m",
+        range: [1.0, 1e4],
+        value: |faults| faults.range_m,
+        value_mut: |faults| faults.range_m.get_or_insert(1e4),
+    },
+    FaultField {
+        path: "detection_delay_s",
+        unit: "s",
+        range: [0.0, 10.0],
+        value: |faults| Some(faults.detection_delay_s),
+        value_mut: |faults| &mut faults.detection_delay_s,
+    },
+    FaultField {
+        path: "ghost.onset_s",
+        unit: "s",
+        range: [0.0, 1e5],
+        value: |faults| Some(faults.ghost?.onset_s),
+        value_mut: |faults| &mut faults.ghost_mut().onset_s,
+    },
+    FaultField {
+        path: "ghost.duration_s",
+        unit: "s",
+        range: [0.0, 1e5],
+        value: |faults| Some(faults.ghost?.duration_s),
+        value_mut: |faults| &mut faults.ghost_mut().duration_s,
+    },
+    FaultField {
+        path: "ghost.gap_m",
+        unit: "m",
+        range: [0.1, 1e4],
+        value: |faults| Some(faults.ghost?.gap_m),
+        value_mut: |faults| &mut faults.ghost_mut().gap_m,
+    },
+    FaultField {
+        path: "ghost.speed_mps",
+        unit: "m/s",
+        range: [0.0, 100.0],
+        value: |faults| Some(faults.ghost?.speed_mps),
+        value_mut: |faults| &mut faults.ghost_mut().speed_mps,
+    },
+];
