@@ -50,10 +50,7 @@ impl InitialSet {
         };
         let is_plain = vehicles.iter().all(|v| {
             v.acceleration_noise_mps2 == 0.0
-                && v.reaction_delay_s == 0.0
-                && v.actuator_lag_s == 0.0
-                && v.actuator_delay_s == 0.0
-                && v.jerk_limit_mps3.is_none()
+                && v.response().is_immediate()
                 && v.multi_body().is_none()
                 && v.keeps_lane()
         });

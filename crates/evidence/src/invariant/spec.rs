@@ -66,10 +66,7 @@ impl InvariantSpec {
             .get(1)
             .ok_or_else(|| wrong("has too few vehicles"))?;
         let is_plain = ego.acceleration_noise_mps2 == 0.0
-            && ego.reaction_delay_s == 0.0
-            && ego.actuator_delay_s == 0.0
-            && ego.actuator_lag_s == 0.0
-            && ego.jerk_limit_mps3.is_none()
+            && ego.response().is_immediate()
             && ego.multi_body().is_none()
             && ego.keeps_lane();
         if ego.driver != Driver::UnderTest || !is_plain {

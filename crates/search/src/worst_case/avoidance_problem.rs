@@ -49,7 +49,7 @@ impl AvoidanceProblem {
                 max_accel_mps2: vehicle.max_accel_mps2(),
             }
         };
-        let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
+        let has_lag = |v: &VehicleSpec| !v.response().is_full_at_once();
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
         let mut escape_caveat = under_test()
             .find(|(_, v)| has_lag(v))
@@ -244,6 +244,5 @@ fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
 
 /// Returns reaction and actuator delay in steps, as in the simulation.
 pub(super) fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
-    let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
-    ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
+    ((vehicle.response().delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
 }

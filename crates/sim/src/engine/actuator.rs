@@ -36,14 +36,13 @@ impl Actuator {
         let vehicle = &scenario.vehicles()[index];
         let step_s = scenario.spec().step_s;
         let body = vehicle.multi_body();
-        let delay_s =
-            vehicle.reaction_delay_s + vehicle.actuator_delay_s + body.map_or(0.0, brake_delay_s);
+        let delay_s = vehicle.response().delay_s + body.map_or(0.0, brake_delay_s);
         let delay_steps = (delay_s / step_s).round() as usize;
         // Commands that are still pending at the end of the scenario need no space.
         let delay_steps = delay_steps.min(scenario.steps());
         let lag_s = vehicle.actuator_lag_s;
         let is_sluggish =
-            delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some() || body.is_some();
+            delay_steps > 0 || !vehicle.response().is_full_at_once() || body.is_some();
         let friction = scenario.spec().environment.friction;
         let sluggish = is_sluggish.then(|| {
             Box::new(ActuatorDynamics {

@@ -66,7 +66,8 @@ impl ShieldAssumptions for Run {
         if !self.scenario().has_only_point_masses() {
             return Err(ShieldRefusal::Plant);
         }
-        if own.jerk_limit_mps3.is_some() {
+        let response = own.response();
+        if response.is_only_simulated {
             return Err(ShieldRefusal::JerkLimit);
         }
         if noise_mps2 >= brake_mps2 {
@@ -106,8 +107,7 @@ impl ShieldAssumptions for Run {
                 }
             }
         };
-        let delay_steps = (whole_steps(own.reaction_delay_s + own.actuator_delay_s) as usize)
-            .min(self.scenario().steps());
+        let delay_steps = (whole_steps(response.delay_s) as usize).min(self.scenario().steps());
         let mut frame = ShieldParams {
             step_s,
             brake_mps2,
@@ -115,15 +115,15 @@ impl ShieldAssumptions for Run {
             noise_mps2,
             ahead_brake_mps2,
             delay_steps,
-            response_fraction: if own.actuator_lag_s > 0.0 {
-                -(-step_s / own.actuator_lag_s).exp_m1()
+            response_fraction: if response.lag_s > 0.0 {
+                -(-step_s / response.lag_s).exp_m1()
             } else {
                 1.0
             },
             errors,
             behind: vehicles.get(index + 1).map(|behind| RearVehicleParams {
                 brake_mps2: self.scenario().usable_brake_mps2(index + 1),
-                reaction_s: whole_steps(behind.reaction_delay_s + behind.actuator_delay_s) * step_s,
+                reaction_s: whole_steps(behind.response().delay_s) * step_s,
             }),
             margin_m: MIN_MARGIN_M,
         };

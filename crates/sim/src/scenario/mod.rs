@@ -11,6 +11,7 @@ mod lane_change;
 mod paper;
 mod plant;
 mod profile;
+mod response;
 mod sensor_faults;
 mod speed_dip;
 mod validate;
@@ -33,6 +34,7 @@ pub use plant::{BodyKind, PlantKind};
 pub use profile::{
     Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
 };
+pub use response::VehicleResponse;
 pub use sensor_faults::{FAULT_FIELDS, FaultField, GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;

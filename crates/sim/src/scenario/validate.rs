@@ -243,14 +243,9 @@ fn check_within_limits(
 
 /// Rejects delays and lags of scripted vehicles, which would contradict the script.
 fn check_no_delays(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
-    let delays = [
-        ("reaction_delay_s", vehicle.reaction_delay_s > 0.0),
-        ("actuator_lag_s", vehicle.actuator_lag_s > 0.0),
-        ("actuator_delay_s", vehicle.actuator_delay_s > 0.0),
-        ("jerk_limit_mps3", vehicle.jerk_limit_mps3.is_some()),
-        ("plant", vehicle.multi_body().is_some()),
-    ];
-    match delays.into_iter().find(|(_, given)| *given) {
+    let plant = ("plant", vehicle.multi_body().is_some());
+    let mut fields = vehicle.given_response_fields().into_iter().chain([plant]);
+    match fields.find(|(_, given)| *given) {
         Some((field, _)) => place.field(field).reject(FieldProblem::DelayedScript),
         None => Ok(()),
     }

@@ -63,8 +63,7 @@ impl<'s> Plant<'s> {
             .all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
         let ego = |index: usize| {
             let vehicle = scenario.vehicles().get(index)?;
-            let is_prompt = vehicle.actuator_lag_s == 0.0 && vehicle.jerk_limit_mps3.is_none();
-            is_prompt.then(|| EgoLimits {
+            vehicle.response().is_full_at_once().then(|| EgoLimits {
                 index,
                 dead_steps: delay_steps(scenario, vehicle),
                 low_mps2: -scenario.usable_brake_mps2(index),
