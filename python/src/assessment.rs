@@ -116,7 +116,8 @@ pub(crate) fn assess(
                 .map_err(|error| config_exception(py, &error))?
         }
         _ => {
-            let (config, folder) = read_config(py, path.as_deref(), toml, json)?;
+            let (mut config, folder) = read_config(py, path.as_deref(), toml, json)?;
+            config.controllers_of_files = super::controller::controllers();
             AssessmentPlan::new(config, own, &folder)
                 .map_err(|error| config_exception(py, &error))?
         }

@@ -15,6 +15,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
+use crate::controller::controllers;
 use crate::errors::{self, ExceptionClass};
 use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
@@ -165,7 +166,8 @@ impl Episodes {
         let wrong = |error: &dyn std::fmt::Display| {
             errors::exception(py, ExceptionClass::Training, &error.to_string())
         };
-        let config = load_training_config(py, preset)?;
+        let mut config = load_training_config(py, preset)?;
+        config.controllers = controllers();
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
             None => config.scenario_source().map_err(|error| wrong(&error))?,
