@@ -1,5 +1,6 @@
 //! `crumple explore` in a build without the feature `explore`: an error that explains how to enable it.
 
+use super::global_options::GlobalOptions;
 use clap::Args;
 
 use super::{CliError, feature};
@@ -12,7 +13,7 @@ pub(super) struct Explore {
 }
 
 impl Explore {
-    pub(super) fn run(self, _quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, _global: GlobalOptions) -> Result<(), CliError> {
         drop(self.ignored);
         feature::EXPLORE.require().map_err(CliError::Input)
     }
