@@ -1,8 +1,8 @@
 //! `crumple explore` in a build without the feature `explore`: an error that explains how to enable it.
 
-use super::global_options::GlobalOptions;
 use clap::Args;
 
+use super::global_options::GlobalOptions;
 use super::{CliError, feature};
 
 /// Edit scenarios and follow campaigns in the browser (this build lacks the feature `explore`)
