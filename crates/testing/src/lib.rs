@@ -27,8 +27,8 @@
 //! A failing test writes the simplest scenario found to a folder, which the next run evaluates first
 //! ([`ControllerCheck::corpus`]).
 //!
-//! The feature `process` adds controllers that are [processes](crumple_controllers::find_for_user) or FMUs, by name or file
-//! ([`NamedController`](crumple_sim::engine::NamedController)). It needs Unix.
+//! The feature `process` adds controllers that are processes or FMUs, by name or file
+//! ([`find_for_user`](crumple_controllers::find_for_user)). It needs Unix.
 #![cfg_attr(doctest, doc = include_str!("../../../docs/testing.md"))]
 
 mod check;
