@@ -171,7 +171,7 @@ impl Simulate {
     pub(super) fn run(mut self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
         let has_folder = self.scenarios.iter().any(|path| is_folder(path));
-        self.scenarios = list_scenario_files(self.scenarios, controllers)?;
+        self.scenarios = list_scenario_files(self.scenarios)?;
         if self.spec.is_empty()
             && matches!(
                 self.expect,
@@ -474,21 +474,18 @@ fn is_folder(path: &Path) -> bool {
 }
 
 /// Replaces each folder by its scenario files, in order of their names.
-fn list_scenario_files(
-    paths: Vec<PathBuf>,
-    controllers: Controllers,
-) -> Result<Vec<PathBuf>, CliError> {
+fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
     let mut files = Vec::new();
     for path in paths {
         if !is_folder(&path) {
             files.push(path);
             continue;
         }
-        let found = file::load_all(&path, &controllers)?;
+        let found = file::list(&path)?;
         if found.is_empty() {
             return Err(CliError::at(&path, "the folder has no scenario file"));
         }
-        files.extend(found.into_iter().map(|(path, _)| path));
+        files.extend(found);
     }
     Ok(files)
 }

@@ -144,7 +144,7 @@ impl fmt::Display for ControllerSpec {
             Self::Shielded {
                 settings,
                 controller,
-            } => write!(out, "shield{}:{controller}", settings.to_arg()),
+            } => write!(out, "{}{controller}", settings.name_prefix()),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crumple_core::digest::sha256;
 use crumple_sim::control::{
     BatchQuery, Controller, ControllerFailure, ControllerSource, DecisionTimer, Ego, SourceFile,
-    VehicleInRun, decide_by_query,
+    decide_by_query,
 };
 use crumple_sim::observation::Observation;
 use crumple_sim::policy::Workspace;
@@ -189,11 +189,8 @@ impl ControllerSource for NetworkController {
         Ok(Box::new(NetworkDriver::new(Arc::clone(&self.mapped), ego)))
     }
 
-    fn start_in_run(
-        &self,
-        vehicle: &VehicleInRun<'_>,
-    ) -> Result<Box<dyn Controller>, ControllerFailure> {
-        self.start(&vehicle.ego, vehicle.seed)
+    fn holds_answers(&self) -> bool {
+        true
     }
 
     fn interval_s(&self) -> Option<f64> {

@@ -15,7 +15,7 @@ use crumple_core::regular_file;
 use crumple_networks::{InputMapping, InvalidMapping, Mapping};
 use crumple_sim::control::{
     Controller, ControllerFailure, ControllerSource, Ego, ProcessFailure, ProcessProblem,
-    SourceFile, VehicleInRun, escaped_excerpt,
+    SourceFile, escaped_excerpt,
 };
 use crumple_sim::random::{self, Purpose};
 use rand::Rng as _;
@@ -179,11 +179,8 @@ impl ControllerSource for ProcessController {
         Ok(Box::new(driver))
     }
 
-    fn start_in_run(
-        &self,
-        vehicle: &VehicleInRun<'_>,
-    ) -> Result<Box<dyn Controller>, ControllerFailure> {
-        self.start(&vehicle.ego, vehicle.seed)
+    fn holds_answers(&self) -> bool {
+        true
     }
 
     fn interval_s(&self) -> Option<f64> {

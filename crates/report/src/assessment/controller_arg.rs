@@ -11,7 +11,7 @@ use crumple_sim::policy::Policy;
 pub(super) fn controller_arg(source: &dyn ControllerSource) -> Option<String> {
     if let Some(shield) = source.as_shield() {
         let inner = controller_arg(&*shield.controller)?;
-        return Some(format!("shield{}:{inner}", shield.settings.to_arg()));
+        return Some(format!("{}{inner}", shield.settings.name_prefix()));
     }
     if let Some(spec) = source.downcast_ref::<BuiltInController>() {
         return Some(spec.to_arg());

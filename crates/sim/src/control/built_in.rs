@@ -320,11 +320,8 @@ impl ControllerSource for BuiltInController {
         Ok(Box::new(AnyController::from_spec(self, ego, seed)))
     }
 
-    fn start_in_run(
-        &self,
-        vehicle: &VehicleInRun<'_>,
-    ) -> Result<Box<dyn Controller>, ControllerFailure> {
-        self.start(&vehicle.ego, vehicle.seed)
+    fn holds_answers(&self) -> bool {
+        true
     }
 
     fn interval_s(&self) -> Option<f64> {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use super::decision_timer::DecisionTimer;
 use super::{
     BuiltIn, Controller, ControllerFailure, ControllerSource, Ego, IntoSource, NoSettings, Role,
-    VehicleInRun,
 };
 use crate::observation::Observation;
 use crate::policy::{FrameStack, HeldAction, Policy, Workspace};
@@ -127,11 +126,8 @@ impl ControllerSource for PolicySource {
         Ok(Box::new(PolicyDriver::new(Arc::clone(&self.0), ego)))
     }
 
-    fn start_in_run(
-        &self,
-        vehicle: &VehicleInRun<'_>,
-    ) -> Result<Box<dyn Controller>, ControllerFailure> {
-        self.start(&vehicle.ego, vehicle.seed)
+    fn holds_answers(&self) -> bool {
+        true
     }
 
     fn interval_s(&self) -> Option<f64> {

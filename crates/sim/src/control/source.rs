@@ -119,6 +119,11 @@ pub trait ControllerSource: Any + Send + Sync {
         None
     }
 
+    /// Returns true if its controllers decide at their interval, hold their answers in between, and check them.
+    fn holds_answers(&self) -> bool {
+        false
+    }
+
     /// Returns the neighbours without which its controllers cannot drive; a run that lacks one is rejected.
     fn required_neighbours(&self) -> RequiredNeighbours {
         RequiredNeighbours::Nothing
@@ -202,7 +207,8 @@ pub trait ControllerSource: Any + Send + Sync {
     }
 
     /// Starts a controller for a vehicle of a run: that of [`start`](Self::start), with its
-    /// [interval](Self::interval_s) and its [batches](Self::batch_controller). A non-finite answer is a failure.
+    /// [interval](Self::interval_s) and its [batches](Self::batch_controller) unless it
+    /// [holds its answers](Self::holds_answers). A non-finite answer is a failure.
     ///
     /// # Errors
     /// [`ControllerFailure`], as for [`start`](Self::start).
@@ -211,6 +217,9 @@ pub trait ControllerSource: Any + Send + Sync {
         vehicle: &VehicleInRun<'_>,
     ) -> Result<Box<dyn Controller>, ControllerFailure> {
         let controller = self.start(&vehicle.ego, vehicle.seed)?;
+        if self.holds_answers() {
+            return Ok(controller);
+        }
         let held = ZeroOrderHold::new(controller, self.interval_s(), vehicle.ego.step_s);
         Ok(Box::new(held.with_batching(vehicle.source)))
     }

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::control::{
-    BuiltInController, ControllerFailure, ControllerSource, PolicySource, ShieldSettings,
-    ShieldedSource,
-};
+use crate::control::{BuiltInController, ControllerFailure, ControllerSource, PolicySource};
 use crate::policy::Policy;
 
 /// A controller under test and its name.
@@ -89,18 +86,6 @@ impl NamedController {
         }
     }
 
-    /// Returns the controller behind a shield.
-    #[must_use]
-    pub fn behind_shield(self, settings: ShieldSettings) -> Self {
-        Self {
-            name: format!("shield{}:{}", settings.to_arg(), self.name),
-            source: Arc::new(ShieldedSource {
-                controller: self.source,
-                settings,
-            }),
-        }
-    }
-
     /// Returns the identity of the controller unless its name, or its name and policy, already determine it. External
     /// controllers and controllers under another name need it.
     #[must_use]
@@ -136,7 +121,7 @@ fn is_identified_by_name(source: &dyn ControllerSource, name: &str) -> bool {
     }
     if let Some(shield) = source.as_shield() {
         return name
-            .strip_prefix(&format!("shield{}:", shield.settings.to_arg()))
+            .strip_prefix(&shield.settings.name_prefix())
             .is_some_and(|inner| is_identified_by_name(&*shield.controller, inner));
     }
     source.downcast_ref::<PolicySource>().is_some()

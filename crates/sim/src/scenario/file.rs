@@ -89,8 +89,20 @@ pub fn load_all(
     path: &Path,
     opener: &dyn OpenDriver,
 ) -> Result<Vec<(PathBuf, Scenario)>, ScenarioFileError> {
+    list(path)?
+        .into_iter()
+        .map(|path| load(&path, opener).map(|scenario| (path, scenario)))
+        .collect()
+}
+
+/// Returns `path`, or the scenario files of the folder `path`, as [`load_all`] reads them.
+///
+/// # Errors
+/// [`ScenarioFileError`] for a folder that cannot be read, or with more than `MAX_FILES` files or `MAX_FOLDER_BYTES`
+/// bytes.
+pub fn list(path: &Path) -> Result<Vec<PathBuf>, ScenarioFileError> {
     if !path.is_dir() {
-        return Ok(vec![(path.to_owned(), load(path, opener)?)]);
+        return Ok(vec![path.to_owned()]);
     }
     let unreadable = |source| {
         ScenarioFileError::File(FileError::Read {
@@ -127,10 +139,7 @@ pub fn load_all(
             problem,
         )));
     }
-    files
-        .into_iter()
-        .map(|path| load(&path, opener).map(|scenario| (path, scenario)))
-        .collect()
+    Ok(files)
 }
 
 /// Name of the TOML file with the recorded verdicts of a folder of scenarios. The extension keeps it out of `*.toml`.

@@ -140,6 +140,12 @@ impl ShieldSettings {
         let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
         ahead.into_iter().chain(errors).collect()
     }
+
+    /// Returns the words before the name of a controller behind this shield: `shield,ahead=7:`.
+    #[must_use]
+    pub fn name_prefix(&self) -> String {
+        format!("shield{}:", self.to_arg())
+    }
 }
 
 #[cfg(test)]
