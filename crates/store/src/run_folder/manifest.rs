@@ -355,10 +355,11 @@ impl Manifest {
         Ok(())
     }
 
-    /// Applies the pending changes that another process announced, after a check of everything that they need.
-    pub(super) fn recover_pending(&mut self, folder: &Path) -> Result<(), RunFolderError> {
+    /// Applies the pending changes that another process announced, after a check of everything that they need. Returns
+    /// true if there were any.
+    pub(super) fn recover_pending(&mut self, folder: &Path) -> Result<bool, RunFolderError> {
         if self.pending.is_empty() {
-            return Ok(());
+            return Ok(false);
         }
         let mut open = Vec::new();
         for pending in &self.pending {
@@ -375,7 +376,7 @@ impl Manifest {
         }
         pending::apply(folder, &open)?;
         self.pending.clear();
-        Ok(())
+        Ok(true)
     }
 
     /// Returns true if a change is still to be applied.

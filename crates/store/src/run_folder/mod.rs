@@ -29,6 +29,9 @@ pub use transaction::FolderTransaction;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_core::digest::sha256;
@@ -144,6 +147,33 @@ pub enum RunFolderError {
         /// Path of the manifest.
         path: PathBuf,
     },
+    /// The folder has no finished run.
+    #[error("{}: {problem}", folder.display())]
+    NotFinished {
+        /// Path of the folder.
+        folder: PathBuf,
+        /// State of the folder, as a clause.
+        problem: String,
+    },
+    /// A controller has no identity, so earlier results cannot be attributed to it.
+    #[error(
+        "the controller `{controller}` states no identity, so its {kind} cannot be resumed; start again without \
+         --resume, with another --out"
+    )]
+    NoIdentity {
+        /// Name of the controller.
+        controller: String,
+        /// Kind of the run.
+        kind: String,
+    },
+    /// A file cannot be encoded.
+    #[error("{file}: cannot be encoded: {problem}")]
+    Encoding {
+        /// Name of the file.
+        file: &'static str,
+        /// Problem of the encoder.
+        problem: String,
+    },
     /// A file is not as it was written.
     #[error("{}: {problem}", path.display())]
     Damaged {
@@ -161,12 +191,31 @@ impl RunFolderError {
         Self::damaged(path, "the file is missing")
     }
 
+    /// Returns the error about a file that cannot be encoded.
+    pub fn encoding(file: &'static str, problem: impl std::fmt::Display) -> Self {
+        Self::Encoding {
+            file,
+            problem: problem.to_string(),
+        }
+    }
+
     /// Returns the error about a file whose content is not what its writer wrote.
     pub fn damaged(path: &Path, problem: impl Into<String>) -> Self {
         Self::Damaged {
             path: path.to_owned(),
             problem: problem.into(),
         }
+    }
+}
+
+/// Returns indented JSON for a file.
+///
+/// # Errors
+/// [`RunFolderError::Encoding`] in principle, if the encoder fails.
+pub fn encode_json(file: &'static str, value: &impl Serialize) -> Result<String, RunFolderError> {
+    match serde_json::to_string_pretty(value) {
+        Ok(text) => Ok(text + "\n"),
+        Err(error) => Err(RunFolderError::encoding(file, error)),
     }
 }
 
@@ -185,6 +234,81 @@ pub struct RunFolderOptions<'a> {
     pub outputs: &'a [&'a str],
 }
 
+impl RunFolderOptions<'_> {
+    /// Checks that an existing run may be resumed or read.
+    fn check_existing(
+        &self,
+        existing: &Manifest,
+        folder: &Path,
+        program: &str,
+    ) -> Result<(), RunFolderError> {
+        let path = folder.join(MANIFEST_FILE);
+        let kind = self.kind.to_owned();
+        if existing.kind != self.kind {
+            return Err(RunFolderError::OtherKind {
+                path,
+                found: existing.kind.clone(),
+                kind,
+            });
+        }
+        if !self.resume {
+            return Err(RunFolderError::AlreadyExists {
+                folder: folder.to_owned(),
+                kind,
+            });
+        }
+        // Any build may read a complete run.
+        let is_of_other_build = existing
+            .program
+            .as_deref()
+            .is_some_and(|existing| existing != program);
+        if existing.configuration_sha256 == sha256(self.configuration) {
+            return if is_of_other_build {
+                Err(RunFolderError::OtherBuild { path })
+            } else {
+                Ok(())
+            };
+        }
+        let name = self.configuration_file;
+        if existing.check_file(folder, name).is_err() {
+            let problem =
+                "in the same folder does not match it: one of them belongs to another run";
+            return Err(RunFolderError::damaged(
+                &path,
+                format!("the `{name}` {problem}"),
+            ));
+        }
+        let text = existing.read_contents(folder, name)?;
+        let is_of_other_version = text.is_some_and(|text| {
+            differs_in_version_only(&String::from_utf8_lossy(&text), self.configuration)
+        });
+        match (is_of_other_version, is_of_other_build) {
+            (true, true) => Err(RunFolderError::OtherBuild { path }),
+            (true, false) => Ok(()),
+            (false, _) => Err(RunFolderError::OtherConfiguration {
+                path: folder.join(name),
+                kind,
+            }),
+        }
+    }
+}
+
+/// Returns true if two configurations, in TOML or in JSON with one field on each line, are equal but for the version of
+/// crumple.
+fn differs_in_version_only(existing: &str, asked: &str) -> bool {
+    let is_other_field = |line: &&str| {
+        let line = line.trim_start().trim_start_matches('"');
+        let rest = line
+            .strip_prefix("crumple")
+            .map(|rest| rest.trim_start_matches('"'));
+        !rest.is_some_and(|rest| rest.trim_start().starts_with(['=', ':']))
+    };
+    existing
+        .lines()
+        .filter(is_other_field)
+        .eq(asked.lines().filter(is_other_field))
+}
+
 impl RunFolder {
     /// Creates a run folder, or resumes the run that it contains after a check of every file.
     ///
@@ -192,60 +316,23 @@ impl RunFolder {
     /// [`RunFolderError`] if the folder cannot be used, is in use, contains another run, or anything in it is damaged.
     pub fn open(folder: &Path, options: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
-        let kind = || options.kind.to_owned();
         let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| RunFolderError::InUse {
             folder: folder.to_owned(),
-            kind: kind(),
+            kind: options.kind.to_owned(),
         })?;
-        let (path, configuration_sha256) =
-            (folder.join(MANIFEST_FILE), sha256(options.configuration));
         let program = program::identity()?;
-        let manifest = match Manifest::read(&path)? {
+        let manifest = match Manifest::read(&folder.join(MANIFEST_FILE))? {
             // The first change writes the manifest, so that a run that cannot start leaves no file.
             None => Manifest::new(
                 options.kind,
                 program,
-                &configuration_sha256,
+                &sha256(options.configuration),
                 options.outputs,
             ),
-            Some(found) if found.kind != options.kind => {
-                return Err(RunFolderError::OtherKind {
-                    path,
-                    found: found.kind,
-                    kind: kind(),
-                });
+            Some(existing) => {
+                options.check_existing(&existing, folder, program)?;
+                existing
             }
-            Some(_) if !options.resume => {
-                return Err(RunFolderError::AlreadyExists {
-                    folder: folder.to_owned(),
-                    kind: kind(),
-                });
-            }
-            Some(found) if found.configuration_sha256 != configuration_sha256 => {
-                let name = options.configuration_file;
-                if found.check_file(folder, name).is_err() {
-                    let problem =
-                        "in the same folder does not match it: one of them belongs to another run";
-                    return Err(RunFolderError::damaged(
-                        &path,
-                        format!("the `{name}` {problem}"),
-                    ));
-                }
-                return Err(RunFolderError::OtherConfiguration {
-                    path: folder.join(name),
-                    kind: kind(),
-                });
-            }
-            // Any build may read a complete run.
-            Some(found)
-                if found
-                    .program
-                    .as_deref()
-                    .is_some_and(|found| found != program) =>
-            {
-                return Err(RunFolderError::OtherBuild { path });
-            }
-            Some(found) => found,
         };
         let work = Self {
             folder: folder.to_owned(),
@@ -295,6 +382,52 @@ impl RunFolder {
     pub fn read_required(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         self.read(name)?
             .ok_or_else(|| RunFolderError::missing(&self.path(name)))
+    }
+
+    /// Reads a file as JSON; returns `None` if there is no such file.
+    ///
+    /// # Errors
+    /// [`RunFolderError::Damaged`] if the file is not as it was written, or a run of this kind writes no such JSON.
+    pub fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, RunFolderError> {
+        self.read(name)?
+            .map(|bytes| self.parse_json(name, &bytes))
+            .transpose()
+    }
+
+    /// Reads a file that the run has written, as JSON.
+    ///
+    /// # Errors
+    /// [`RunFolderError::Damaged`] if the file is missing, is not as it was written, or has another form.
+    pub fn read_required_json<T: DeserializeOwned>(&self, name: &str) -> Result<T, RunFolderError> {
+        self.parse_json(name, &self.read_required(name)?)
+    }
+
+    /// Parses JSON from a file.
+    ///
+    /// # Errors
+    /// [`RunFolderError::Damaged`] names the file if a run of this kind writes no such JSON.
+    pub fn parse_json<T: DeserializeOwned>(
+        &self,
+        name: &str,
+        json: &[u8],
+    ) -> Result<T, RunFolderError> {
+        serde_json::from_slice(json).map_err(|error| {
+            let kind = &self.lock_manifest().kind;
+            let problem = format!("differs from what a {kind} writes: {error}");
+            RunFolderError::damaged(&self.path(name), problem)
+        })
+    }
+
+    /// Writes a file as indented JSON.
+    ///
+    /// # Errors
+    /// [`RunFolderError`] if an unlisted file is at its path, or it cannot be written.
+    pub fn write_json(
+        &self,
+        name: &'static str,
+        value: &impl Serialize,
+    ) -> Result<(), RunFolderError> {
+        self.write(name, encode_json(name, value)?)
     }
 
     /// Creates a transaction: changes that are announced and applied together.
@@ -371,7 +504,9 @@ impl RunFolder {
     /// Recovers from a crash: completes the last announced change, then verifies every file.
     fn recover(&self) -> Result<(), RunFolderError> {
         let mut manifest = self.lock_manifest();
-        manifest.recover_pending(&self.folder)?;
+        if manifest.recover_pending(&self.folder)? && manifest.program.is_none() {
+            manifest.write(&self.folder)?;
+        }
         for folder in [""].into_iter().chain(manifest.folders()) {
             if !manifest.includes_folder(folder) {
                 disk::remove_all_unfinished(&self.path(folder))?;

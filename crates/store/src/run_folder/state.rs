@@ -32,6 +32,13 @@ pub struct Prefix {
 }
 
 impl Prefix {
+    pub(super) fn empty() -> Self {
+        Self {
+            bytes: 0,
+            sha256: sha256(""),
+        }
+    }
+
     /// Checks that a file begins with the prefix; the file may be missing if the prefix is empty. Reads in chunks,
     /// because the file may be larger than memory.
     pub(super) fn check_file(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
