@@ -10,9 +10,8 @@ use crumple::report::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, a
 use crumple::sim::control::Ego;
 use crumple::store::disk;
 use crumple::{
-    Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController,
-    Observation, Quiet, RecordingLevel, Run, RunOptions, built_in_scenario, built_in_space, sha256,
-    simulate,
+    Campaign, Controller, ControllerFailure, ControllerSource, NamedController, Observation, Quiet,
+    RecordingLevel, Run, RunOptions, Study, built_in_scenario, built_in_space, sha256, simulate,
 };
 
 /// Keeps a time gap to the vehicle ahead and brakes softly; fails if it observes no vehicle ahead.
@@ -70,22 +69,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         );
     }
 
-    let campaign = Campaign {
-        budget: 200,
-        ..Campaign::new(
-            own.clone(),
-            built_in_space("high-risk").ok_or("not built in")?,
-        )
-    };
+    let campaign = Campaign::new(
+        own.clone(),
+        built_in_space("high-risk").ok_or("not built in")?,
+    )
+    .with_budget(200);
     // The controller's identity lets a second execution resume the campaign.
-    let summary = campaign.run(
-        &folder.join("campaign"),
-        CampaignOptions {
-            resume: true,
-            ..Default::default()
-        },
-        &Quiet,
-    )?;
+    let summary = campaign.run(&folder.join("campaign"), true, &Quiet)?;
     println!("{}", summary.to_text());
 
     let mut config = AssessConfig::default();

@@ -21,7 +21,7 @@
 //!
 //! | crate | contents |
 //! |---|---|
-//! | [`store`] | run folders: atomic files, manifests |
+//! | [`store`] | studies in run folders: atomic files, manifests, resumption |
 //! | [`sim`] | scenarios, built-in controllers, estimators, engines with identical results |
 //! | [`networks`] | networks as controllers |
 //! | [`controllers`] | controllers by name: built-in, policies, networks, programs, FMUs, shields |
@@ -67,7 +67,7 @@ pub use crumple_verify as verify;
 
 pub use crumple_core::digest::sha256;
 pub use crumple_core::observer::{Observer, Quiet};
-pub use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
+pub use crumple_search::falsify::campaign::Campaign;
 pub use crumple_sim::control::{
     BuiltInController, Controller, ControllerFailure, ControllerSource,
 };
@@ -77,3 +77,4 @@ pub use crumple_sim::engine::{
 pub use crumple_sim::observation::{EstimatorKind, Observation};
 pub use crumple_sim::scenario::{Scenario, built_in_scenario};
 pub use crumple_spaces::{ScenarioSpace, built_in_space};
+pub use crumple_store::study::Study;

@@ -3,12 +3,13 @@
 use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
+use crumple_search::falsify::campaign::{Campaign, CampaignReader};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, simulate_batch};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
 use crumple_spaces::built_in_space;
+use crumple_store::study::Study;
 
 use crate::clock::wall_time_s;
 use crate::table::Measurement;
@@ -26,17 +27,15 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
         let at = folder.path().join("campaign");
         let campaign = Campaign {
             estimator: EstimatorKind::Truth,
-            method: Method::Uniform,
-            budget: BUDGET,
             ..Campaign::new(
                 BuiltInController::from_name(controller).expect("built in"),
                 built_in_space(space).expect("built in"),
             )
+            .with_method(Method::Uniform)
+            .with_budget(BUDGET)
         };
         let start_s = wall_time_s();
-        campaign
-            .run(&at, CampaignOptions::default(), &Quiet)
-            .expect("runs");
+        campaign.run(&at, false, &Quiet).expect("runs");
         let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
         let look = CampaignReader::open(&at, Controllers::default()).expect("is there");
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");

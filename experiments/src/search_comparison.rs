@@ -15,7 +15,7 @@ use crate::ExperimentError;
 use crumple::search::falsify::Method;
 use crumple::search::falsify::campaign::CampaignSummary;
 use crumple::spaces::built_in_space;
-use crumple::{Campaign, CampaignOptions, Quiet};
+use crumple::{Campaign, Quiet, Study};
 
 /// Every built-in scenario space, and a controller that seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
@@ -143,14 +143,14 @@ fn run_campaign(
     seed: u64,
 ) -> Result<CampaignSummary, ExperimentError> {
     let campaign = Campaign {
-        method,
-        budget,
         seed,
         ..Campaign::new(
             Controllers::default().find(controller, Path::new("."))?,
             built_in_space(space).ok_or("not built in")?,
         )
+        .with_method(method)
+        .with_budget(budget)
     };
     let folder = tempfile::tempdir()?;
-    Ok(campaign.run(folder.path(), CampaignOptions::default(), &Quiet)?)
+    Ok(campaign.run(folder.path(), false, &Quiet)?)
 }

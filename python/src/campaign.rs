@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use crumple_evidence::MethodComparison;
 use crumple_measure::Specification;
 use crumple_search::falsify::FailureCriterion;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
+use crumple_store::study::Study;
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -39,19 +40,15 @@ pub(crate) fn falsify<'py>(
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let (stop, raised) = (StopFlag::default(), RaisedException::default());
     let campaign = Campaign {
-        method: resolve_method(method, &raised)?,
-        objective: aim.parse().map_err(|error| wrong(py, &error))?,
-        budget,
         seed,
         ..campaign(py, controller, &space, spec, against, estimator, &stop)?
+            .with_method(resolve_method(method, &raised)?)
+            .with_objective(aim.parse().map_err(|error| wrong(py, &error))?)
+            .with_budget(budget)
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let options = CampaignOptions {
-            resume,
-            ..CampaignOptions::default()
-        };
-        campaign.run(&folder, options, &|state: &CampaignProgress| {
+        campaign.run(&folder, resume, &|state: &CampaignProgress| {
             say((state.evaluations, total, state.failures))
         })
     })?;
@@ -81,9 +78,8 @@ pub(crate) fn compare<'py>(
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let (stop, raised) = (StopFlag::default(), RaisedException::default());
     let campaign = Campaign {
-        budget,
         seed,
-        ..campaign(py, controller, &space, spec, against, estimator, &stop)?
+        ..campaign(py, controller, &space, spec, against, estimator, &stop)?.with_budget(budget)
     };
     let methods = methods
         .iter()

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crumple_evidence::{CountProgress, RateConfig, RateFolderError, RatePlan};
+use crumple_store::study::Study;
 use crumple_verify::check;
 use pyo3::prelude::*;
 
@@ -54,20 +55,14 @@ pub(crate) fn rate<'py>(
         )
     })
     .map_err(|error| wrong(&error))?;
-    let (counted, tally) = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let mut count = plan.register_in(&folder, resume)?;
-        let counted =
-            count.certify(&|state: &CountProgress| say((state.runs, runs, state.failures)));
-        let tally = count.tally().clone();
-        match counted {
-            Ok(certificate) => Ok((Ok(certificate), tally)),
-            Err(RateFolderError::Rejected { rejection, .. }) => Ok((Err(rejection), tally)),
-            Err(error) => Err(error),
-        }
+    let counted = run_interruptible(py, &stop, progress.as_ref(), |say| {
+        plan.run(&folder, resume, &|state: &CountProgress| {
+            say((state.runs, runs, state.failures))
+        })
     })?
     .map_err(|error: RateFolderError| wrong(&error))?;
-    let tally = serialize_to_python(py, &tally)?;
-    Ok(match counted {
+    let tally = serialize_to_python(py, &counted.tally)?;
+    Ok(match counted.certificate {
         Ok(certificate) => {
             let words = check(&certificate)
                 .map(|accepted| accepted.to_string())

@@ -13,14 +13,15 @@ use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
 use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET,
-    MAX_SEED, MethodSummary, SearchObjective,
+    Campaign, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET, MAX_SEED,
+    MethodSummary, SearchObjective, SearchSettings,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_store::disk::StagedFiles;
+use crumple_store::study::Study;
 
 /// Search for scenarios in which a controller fails
 #[derive(Args)]
@@ -192,10 +193,13 @@ impl Falsify {
             space,
             specification,
             failure_criterion: self.against.map(FailureCriterion::Differential),
-            method: self.method,
-            objective: self.aim,
-            budget: self.budget,
             seed: self.seed,
+            search: SearchSettings {
+                method: self.method,
+                objective: self.aim,
+                budget: self.budget,
+                log: self.log,
+            },
         };
         if !self.compare.is_empty() {
             return compare(
@@ -243,14 +247,7 @@ impl Falsify {
         } else {
             ""
         };
-        let summary = campaign.run(
-            &self.out,
-            CampaignOptions {
-                log: self.log,
-                resume: self.resume,
-            },
-            &observer,
-        );
+        let summary = campaign.run(&self.out, self.resume, &observer);
         bar.finish_and_clear();
         let summary = summary?;
         let found = if summary.counterexamples.is_empty() {
@@ -289,6 +286,7 @@ fn compare(
         )));
     }
     let total = campaign
+        .search
         .budget
         .saturating_mul(seeds)
         .saturating_mul(methods.len() as u64);

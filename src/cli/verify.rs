@@ -1,28 +1,27 @@
 //! `crumple verify`: claims with certificates.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::global_options::GlobalOptions;
 use clap::{Args, Subcommand};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
-use crumple_verify::{Certificate, Statement};
-use serde::Serialize;
+use crumple_verify::Certificate;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::{CliError, args, exposure, interrupt, invariant, progress, rare, reach, value_enums};
-use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
-    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan,
-    SampleSizeError, report_json, required_runs, shipped_kernels,
+    CERTIFICATE_FILE, CertificateReport, CountProgress, CountReport, RateConfig, RateFolderError,
+    RatePlan, SampleSizeError, report_json, required_runs, shipped_kernels,
 };
 use crumple_measure::Specification;
-use crumple_sim::engine::{FailedControllerRuns, NamedController};
+use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::ScenarioSpace;
+use crumple_store::study::StudyFolder;
 
 /// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]
@@ -209,7 +208,7 @@ impl RateCommand {
                 "{name}: requires --rare; a count only distinguishes runs with and without a collision"
             )));
         }
-        let (is_comparison, out) = (self.against.is_some(), self.out);
+        let out = self.out;
         let plan = RatePlan::new(RateConfig {
             second_controller: self.against,
             seed: self.seed,
@@ -222,61 +221,32 @@ impl RateCommand {
             self.resample_runs.unwrap_or(500),
         );
         output::note_nothing_to_resume(self.resume, &out, quiet);
-        let mut count = plan.register_in(&out, self.resume)?;
+        let study = StudyFolder::open(&plan, &out, self.resume)?;
+        let path = study.path(CERTIFICATE_FILE);
         output::note(
             &format!("registered as {}", plan.registration().digest()),
             quiet,
         );
         interrupt::set_resume_message("the counts so far are in", &out, quiet);
         let bar = progress::run_bar("counting", runs, quiet);
-        let certificate = count.certify(&Listener(|done: &CountProgress| {
+        let counted = study.run(&Listener(|done: &CountProgress| {
             bar.set_position(done.runs)
         }));
         bar.finish_and_clear();
-        let (certificate, path) = match certificate {
-            Ok(certificate) => (certificate, count.certificate_path()),
-            // Print the counts even if the claim was rejected.
-            Err(rejected @ RateFolderError::Rejected { .. }) => {
-                let confidence = Some(plan.registration().confidence);
-                let report = CountReport {
-                    confidence,
-                    ..CountReport::new(count.tally(), &out)
-                };
-                let printed = output::print_result(self.format, &report, || {
-                    tally_line(is_comparison, count.tally())
-                });
-                return CliError::gate_first(Err(rejected.into()), printed);
-            }
-            Err(error) => return Err(error.into()),
-        };
-        let message = certificate_verdict(&path, &certificate, controllers)?;
+        let counted = counted?;
+        let report = CountReport::new(&plan, &counted, out, path);
+        // Print the counts even if the claim was rejected.
+        if let Err(rejection) = &counted.certificate {
+            let rejected = CliError::Gate(report.describe_rejection(rejection));
+            let printed = output::print_result(self.format, &report, || report.to_text());
+            return CliError::gate_first(Err(rejected), printed);
+        }
         let bar = progress::counter("resampling", quiet);
         let exposed = progress::show(&bar, |observer| {
-            plan.rate_per_exposure(count.tally(), observer)
+            plan.rate_per_exposure(&counted.tally, observer)
         });
-        let exposed = exposed.map_err(CliError::input)?;
-        let on_the_road = exposed
-            .as_ref()
-            .map(exposure::format_rate)
-            .unwrap_or_default();
-        let words = || {
-            format!(
-                "{}{message}{on_the_road}",
-                tally_line(is_comparison, count.tally())
-            )
-        };
-        let report = CountReport {
-            certificate: Some(&path),
-            // The checker accepted it above.
-            rate_at_most: match &certificate.statement {
-                Statement::Rate(rate) => Some(rate.rate_at_most),
-                _ => None,
-            },
-            confidence: Some(plan.registration().confidence),
-            exposed,
-            ..CountReport::new(count.tally(), &out)
-        };
-        output::print_result(self.format, &report, words)
+        let report = report.with_exposure(exposed.map_err(CliError::input)?);
+        output::print_result(self.format, &report, || report.to_text())
     }
 
     fn estimate(self, space: ScenarioSpace, quiet: bool) -> Result<(), CliError> {
@@ -297,10 +267,10 @@ impl RateCommand {
                 samples: self.samples.unwrap_or(500) as usize,
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
+            resamples: self.resamples.unwrap_or(80),
         };
-        let resamples = self.resamples.unwrap_or(80);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
-        rare::estimate(&plan, resamples, &self.out, self.resume, self.format, quiet)
+        rare::estimate(&plan, &self.out, self.resume, self.format, quiet)
     }
 
     /// Checks that the scenario space can be resampled, if the user asks for resamples.
@@ -331,60 +301,6 @@ impl RateCommand {
     }
 }
 
-/// JSON output of a count.
-#[derive(Serialize)]
-struct CountReport<'a> {
-    registration_sha256: &'a str,
-    folder: &'a Path,
-    runs: u64,
-    failures: u64,
-    only_first_failed: u64,
-    only_second_failed: u64,
-    /// Runs without an answer, of the first controller and of the second.
-    unanswered: [Option<FailedControllerRuns>; 2],
-    /// Path of the certificate.
-    certificate: Option<&'a Path>,
-    /// Bound that the checker accepted, for one controller.
-    rate_at_most: Option<f64>,
-    confidence: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    exposed: Option<RatePerExposure>,
-}
-
-impl<'a> CountReport<'a> {
-    fn new(tally: &'a CountTally, folder: &'a Path) -> Self {
-        Self {
-            registration_sha256: &tally.registration_sha256,
-            folder,
-            runs: tally.runs,
-            failures: tally.failures,
-            only_first_failed: tally.only_first_failed,
-            only_second_failed: tally.only_second_failed,
-            unanswered: tally.missing_answers(),
-            certificate: None,
-            rate_at_most: None,
-            confidence: None,
-            exposed: None,
-        }
-    }
-}
-
-fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
-    tally.summary(is_comparison) + "\n"
-}
-
-fn certificate_verdict(
-    path: &Path,
-    certificate: &Certificate,
-    controllers: Controllers,
-) -> Result<String, CliError> {
-    verdict_line(&CertificateReport::new(
-        path.display().to_string(),
-        certificate,
-        controllers,
-    ))
-}
-
 /// Formats the accepted claim in a line; a rejection is a failed gate.
 fn verdict_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
     match &report.accepted {
@@ -400,7 +316,6 @@ impl From<RateFolderError> for CliError {
     fn from(error: RateFolderError) -> Self {
         match error {
             RateFolderError::RunFolder(error) => error.into(),
-            rejected @ RateFolderError::Rejected { .. } => Self::Gate(rejected.to_string()),
             other => Self::input(other),
         }
     }

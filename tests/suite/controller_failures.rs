@@ -8,7 +8,7 @@ use crumple_measure::Specification;
 use crumple_report::assessment::{
     AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess,
 };
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
+use crumple_search::falsify::campaign::Campaign;
 use crumple_sim::control::{
     Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
     ShieldSettings,
@@ -20,6 +20,7 @@ use crumple_sim::engine::{
 use crumple_sim::observation::{EstimatorKind, Observation};
 use crumple_sim::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_spaces::{ScenarioSpace, built_in_space};
+use crumple_store::study::Study;
 use proptest::prelude::*;
 
 use crate::generate::with_cases;
@@ -222,8 +223,7 @@ fn a_rate_counts_and_reports_controller_failures() {
 fn campaign(controller: NamedController) -> Campaign {
     Campaign {
         estimator: EstimatorKind::Truth,
-        budget: 30,
-        ..Campaign::new(controller, paper_space())
+        ..Campaign::new(controller, paper_space()).with_budget(30)
     }
 }
 
@@ -232,7 +232,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("campaign");
     let own = campaign(FailingController::new(10, Err(died_failure())).into_named());
-    let summary = own.run(&out, CampaignOptions::default(), &Quiet).unwrap();
+    let summary = own.run(&out, false, &Quiet).unwrap();
     assert!(summary.falsified);
     let found = &summary.counterexamples[0];
     assert_eq!(found.kind, "the controller of vehicle 1 fails");
@@ -245,16 +245,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
         "{}",
         found.file
     );
-    let again = own
-        .run(
-            &out,
-            CampaignOptions {
-                resume: true,
-                ..Default::default()
-            },
-            &Quiet,
-        )
-        .unwrap();
+    let again = own.run(&out, true, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
     let other = FailingController {
         identity: Some("other"),
@@ -262,14 +253,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     }
     .into_named();
     let refused = campaign(other)
-        .run(
-            &out,
-            CampaignOptions {
-                resume: true,
-                ..Default::default()
-            },
-            &Quiet,
-        )
+        .run(&out, true, &Quiet)
         .unwrap_err()
         .to_string();
     assert!(
@@ -282,14 +266,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     }
     .into_named();
     let refused = campaign(unknown)
-        .run(
-            &out,
-            CampaignOptions {
-                resume: true,
-                ..Default::default()
-            },
-            &Quiet,
-        )
+        .run(&out, true, &Quiet)
         .unwrap_err()
         .to_string();
     assert!(

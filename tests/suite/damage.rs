@@ -8,19 +8,20 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::tiny;
-use crumple_core::observer::{Listener, RunProgress};
-use crumple_evidence::rare::{RarePlan, SplittingConfig};
+use crumple_core::observer::Listener;
+use crumple_evidence::rare::{RarePlan, RareProgress, SplittingConfig};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSettings};
 use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFolder};
 use crumple_measure::Specification;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::policy::Policy;
 use crumple_sim::scenario::built_in_scenario;
 use crumple_spaces::built_in_space;
+use crumple_store::study::Study;
 use tempfile::TempDir;
 
 /// Changed positions per file, one at a time, unless the variable `FLIPS` overrides it.
@@ -32,20 +33,16 @@ type ResumableWork = fn(&Path, u64, &(dyn Fn() + Sync)) -> Result<(), String>;
 fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let campaign = Campaign {
         estimator: EstimatorKind::Truth,
-        method: Method::Uniform,
-        budget: 60,
         seed,
         ..Campaign::new(
             BuiltInController::from_name("baseline").unwrap(),
             built_in_space("paper").unwrap(),
         )
-    };
-    let options = CampaignOptions {
-        resume: true,
-        ..Default::default()
+        .with_method(Method::Uniform)
+        .with_budget(60)
     };
     campaign
-        .run(folder, options, &Listener(|_: &CampaignProgress| tick()))
+        .run(folder, true, &Listener(|_: &CampaignProgress| tick()))
         .map(|_| ())
         .map_err(|error| error.to_string())
 }
@@ -61,12 +58,10 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
             300,
         )
     });
-    let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| {
-        error.to_string()
-    });
-    let mut count = plan.register_in(folder, true).map_err(error)?;
-    let certificate = count.certify(&Listener(|_: &CountProgress| tick()));
-    certificate.map(|_| ()).map_err(error)
+    let plan = plan.unwrap();
+    plan.run(folder, true, &Listener(|_: &CountProgress| tick()))
+        .map(|_| ())
+        .map_err(|error| error.to_string())
 }
 
 fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
@@ -80,17 +75,11 @@ fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
             samples: 50,
             repetitions: 10,
         },
+        resamples: 0,
     };
-    let error = |error: crumple_evidence::rare::RareError| error.to_string();
-    let observer = Listener(|_: &RunProgress| tick());
-    let mut kept = plan.open_folder(folder, true).map_err(error)?;
-    if kept.read_report().map_err(error)?.is_some() {
-        return Ok(());
-    }
-    let pilot = kept.run_pilot(&plan, &observer).map_err(error)?;
-    kept.estimate(&plan, &pilot, 0, &observer)
+    plan.run(folder, true, &Listener(|_: &RareProgress| tick()))
         .map(|_| ())
-        .map_err(error)
+        .map_err(|error| error.to_string())
 }
 
 fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {

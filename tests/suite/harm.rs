@@ -6,11 +6,12 @@ use crumple_core::observer::Quiet;
 use crumple_measure::harm_of_pair;
 use crumple_report::assessment::HarmConfig;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, SearchObjective};
+use crumple_search::falsify::campaign::{Campaign, SearchObjective};
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
 use crumple_sim::scenario::NoDriverFiles;
 use crumple_sim::scenario::file;
 use crumple_spaces::{HUMAN_SPACES, built_in_space};
+use crumple_store::study::Study;
 
 use crate::assessments::{config, run};
 
@@ -75,16 +76,12 @@ fn a_search_for_harm_finds_a_fast_lorry() {
     let controller = Controllers::default()
         .find("baseline", folder.path())
         .expect("built in");
-    let campaign = Campaign {
-        method: Method::CmaEs,
-        objective: SearchObjective::Harm,
-        budget: 300,
-        ..Campaign::new(controller, space)
-    };
+    let campaign = Campaign::new(controller, space)
+        .with_method(Method::CmaEs)
+        .with_objective(SearchObjective::Harm)
+        .with_budget(300);
     let results = folder.path().join("harm");
-    let found = campaign
-        .run(&results, CampaignOptions::default(), &Quiet)
-        .expect("runs");
+    let found = campaign.run(&results, false, &Quiet).expect("runs");
     let harms = found.counterexamples.iter().map(|one| {
         let scenario = file::load(&results.join(&one.file), &NoDriverFiles).expect("written");
         let mass_kg =

@@ -6,14 +6,13 @@ use std::path::Path;
 use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_measure::Specification;
-use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignSummary, SearchObjective,
-};
+use crumple_search::falsify::campaign::{Campaign, CampaignSummary, SearchObjective};
 use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_sim::engine::RunOptions;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{PlantKind, file};
 use crumple_spaces::{ScenarioSpace, built_in_space};
+use crumple_store::study::Study;
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
@@ -60,9 +59,6 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
         .prop_map(
             |(space, controller, estimator, aim, method, budget, seed)| Campaign {
                 estimator,
-                method,
-                objective: aim,
-                budget,
                 seed,
                 ..Campaign::new(
                     Controllers::default()
@@ -70,6 +66,9 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
                         .expect("built in"),
                     space,
                 )
+                .with_method(method)
+                .with_objective(aim)
+                .with_budget(budget)
             },
         )
 }
@@ -85,7 +84,7 @@ fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
         .expect("threads");
     pool.install(|| {
         campaign
-            .run(folder, CampaignOptions::default(), &Quiet)
+            .run(folder, false, &Quiet)
             .expect("a valid campaign in an empty folder")
     })
 }
@@ -100,8 +99,8 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         for method in &summary.methods {
-            prop_assert_eq!(method.evaluations, campaign.budget);
-            prop_assert!(method.first_falsification.is_none_or(|first| (1..=campaign.budget).contains(&first)));
+            prop_assert_eq!(method.evaluations, campaign.search.budget);
+            prop_assert!(method.first_falsification.is_none_or(|first| (1..=campaign.search.budget).contains(&first)));
             prop_assert_eq!(method.failures > 0, method.first_falsification.is_some());
             prop_assert_eq!(method.failures > 0, method.best_robustness.is_some_and(|best| best < 0.0));
         }
@@ -118,7 +117,7 @@ proptest! {
             prop_assert_eq!(shrunk.robustness, found.robustness);
             // Files store positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
-            prop_assert!(found.found_at <= campaign.budget);
+            prop_assert!(found.found_at <= campaign.search.budget);
             let original_file = folder.path().join(&found.file);
             let original_scenario = file::load(&original_file, &NoDriverFiles).unwrap();
             let multi_body = original_scenario.with_plant(PlantKind::MultiBody);
@@ -163,7 +162,7 @@ proptest! {
     /// Every method finds a failure if an eighth of a lattice fails, and uniform points fail as often as the lattice.
     #[test]
     fn frequent_failures_are_found(campaign in any_campaign()) {
-        let campaign = Campaign { budget: SUFFICIENT_BUDGET, ..campaign };
+        let campaign = campaign.with_budget(SUFFICIENT_BUDGET);
         let space = campaign.space.clone().with_noise_seed(campaign.seed);
         let fails = |index: u32| {
             // Square roots of non-squares give evenly distributed points.

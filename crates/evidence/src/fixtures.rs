@@ -48,5 +48,6 @@ pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
             samples: 50,
             repetitions,
         },
+        resamples: 0,
     }
 }

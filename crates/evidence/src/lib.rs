@@ -7,6 +7,8 @@
 mod binding;
 mod block;
 mod certificate_report;
+mod count_report;
+mod count_study;
 pub mod exposure;
 pub mod fit;
 #[cfg(test)]
@@ -19,7 +21,6 @@ mod paired;
 mod planning;
 pub mod rare;
 mod rate;
-mod rate_folder;
 mod reach;
 mod record;
 mod rerun;
@@ -30,6 +31,8 @@ pub use binding::{
 };
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
+pub use count_report::CountReport;
+pub use count_study::{CERTIFICATE_FILE, CountResult, CountState, RateFolderError};
 pub use crumple_core::interval::RateInterval;
 pub use invariant::{
     Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
@@ -40,7 +43,6 @@ pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns,
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
-pub use rate_folder::{RateCount, RateFolderError};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts,
     VolumeShares, checker_file,

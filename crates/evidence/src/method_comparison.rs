@@ -164,8 +164,8 @@ impl MethodComparison {
     ) -> Result<Self, CampaignError> {
         CampaignError::check_range("seeds", seeds, 1..=MAX_SEEDS)?;
         CampaignError::check_range("methods", methods.len() as u64, 1..=MAX_METHODS)?;
-        let total = campaign
-            .budget
+        let budget = campaign.search.budget;
+        let total = budget
             .saturating_mul(seeds)
             .saturating_mul(methods.len() as u64);
         let (mut results, mut finished, mut failures) = (Vec::new(), 0, 0);
@@ -183,12 +183,11 @@ impl MethodComparison {
                     })
                 };
                 let run = Campaign {
-                    method: method.clone(),
                     seed,
-                    ..campaign.clone()
+                    ..campaign.clone().with_method(method.clone())
                 }
                 .find_first_failure(&observe)?;
-                finished += campaign.budget;
+                finished += budget;
                 failures += u64::from(run.simulations.is_some());
                 runs.push(run);
             }
@@ -211,7 +210,7 @@ impl MethodComparison {
             controller: campaign.controller.name.clone(),
             space: campaign.space.name().to_owned(),
             specification: campaign.specification.to_string(),
-            budget: campaign.budget,
+            budget,
             first_seed: campaign.seed,
             methods: results,
             pairs,
@@ -370,10 +369,8 @@ mod tests {
     #[test]
     fn a_comparison_needs_seeds_and_methods() {
         let controller = BuiltInController::from_name("match-leader").unwrap();
-        let campaign = Campaign {
-            budget: 1,
-            ..Campaign::new(controller, built_in_space("high-risk").unwrap())
-        };
+        let campaign =
+            Campaign::new(controller, built_in_space("high-risk").unwrap()).with_budget(1);
         let refused = |methods: &[Method], seeds| {
             MethodComparison::run(&campaign, methods, seeds, &Quiet)
                 .unwrap_err()
@@ -393,10 +390,8 @@ mod tests {
     #[test]
     fn a_method_does_not_differ_from_itself_and_each_run_has_its_seed() {
         let controller = BuiltInController::from_name("match-leader").unwrap();
-        let campaign = Campaign {
-            budget: 60,
-            ..Campaign::new(controller, built_in_space("high-risk").unwrap())
-        };
+        let campaign =
+            Campaign::new(controller, built_in_space("high-risk").unwrap()).with_budget(60);
         let methods = [Method::Uniform, Method::Uniform, Method::Halton];
         let compared = MethodComparison::run(&campaign, &methods, 4, &Quiet).unwrap();
         assert_eq!(compared.methods[0], compared.methods[1]);
@@ -406,9 +401,8 @@ mod tests {
         );
         assert_eq!(compared.to_csv().lines().count(), 13);
         let third = Campaign {
-            method: Method::Uniform,
             seed: 2,
-            ..campaign
+            ..campaign.with_method(Method::Uniform)
         }
         .find_first_failure(&Quiet)
         .unwrap();

@@ -163,6 +163,7 @@ impl RatePlan {
     /// use crumple_sim::control::BuiltInController;
     /// use crumple_sim::observation::EstimatorKind;
     /// use crumple_spaces::built_in_space;
+    /// use crumple_store::study::Study;
     ///
     /// let plan = RatePlan::new(RateConfig {
     ///     seed: 1,
@@ -172,8 +173,8 @@ impl RatePlan {
     /// })
     /// .unwrap();
     /// let folder = tempfile::tempdir().unwrap();
-    /// let certificate = plan.register_in(folder.path(), false).unwrap().certify(&Quiet).unwrap();
-    /// println!("{}", crumple_verify::check(&certificate).unwrap());
+    /// let counted = plan.run(folder.path(), false, &Quiet).unwrap();
+    /// println!("{}", crumple_verify::check(&counted.certificate.unwrap()).unwrap());
     /// ```
     pub fn new(config: RateConfig) -> Result<Self, InvalidRate> {
         let RateConfig {

@@ -9,10 +9,11 @@ use std::sync::OnceLock;
 use crumple_controllers::Controllers;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space;
 use crumple_store::run_folder::{FolderExamination, examine};
+use crumple_store::study::Study;
 
 type FolderContents = BTreeMap<String, Vec<u8>>;
 
@@ -68,8 +69,6 @@ fn small_campaign() -> Option<Campaign> {
     let space = built_in_space("high-risk")?;
     Some(Campaign {
         estimator: EstimatorKind::Truth,
-        method: Method::Uniform,
-        budget: 6,
         seed: 3,
         ..Campaign::new(
             Controllers::default()
@@ -77,6 +76,8 @@ fn small_campaign() -> Option<Campaign> {
                 .ok()?,
             space,
         )
+        .with_method(Method::Uniform)
+        .with_budget(6)
     })
 }
 
@@ -123,9 +124,7 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
                 half_done.get_or_init(|| read_folder(folder.path()).ok());
             }
         });
-        small_campaign()?
-            .run(folder.path(), CampaignOptions::default(), &look)
-            .ok()?;
+        small_campaign()?.run(folder.path(), false, &look).ok()?;
         Some(CampaignSnapshots {
             half_done: half_done.into_inner()??,
             complete: read_folder(folder.path()).ok()?,
@@ -160,14 +159,7 @@ pub(super) fn find_wrong_acceptance(bytes: &[u8]) -> io::Result<Option<String>> 
             "the examination is wrong about complete and undamaged files: {examined:?}"
         )));
     }
-    match campaign.run(
-        folder.path(),
-        CampaignOptions {
-            resume: true,
-            ..Default::default()
-        },
-        &Quiet,
-    ) {
+    match campaign.run(folder.path(), true, &Quiet) {
         Ok(_) if read_folder(folder.path())? != genuine.complete => Ok(Some(
             "a campaign resumed from foreign files, with another result".to_owned(),
         )),

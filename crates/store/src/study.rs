@@ -41,10 +41,18 @@ pub trait Study {
     /// Reason why a study stops.
     type Error: From<RunFolderError>;
 
+    /// Checks everything that would fail later, before any file is written.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if the configuration allows no study.
+    fn check(&self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+
     /// Returns everything that decides the results.
     ///
     /// # Errors
-    /// [`Self::Error`] if it cannot be encoded, or allows no study.
+    /// [`Self::Error`] if it cannot be encoded.
     fn configuration(&self) -> Result<String, Self::Error>;
 
     /// Returns the text of the configuration file; `None` if the study has none. It is the configuration by default.
@@ -153,6 +161,7 @@ impl<'a, S: Study> StudyFolder<'a, S> {
             }
             .into());
         }
+        study.check()?;
         let run_folder = open_run_folder(study, folder, resume)?;
         if study.is_finished(&run_folder)? {
             return Ok(Self {

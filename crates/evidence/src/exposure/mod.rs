@@ -15,6 +15,7 @@ mod recorded_tests;
 mod resampling;
 #[cfg(test)]
 mod tests;
+mod text;
 
 use serde::{Deserialize, Serialize};
 

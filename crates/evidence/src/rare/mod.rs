@@ -30,20 +30,20 @@
 //! therefore reached step by step. Lost measurements and random controllers depend on the first seed, which only a
 //! quarter of the moves replace.
 
-mod folder;
 mod plan;
-mod progress;
-#[cfg(test)]
-mod progress_tests;
 mod splitting;
+mod study;
+#[cfg(test)]
+mod study_tests;
 #[cfg(test)]
 mod tests;
+mod text;
 
 use serde::{Deserialize, Serialize};
 
-pub use folder::RareFolder;
 pub use plan::{RareError, RarePlan, RareReport};
 pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Repetition, SplittingLevels};
+pub use study::{ESTIMATE_FILE, RareProgress, RareStage, RareState};
 
 /// Effort of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 use super::splitting::{LimitState, RandomInputs};
 use super::{RareEstimate, SplittingConfig, SplittingLevels};
 use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
-use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_measure::{Specification, SpecificationError};
+use crumple_search::StudySubject;
 use crumple_sim::engine::{
     NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::InvalidField;
-use crumple_spaces::{ScenarioSpace, file};
+use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::RunFolderError;
 
 /// An estimate of the failure rate of a controller in a space, for failures that are too rare to count. The margin of a
@@ -33,6 +33,9 @@ pub struct RarePlan {
     pub specification: Specification,
     /// Effort of the estimate.
     pub effort: SplittingConfig,
+    /// Number of resamples of the episodes that the space was fitted to. They do not affect the estimate, only the
+    /// interval of the rates per hour.
+    pub resamples: u32,
 }
 
 /// Effort in a space that is fitted to a resample: the spread over resamples matters, not the single estimate.
@@ -60,18 +63,9 @@ pub enum RareError {
     /// The space cannot be written.
     #[error("the space cannot be written as TOML: {0}")]
     Space(#[from] toml::ser::Error),
-    /// The estimate cannot be written.
-    #[error("the estimate cannot be written as JSON: {0}")]
-    Estimate(#[from] serde_json::Error),
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// The controller has no identity, so earlier results cannot be attributed to it.
-    #[error(
-        "the controller `{0}` states no identity, so its estimate cannot be resumed; start again without --resume, \
-         with another --out"
-    )]
-    NoIdentity(String),
     /// The observer stopped the estimate.
     #[error("the estimate was {0}")]
     Stopped(#[from] Stopped),
@@ -82,27 +76,13 @@ pub enum RareError {
 pub struct RareReport {
     /// Version of the format: 1.
     pub version: u32,
-    /// Version of crumple.
-    pub crumple: String,
     /// Always false: an estimate proves no bound.
     pub certified: bool,
-    /// Controller under test.
-    pub controller: String,
-    /// Hash of the policy, if the controller is one.
-    pub policy_sha256: Option<String>,
-    /// True if the controller is declared non-deterministic, so that the estimate may not be reproducible.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub nondeterministic: bool,
-    /// Estimator of the vehicles under test.
-    pub estimator: EstimatorKind,
-    /// Name of the space.
-    pub space: String,
-    /// SHA-256 of the space as TOML, including its base scenario.
-    pub space_sha256: String,
+    /// Controller, estimator, space, specification and seed.
+    #[serde(flatten)]
+    pub subject: StudySubject,
     /// Description of a failure.
     pub failure: String,
-    /// Seed of all random numbers.
-    pub seed: u64,
     /// Effort of the estimate.
     #[serde(flatten)]
     pub effort: SplittingConfig,
@@ -113,23 +93,6 @@ pub struct RareReport {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
     pub exposure: Option<RatePerExposure>,
-}
-
-/// Configuration of an estimate, as its report states it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct RareRecord {
-    pub(super) crumple: String,
-    pub(super) controller: String,
-    pub(super) controller_sha256: Option<String>,
-    policy_sha256: Option<String>,
-    nondeterministic: bool,
-    pub(super) estimator: EstimatorKind,
-    space: String,
-    pub(super) space_sha256: String,
-    pub(super) failure: String,
-    pub(super) seed: u64,
-    pub(super) effort: SplittingConfig,
 }
 
 impl LimitState for RarePlan {
@@ -210,47 +173,32 @@ impl RarePlan {
         SplittingLevels::run_pilots(&other, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
-    /// Returns the configuration of the estimate without the text of the space.
-    pub(super) fn record(&self) -> Result<RareRecord, RareError> {
-        Ok(RareRecord {
-            crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            controller: self.controller.name.clone(),
-            controller_sha256: self.controller.source.identity(),
-            policy_sha256: self.controller.policy().map(|policy| policy.digest()),
-            nondeterministic: !self.controller.source.is_deterministic(),
-            estimator: self.estimator,
-            space: self.space.name().to_owned(),
-            space_sha256: sha256(file::to_toml(&self.space)?),
-            failure: match &self.specification {
-                Specification::NoContact => self.controller.failure_description().to_owned(),
-                other => format!("`{other}` {VIOLATED_SUFFIX}"),
-            },
-            seed: self.seed,
-            effort: self.effort,
-        })
-    }
-}
-
-impl RareRecord {
-    pub(super) fn report(&self, estimate: RareEstimate) -> RareReport {
-        let record = self.clone();
-        RareReport {
+    /// Returns the report of an estimate, without rates per hour.
+    pub(super) fn report(&self, estimate: RareEstimate) -> Result<RareReport, RareError> {
+        let subject = StudySubject::new(
+            &self.controller,
+            self.estimator,
+            self.specification.to_string(),
+            self.seed,
+            &self.space,
+        )?;
+        let report = RareReport {
             version: 1,
-            crumple: record.crumple,
             certified: false,
-            controller: record.controller,
-            policy_sha256: record.policy_sha256,
-            nondeterministic: record.nondeterministic,
-            estimator: record.estimator,
-            space: record.space,
-            space_sha256: record.space_sha256,
-            failure: record.failure,
-            seed: record.seed,
-            effort: record.effort,
+            subject,
+            failure: self.failure_description(),
+            effort: self.effort,
             estimate,
             exposure: None,
+        };
+        Ok(report.with_gaps())
+    }
+
+    pub(super) fn failure_description(&self) -> String {
+        match &self.specification {
+            Specification::NoContact => self.controller.failure_description().to_owned(),
+            other => format!("`{other}` {VIOLATED_SUFFIX}"),
         }
-        .with_gaps()
     }
 }
 

@@ -19,6 +19,7 @@ use crumple_sim::observation::EstimatorKind;
 use crumple_sim::random::{NoiseShare, Purpose, Stream};
 use crumple_sim::scenario::Sensors;
 use crumple_spaces::built_in_space;
+use crumple_store::study::Study;
 
 struct ClosedFormLimitState {
     dimension: usize,
@@ -444,9 +445,7 @@ fn splitting_agrees_with_counting_on_the_road() {
     };
     let counted = count_all(&RatePlan::new(count).unwrap()).failures as f64 / COUNTED as f64;
     let root = tempfile::tempdir().unwrap();
-    let mut folder = plan.open_folder(root.path(), false).unwrap();
-    let pilot = folder.run_pilot(&plan, &Quiet).unwrap();
-    let report = folder.estimate(&plan, &pilot, 0, &Quiet).unwrap();
+    let report = plan.run(root.path(), false, &Quiet).unwrap();
     let (climbed, variation) = (
         report.estimate.probability.unwrap(),
         report.estimate.coefficient_of_variation.unwrap(),

@@ -12,10 +12,11 @@ use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{RoundContext, named_policy};
 use super::test_set::witnesses;
 use crate::rl::ScenarioSource;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::control::IntoSource;
 use crumple_sim::scenario::{Scenario, file};
+use crumple_store::study::Study;
 
 const FINDINGS: &str = "found.json";
 const SEARCH: &str = "search";
@@ -91,10 +92,10 @@ impl RoundContext<'_> {
             let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
             let campaign = Campaign {
                 estimator: plan.estimator(),
-                method: plan.method.clone(),
-                budget: plan.settings.budget,
                 seed: plan.search_seed(round),
                 ..Campaign::new(controller, space.clone())
+                    .with_method(plan.method.clone())
+                    .with_budget(plan.settings.budget)
             };
             let searching = |state: &CampaignProgress| {
                 let (space, space_index, progress) = (
@@ -109,11 +110,7 @@ impl RoundContext<'_> {
                     progress,
                 })
             };
-            let options = CampaignOptions {
-                resume: true,
-                ..CampaignOptions::default()
-            };
-            let summary = campaign.run(&self.run_folder.path(path), options, &searching)?;
+            let summary = campaign.run(&self.run_folder.path(path), true, &searching)?;
             self.run_folder.include(path)?;
             found.evaluations += summary
                 .methods

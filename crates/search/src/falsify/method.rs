@@ -210,8 +210,9 @@ pub(super) fn nan_as_infinity(robustness: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
+    use crate::falsify::campaign::{Campaign, CampaignError, CampaignProgress};
     use crumple_core::observer::Quiet;
+    use crumple_store::study::Study;
     use proptest::prelude::*;
     use std::ops::ControlFlow;
 
@@ -242,7 +243,7 @@ mod tests {
     fn a_campaign_with_a_custom_method_is_resumed_by_its_name_only() {
         let [whole, part] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         let expected = campaign("mine", 0.5)
-            .run(whole.path(), CampaignOptions::default(), &Quiet)
+            .run(whole.path(), false, &Quiet)
             .unwrap();
         assert_eq!(
             (expected.method.as_str(), expected.evaluations),
@@ -252,17 +253,13 @@ mod tests {
             ..5 => ControlFlow::Continue(()),
             _ => ControlFlow::Break(()),
         };
-        let stopped = campaign("mine", 0.5).run(part.path(), CampaignOptions::default(), &stop);
+        let stopped = campaign("mine", 0.5).run(part.path(), false, &stop);
         assert!(
             matches!(stopped, Err(CampaignError::Stopped(_))),
             "{stopped:?}"
         );
-        let resume = CampaignOptions {
-            resume: true,
-            ..CampaignOptions::default()
-        };
         let refused = campaign("other", 0.5)
-            .run(part.path(), resume, &Quiet)
+            .run(part.path(), true, &Quiet)
             .unwrap_err()
             .to_string();
         assert!(
@@ -271,7 +268,7 @@ mod tests {
         );
         assert_eq!(
             campaign("mine", 0.5)
-                .run(part.path(), resume, &Quiet)
+                .run(part.path(), true, &Quiet)
                 .unwrap(),
             expected
         );
@@ -286,11 +283,7 @@ mod tests {
             );
         }
         let folder = tempfile::tempdir().unwrap();
-        let outside = campaign("outside", 1.5).run(
-            &folder.path().join("a"),
-            CampaignOptions::default(),
-            &Quiet,
-        );
+        let outside = campaign("outside", 1.5).run(&folder.path().join("a"), false, &Quiet);
         let message = outside.unwrap_err().to_string();
         assert_eq!(
             message,

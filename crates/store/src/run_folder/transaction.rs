@@ -73,7 +73,7 @@ impl<'a> FolderTransaction<'a> {
     /// [`RunFolderError`] if an unlisted file is at a path, or a file cannot be written.
     pub fn commit(&mut self) -> Result<(), RunFolderError> {
         let mut manifest = self.run_folder.lock_manifest();
-        self.stage_and_apply(&mut manifest, RunState::InProgress)
+        self.stage_and_apply(&mut manifest, StateAfterChange::InProgress)
     }
 
     /// Commits the changes, and marks the run as complete in the same announcement.
@@ -82,7 +82,7 @@ impl<'a> FolderTransaction<'a> {
     /// [`RunFolderError`] as for [`Self::commit`].
     pub fn finish(&mut self) -> Result<(), RunFolderError> {
         let mut manifest = self.run_folder.lock_manifest();
-        self.stage_and_apply(&mut manifest, RunState::Complete)?;
+        self.stage_and_apply(&mut manifest, StateAfterChange::Complete)?;
         // A complete manifest has no pending changes, so that all interruptions end with the same bytes.
         Ok(manifest.write(&self.run_folder.folder)?)
     }
@@ -90,7 +90,7 @@ impl<'a> FolderTransaction<'a> {
     fn stage_and_apply(
         &mut self,
         manifest: &mut Manifest,
-        state: RunState,
+        state: StateAfterChange,
     ) -> Result<(), RunFolderError> {
         let folder = &self.run_folder.folder;
         // Apply the changes that an earlier attempt announced.
@@ -99,7 +99,7 @@ impl<'a> FolderTransaction<'a> {
             .iter()
             .try_for_each(|(name, _)| self.run_folder.check_unoccupied(manifest, name))?;
         let (mut next, staged) = self.stage(manifest)?;
-        if next == *manifest && state == RunState::InProgress {
+        if next == *manifest && state == StateAfterChange::InProgress {
             return Ok(());
         }
         // In parallel, because each call waits for the disk. Names are synced before the manifest that lists them.
@@ -108,8 +108,8 @@ impl<'a> FolderTransaction<'a> {
             .try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
         disk::sync_folder(folder)?;
         next.program = match state {
-            RunState::InProgress => Some(self.run_folder.program.to_owned()),
-            RunState::Complete => None,
+            StateAfterChange::InProgress => Some(self.run_folder.program.to_owned()),
+            StateAfterChange::Complete => None,
         };
         next.write(folder)?;
         *manifest = next;
@@ -151,7 +151,7 @@ type StagedFile = (File, PathBuf);
 
 /// State of the run after a change.
 #[derive(Clone, Copy, PartialEq)]
-enum RunState {
+enum StateAfterChange {
     InProgress,
     Complete,
 }

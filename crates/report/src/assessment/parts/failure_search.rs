@@ -60,15 +60,15 @@ impl FailureSearch {
         let space = &named.space;
         let campaign = Campaign {
             estimator: plan.config.estimator,
-            budget: plan.config.search.budget,
             seed: plan.config.seed,
             ..Campaign::new(controller.clone(), space.clone())
+                .with_budget(plan.config.search.budget)
         };
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([
             plan.identity(controller),
             named.text,
-            campaign.budget,
+            campaign.search.budget,
             campaign.seed
         ]);
         let (summary, texts) = run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)?;
@@ -109,7 +109,8 @@ impl FailureSearch {
                 .filter(|one| one.avoidability.class() == class)
                 .count()
         };
-        let [budget, seed] = [campaign.budget, campaign.seed].map(|number| number.to_string());
+        let [budget, seed] =
+            [campaign.search.budget, campaign.seed].map(|number| number.to_string());
         let out = format!(
             "searches/{}/{}",
             file_stem(space.name()),

@@ -12,12 +12,11 @@ use super::distinct_failure::DistinctFailure;
 use crate::assessment::case::{MotionRetention, run_cases};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand};
-use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignProgress, CampaignSummary,
-};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress, CampaignSummary};
 use crumple_sim::engine::NamedController;
 use crumple_sim::scenario::file;
 use crumple_store::disk::DiskError;
+use crumple_store::study::Study;
 
 const MAX_DRAWN: usize = 3;
 
@@ -36,12 +35,9 @@ pub(super) fn run_campaign(
 ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
     work.get_or_gather(item, inputs, || {
         let folder = work.cache.scratch_folder(item, inputs)?;
-        let options = CampaignOptions {
-            resume: campaign.controller.source.identity().is_some(),
-            ..Default::default()
-        };
+        let resume = campaign.controller.source.identity().is_some();
         let done = AtomicU64::new(0);
-        let summary = campaign.run(folder.path(), options, &|progress: &CampaignProgress| {
+        let summary = campaign.run(folder.path(), resume, &|progress: &CampaignProgress| {
             let more = progress.evaluations - done.swap(progress.evaluations, Ordering::Relaxed);
             if work.add_runs(more).is_ok() {
                 ControlFlow::Continue(())

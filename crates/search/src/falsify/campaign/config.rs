@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{CampaignError, SearchObjective};
+use crate::StudySubject;
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
 use crumple_measure::Specification;
@@ -23,16 +24,15 @@ pub const MAX_SEED: u64 = i64::MAX as u64;
 ///
 /// ```
 /// use crumple_core::observer::Quiet;
-/// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
+/// use crumple_search::falsify::campaign::Campaign;
 /// use crumple_sim::control::BuiltInController;
 /// use crumple_spaces::built_in_space;
+/// use crumple_store::study::Study;
 ///
-/// let campaign = Campaign {
-///     budget: 50,
-///     ..Campaign::new(BuiltInController::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-/// };
+/// let controller = BuiltInController::from_name("match-leader").unwrap();
+/// let campaign = Campaign::new(controller, built_in_space("high-risk").unwrap()).with_budget(50);
 /// let folder = tempfile::tempdir().unwrap();
-/// let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet).unwrap();
+/// let summary = campaign.run(&folder.path().join("campaign"), false, &Quiet).unwrap();
 /// assert!(summary.falsified);
 /// ```
 #[derive(Debug, Clone)]
@@ -47,23 +47,37 @@ pub struct Campaign {
     pub specification: Specification,
     /// Additional condition for a failure to count; `None` if every failure counts.
     pub failure_criterion: Option<FailureCriterion>,
+    /// Seed of the search and of all noise, at most [`MAX_SEED`].
+    pub seed: u64,
+    /// Settings of the search.
+    pub search: SearchSettings,
+}
+
+/// Settings of a search.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SearchSettings {
     /// The search method.
     pub method: Method,
     /// Objective of the search after the first failure. The reference searches ignore it.
+    #[serde(rename = "aim")]
     pub objective: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to [`MAX_BUDGET`].
     pub budget: u64,
-    /// Seed of the search and of all noise, at most [`MAX_SEED`].
-    pub seed: u64,
+    /// Record of the evaluations.
+    #[serde(default, skip_serializing_if = "EvaluationLog::is_full")]
+    pub log: EvaluationLog,
 }
 
-/// Options of a campaign in its folder.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct CampaignOptions {
-    /// Record of the evaluations.
-    pub log: EvaluationLog,
-    /// True to continue the campaign that the folder holds, if there is one. If false, such a folder is refused.
-    pub resume: bool,
+impl Default for SearchSettings {
+    /// A search for the severest failure by `auto`, with 2000 evaluations, all of which are recorded.
+    fn default() -> Self {
+        Self {
+            method: Method::Auto,
+            objective: SearchObjective::Severest,
+            budget: 2000,
+            log: EvaluationLog::Full,
+        }
+    }
 }
 
 /// Record of the evaluations of a campaign: all or none.
@@ -86,51 +100,28 @@ impl EvaluationLog {
 
 /// The file `campaign.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub(in crate::falsify) struct CampaignRecord {
     pub(in crate::falsify) version: u32,
-    pub(in crate::falsify) crumple: String,
-    pub(in crate::falsify) controller: String,
-    pub(in crate::falsify) policy_sha256: Option<String>,
-    /// Identity of the controller, if its name does not determine it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(in crate::falsify) controller_sha256: Option<String>,
-    pub(in crate::falsify) estimator: EstimatorKind,
-    pub(in crate::falsify) specification: String,
-    pub(in crate::falsify) method: Method,
-    #[serde(rename = "aim")]
-    pub(in crate::falsify) objective: SearchObjective,
-    pub(in crate::falsify) budget: u64,
-    pub(in crate::falsify) seed: u64,
-    #[serde(default, skip_serializing_if = "EvaluationLog::is_full")]
-    pub(in crate::falsify) log: EvaluationLog,
+    #[serde(flatten)]
+    pub(in crate::falsify) search: SearchSettings,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
     pub(in crate::falsify) failure_criterion: Option<FailureCriterionRecord>,
-    pub(in crate::falsify) space: SpaceSpec,
+    #[serde(flatten)]
+    pub(in crate::falsify) subject: StudySubject<SpaceSpec>,
 }
 
 impl CampaignRecord {
-    pub(in crate::falsify) fn from_campaign(campaign: &Campaign, log: EvaluationLog) -> Self {
-        Self {
+    pub(in crate::falsify) fn from_campaign(campaign: &Campaign) -> Result<Self, CampaignError> {
+        let criterion = campaign.failure_criterion.as_ref();
+        Ok(Self {
             version: CAMPAIGN_VERSION,
-            crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            controller: campaign.controller.name.clone(),
-            policy_sha256: campaign.policy_sha256(),
-            controller_sha256: campaign.controller.disambiguating_hash(),
-            estimator: campaign.estimator,
-            specification: campaign.specification.to_string(),
-            method: campaign.method.clone(),
-            objective: campaign.objective,
-            budget: campaign.budget,
-            seed: campaign.seed,
-            log,
-            failure_criterion: campaign
-                .failure_criterion
-                .as_ref()
-                .map(FailureCriterion::to_record),
-            space: campaign.space.spec().clone(),
-        }
+            search: campaign.search.clone(),
+            failure_criterion: criterion.map(FailureCriterion::to_record),
+            subject: campaign
+                .subject()?
+                .with_space(campaign.space.spec().clone()),
+        })
     }
 
     pub(in crate::falsify) fn to_toml(&self) -> Result<String, CampaignError> {
@@ -159,17 +150,17 @@ impl Campaign {
         use crumple_sim::control::BuiltInController;
         use crumple_spaces::built_in_space;
         let controller = BuiltInController::from_name("match-leader").unwrap();
-        let campaign = Self::new(controller, built_in_space(space).unwrap());
+        let campaign = Self::new(controller, built_in_space(space).unwrap())
+            .with_method(method)
+            .with_budget(budget);
         Self {
             estimator: EstimatorKind::Truth,
-            method,
-            budget,
             seed,
             ..campaign
         }
     }
 
-    /// Creates the default campaign: a search for collisions by `auto`, 2000 evaluations, Kalman filter, seed 0.
+    /// Creates the default campaign: a search for collisions, Kalman filter, seed 0, default settings of the search.
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace) -> Self {
         Self {
@@ -178,23 +169,54 @@ impl Campaign {
             space,
             specification: Specification::NoContact,
             failure_criterion: None,
-            method: Method::Auto,
-            objective: SearchObjective::Severest,
-            budget: 2000,
             seed: 0,
+            search: SearchSettings::default(),
         }
     }
 
-    /// Returns the hash of the policy under test; `None` for other controllers.
+    /// Sets the search method.
     #[must_use]
-    pub fn policy_sha256(&self) -> Option<String> {
-        self.controller.policy().map(|policy| policy.digest())
+    pub fn with_method(mut self, method: Method) -> Self {
+        self.search.method = method;
+        self
+    }
+
+    /// Sets the evaluations of the method, and of each reference search.
+    #[must_use]
+    pub fn with_budget(mut self, budget: u64) -> Self {
+        self.search.budget = budget;
+        self
+    }
+
+    /// Sets the objective of the search after the first failure.
+    #[must_use]
+    pub fn with_objective(mut self, objective: SearchObjective) -> Self {
+        self.search.objective = objective;
+        self
     }
 
     /// Returns the methods in the order in which they run: the requested one, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
-        with_reference_methods(&self.method)
+        with_reference_methods(&self.search.method)
+    }
+
+    pub(in crate::falsify) fn subject(&self) -> Result<StudySubject, CampaignError> {
+        let subject = StudySubject::new(
+            &self.controller,
+            self.estimator,
+            self.specification.to_string(),
+            self.seed,
+            &self.space,
+        )
+        .map_err(CampaignError::from_encoding_error)?;
+        let is_deterministic = self
+            .controllers()
+            .all(|controller| controller.source.is_deterministic());
+        Ok(StudySubject {
+            nondeterministic: !is_deterministic,
+            ..subject
+        })
     }
 
     pub(in crate::falsify) fn evaluator(&self) -> Evaluator<'_> {
@@ -220,6 +242,6 @@ impl Campaign {
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, CampaignError> {
-        CampaignRecord::from_campaign(self, EvaluationLog::Full).to_toml()
+        CampaignRecord::from_campaign(self)?.to_toml()
     }
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::run::next_points;
-use super::{Campaign, CampaignError, CampaignProgress, EvaluationLog, ResolvedConfig};
+use super::{Campaign, CampaignError, CampaignProgress, ResolvedConfig};
 use crate::falsify::non_finite;
 use crumple_core::observer::Observer;
 
@@ -26,22 +26,23 @@ impl Campaign {
         &self,
         observer: &dyn Observer<CampaignProgress>,
     ) -> Result<FirstFailure, CampaignError> {
-        let config = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
-        self.check(&config.nominal)?;
-        let mut search = self.method.start(&config.cube, config.record.seed);
+        let config = ResolvedConfig::from_campaign(self)?;
+        self.check_at(&config.nominal)?;
+        let mut search = self.search.method.start(&config.cube, self.seed);
         let (mut done, mut best) = (0, f64::INFINITY);
-        while done < self.budget {
-            let points = next_points(&mut *search, (&self.method, 1), &config, self.budget - done)?;
+        while done < self.search.budget {
+            let left = self.search.budget - done;
+            let points = next_points(&mut *search, (&self.search.method, 1), &config, left)?;
             let verdicts = self.evaluate(&config.space, &points)?;
             let robustness: Vec<f64> = verdicts.iter().map(|verdict| verdict.robustness).collect();
             let first = verdicts.iter().position(|verdict| verdict.is_violation());
             let up_to = first.map_or(robustness.len(), |first| first + 1);
             best = robustness.iter().take(up_to).copied().fold(best, f64::min);
             observer.notify(&CampaignProgress {
-                method: Some(self.method.clone()),
+                method: Some(self.search.method.clone()),
                 examination: None,
                 evaluations: done + up_to as u64,
-                total: self.budget,
+                total: self.search.budget,
                 failures: u64::from(first.is_some()),
                 best_robustness: best,
             })?;
@@ -65,9 +66,9 @@ impl Campaign {
 mod tests {
     use super::*;
     use crate::falsify::Method;
-    use crate::falsify::campaign::CampaignOptions;
     use crumple_core::observer::Quiet;
     use crumple_sim::control::BuiltInController;
+    use crumple_store::study::Study;
 
     #[test]
     fn the_first_failure_is_that_of_the_campaign() {
@@ -78,17 +79,16 @@ mod tests {
                 ..Campaign::of_match_leader("high-risk", method, 80, 3)
             };
             let folder = tempfile::tempdir().unwrap();
-            let summary = campaign
-                .run(folder.path(), CampaignOptions::default(), &Quiet)
-                .unwrap();
+            let summary = campaign.run(folder.path(), false, &Quiet).unwrap();
             let found = campaign.find_first_failure(&Quiet).unwrap();
             assert_eq!(
                 found.simulations, summary.methods[0].first_falsification,
                 "{}",
-                campaign.method
+                campaign.search.method
             );
             let budget = found.simulations.unwrap() - 1;
-            let short = Campaign { budget, ..campaign }
+            let short = campaign
+                .with_budget(budget)
                 .find_first_failure(&Quiet)
                 .unwrap();
             assert!(

@@ -33,15 +33,13 @@ mod summarise;
 mod summary;
 mod table;
 
-pub use config::{
-    CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED,
-};
+pub use config::{CAMPAIGN_VERSION, Campaign, EvaluationLog, MAX_BUDGET, MAX_SEED, SearchSettings};
 pub use failures::{FailureCandidate, FailureKind};
 pub use first_failure::FirstFailure;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
-pub use run::{CAMPAIGN_KIND, CampaignProgress, ExaminationStep, verify_journal};
+pub use run::{CampaignProgress, CampaignState, ExaminationStep, verify_journal};
 pub use summary::{
     AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary,
     FailuresByMethod, MethodSummary,
@@ -83,9 +81,6 @@ pub enum CampaignError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// The folder holds another campaign.
-    #[error("{0}")]
-    Folder(String),
     /// The folder cannot be used as a run folder.
     #[error(transparent)]
     Work(#[from] RunFolderError),
@@ -98,12 +93,6 @@ pub enum CampaignError {
     /// The specification does not fit the simulations.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
-    /// The controller has no identity, so a campaign with it cannot be resumed.
-    #[error(
-        "the controller `{0}` states no identity, so its campaign cannot be resumed; start again without --resume, \
-         with another --out"
-    )]
-    NoIdentity(String),
     /// The search method proposed no points, or points outside the unit cube.
     #[error("the search method `{method}` {problem}")]
     InvalidPoints {

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::config::CampaignRecord;
 use super::resolved_config::ResolvedConfig;
-use super::run::{CAMPAIGN_KIND, CONFIGURATION_FILE, SUMMARY_FILE};
-use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, table};
+use super::run::{CONFIGURATION_FILE, SUMMARY_FILE};
+use super::{Campaign, CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, table};
 use crate::falsify::Method;
 use crumple_controllers::Controllers;
 use crumple_measure::Specification;
@@ -13,7 +13,8 @@ use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Scenario, file};
 use crumple_spaces::ScenarioSpace;
-use crumple_store::run_folder::{self, CompletedRun, RunFolderError, RunState};
+use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_store::study;
 
 /// Maximum number of evaluations that are read, the first ones. Each takes about 400 bytes.
 pub const MAX_READ_EVALUATIONS: usize = 200_000;
@@ -35,28 +36,14 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError`] if there is none, it is incomplete, or it is damaged.
     pub fn open(folder: &Path, controllers: Controllers) -> Result<Self, CampaignError> {
-        let refused =
-            |problem: &str| CampaignError::Folder(format!("{}: {problem}", folder.display()));
-        let finished = match run_folder::read_state(folder)? {
-            RunState::Missing => return Err(refused("the folder holds no campaign")),
-            RunState::InProgress(kind) if kind == CAMPAIGN_KIND => {
-                return Err(refused(
-                    "the campaign is not complete: `crumple falsify --resume` completes it",
-                ));
-            }
-            RunState::Complete(finished) if finished.kind() == CAMPAIGN_KIND => finished,
-            RunState::InProgress(found) => return Err(other_kind(folder, found).into()),
-            RunState::Complete(finished) => {
-                return Err(other_kind(folder, finished.kind().to_owned()).into());
-            }
-        };
+        let finished = study::open_finished::<Campaign>(folder, "crumple falsify")?;
         let damaged =
             |problem: String| RunFolderError::damaged(&folder.join(CONFIGURATION_FILE), problem);
         let summary = CampaignSummary::from_json(&finished.read(SUMMARY_FILE)?)?;
         let record: CampaignRecord =
             toml::from_str(&finished.read_configuration(CONFIGURATION_FILE)?)
                 .map_err(|error| damaged(error.message().to_owned()))?;
-        let config = ResolvedConfig::from_record(record, false, controllers).map_err(damaged)?;
+        let config = ResolvedConfig::from_record(record, controllers).map_err(damaged)?;
         let mut parts = finished.file_names();
         parts.retain(|name| name.starts_with("evaluations/"));
         parts.sort_unstable();
@@ -90,22 +77,19 @@ impl CampaignReader {
     /// Returns the name of the controller under test.
     #[must_use]
     pub fn controller(&self) -> &str {
-        &self.config.record.controller
+        &self.config.record.subject.controller
     }
 
     /// Returns true if a controller is the recorded one: by its name and, where the record states one, its identity.
     #[must_use]
     pub fn is_for_controller(&self, controller: &NamedController) -> bool {
-        let record = &self.config.record;
-        controller.name == record.controller
-            && controller.policy().map(|policy| policy.digest()) == record.policy_sha256
-            && controller.disambiguating_hash() == record.controller_sha256
+        self.config.record.subject.is_of_controller(controller)
     }
 
     /// Returns the estimator of the vehicles under test.
     #[must_use]
     pub fn estimator(&self) -> EstimatorKind {
-        self.config.record.estimator
+        self.config.record.subject.estimator
     }
 
     /// Returns the scenario space.
@@ -131,6 +115,7 @@ impl CampaignReader {
     pub fn total_evaluations(&self) -> u64 {
         self.config
             .record
+            .search
             .budget
             .saturating_mul(self.methods().len() as u64)
     }
@@ -180,20 +165,13 @@ impl CampaignReader {
     }
 }
 
-fn other_kind(folder: &Path, found: String) -> RunFolderError {
-    RunFolderError::OtherKind {
-        path: folder.join(run_folder::MANIFEST_FILE),
-        found,
-        kind: CAMPAIGN_KIND.to_owned(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+    use crate::falsify::campaign::CampaignProgress;
     use crumple_core::observer::Quiet;
     use crumple_sim::scenario::NoDriverFiles;
+    use crumple_store::study::Study;
     use std::fs;
     use std::ops::ControlFlow;
 
@@ -213,19 +191,13 @@ mod tests {
             ..200 => ControlFlow::Continue(()),
             _ => ControlFlow::Break(()),
         };
-        campaign
-            .run(&folder, CampaignOptions::default(), &stop)
-            .unwrap_err();
+        campaign.run(&folder, false, &stop).unwrap_err();
         assert!(
             refused().contains("the campaign is not complete"),
             "{}",
             refused()
         );
-        let resume = CampaignOptions {
-            resume: true,
-            ..CampaignOptions::default()
-        };
-        let summary = campaign.run(&folder, resume, &Quiet).unwrap();
+        let summary = campaign.run(&folder, true, &Quiet).unwrap();
         let reader = CampaignReader::open(&folder, Controllers::default()).unwrap();
         assert_eq!(
             (reader.summary(), reader.evaluations().len() as u64),

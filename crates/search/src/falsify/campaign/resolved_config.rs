@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use super::config::{CampaignRecord, with_reference_methods};
-use super::{
-    CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective,
-};
+use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, SearchObjective};
 use crate::falsify::{Method, UnitCube};
 use crumple_controllers::Controllers;
 use crumple_measure::{RunVerdict, Specification, harm_of_pair};
@@ -15,8 +13,6 @@ use crumple_spaces::ScenarioSpace;
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct ResolvedConfig {
     pub(in crate::falsify) record: CampaignRecord,
-    /// True if the controller declares itself non-deterministic.
-    pub(in crate::falsify) nondeterministic: bool,
     /// Space with the campaign's noise.
     pub(in crate::falsify) space: ScenarioSpace,
     pub(in crate::falsify) specification: Specification,
@@ -27,22 +23,15 @@ pub(in crate::falsify) struct ResolvedConfig {
 }
 
 impl ResolvedConfig {
-    pub(super) fn from_campaign(
-        campaign: &Campaign,
-        log: EvaluationLog,
-    ) -> Result<Self, CampaignError> {
-        let record = CampaignRecord::from_campaign(campaign, log);
-        let is_deterministic = campaign
-            .controllers()
-            .all(|driver| driver.source.is_deterministic());
-        Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| {
+    pub(super) fn from_campaign(campaign: &Campaign) -> Result<Self, CampaignError> {
+        let record = CampaignRecord::from_campaign(campaign)?;
+        Self::resolve(record, campaign.space.clone(), |_| {
             Ok(campaign.specification.clone())
         })
     }
 
     pub(super) fn from_record(
         record: CampaignRecord,
-        nondeterministic: bool,
         controllers: Controllers,
     ) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
@@ -51,34 +40,32 @@ impl ResolvedConfig {
                 record.version
             ));
         }
+        let subject = &record.subject;
         // The record contains the space with its base scenario, so no folder is searched.
-        let space = ScenarioSpace::new(record.space.clone(), Path::new(""), &controllers)
+        let space = ScenarioSpace::new(subject.space.clone(), Path::new(""), &controllers)
             .map_err(|error| format!("space: {error}"))?;
-        if *space.spec() != record.space {
+        if *space.spec() != subject.space {
             return Err("space: differs from what crumple writes for this space".to_owned());
         }
-        let text = record.specification.clone();
+        let text = subject.specification.clone();
         let specification = |nominal: &Scenario| {
             Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error)
         };
-        Self::resolve(record, nondeterministic, space, specification)
-            .map_err(|error| error.to_string())
+        Self::resolve(record, space, specification).map_err(|error| error.to_string())
     }
 
     fn resolve(
         record: CampaignRecord,
-        nondeterministic: bool,
         space: ScenarioSpace,
         specification: impl FnOnce(&Scenario) -> Result<Specification, CampaignError>,
     ) -> Result<Self, CampaignError> {
-        let space = space.with_noise_seed(record.seed);
+        let space = space.with_noise_seed(record.subject.seed);
         let nominal = space.scenario(&space.nominal())?;
         let specification = specification(&nominal)?;
         let cube = UnitCube::from_space(&space).map_err(CampaignError::from_encoding_error)?;
         let nominal_point = space.point(&space.nominal());
         Ok(Self {
             record,
-            nondeterministic,
             space,
             specification,
             cube,
@@ -88,7 +75,7 @@ impl ResolvedConfig {
     }
 
     pub(super) fn methods(&self) -> Vec<Method> {
-        with_reference_methods(&self.record.method)
+        with_reference_methods(&self.record.search.method)
     }
 
     pub(super) fn evaluated_point(
@@ -111,7 +98,7 @@ impl ResolvedConfig {
     fn harm(&self, point: &[f64], verdict: &RunVerdict) -> f64 {
         let contact = verdict
             .contact
-            .filter(|_| self.record.objective == SearchObjective::Harm);
+            .filter(|_| self.record.search.objective == SearchObjective::Harm);
         let harm = contact.and_then(|contact| {
             let scenario = self.space.scenario_at(point).ok()?;
             let mass_kg = |vehicle: u32| Some(scenario.vehicles().get(vehicle as usize)?.mass_kg());

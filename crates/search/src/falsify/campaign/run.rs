@@ -7,15 +7,16 @@ use super::journal::Journal;
 use super::resolved_config::ResolvedConfig;
 use super::summary::CampaignSummary;
 use super::table::EvaluationTable;
-use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED};
-use crate::falsify::counterexample::{Examiner, Recorder};
+use super::{Campaign, CampaignError, EvaluationLog, MAX_BUDGET, MAX_SEED};
+use crate::falsify::counterexample::{ExaminedFailure, Examiner, Recorder};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
 use crumple_measure::RunVerdict;
 use crumple_sim::engine::NamedController;
 use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
-use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::run_folder::{FolderExamination, FolderTransaction, RunFolder, RunFolderError};
+use crumple_store::study::{Study, StudyStep};
 
 /// Batches of a non-adaptive method that are evaluated together: enough to use the simulator on all cores.
 const BLIND_BATCHES: usize = 16;
@@ -63,64 +64,220 @@ impl ExaminationStep {
     }
 }
 
-pub(super) struct CampaignRun<'a> {
-    pub(super) campaign: &'a Campaign,
-    pub(super) config: &'a ResolvedConfig,
-    pub(super) run_folder: &'a RunFolder,
-    pub(super) journal: Journal,
-    pub(super) table: Option<EvaluationTable<'a>>,
-    pub(super) findings: CampaignFindings,
+/// Search of a campaign so far.
+pub struct CampaignState {
+    config: ResolvedConfig,
+    journal: Journal,
+    table: Option<EvaluationTable>,
+    findings: CampaignFindings,
+    /// Search of the current method; none between two methods.
+    current: Option<MethodSearch>,
+}
+
+struct MethodSearch {
+    algorithm: Box<dyn SearchAlgorithm>,
+    results: MethodResults,
+}
+
+impl Study for Campaign {
+    const KIND: &'static str = "campaign";
+    const CONFIGURATION_FILE: &'static str = CONFIGURATION_FILE;
+    const OUTPUTS: &'static [&'static str] = &[
+        CONFIGURATION_FILE,
+        JOURNAL_FILE,
+        SUMMARY_FILE,
+        SUMMARY_TEXT_FILE,
+        "counterexamples/",
+        "counterexamples/originals/",
+        "counterexamples/escapes/",
+        "evaluations/",
+    ];
+
+    type State = CampaignState;
+    type Progress = CampaignProgress;
+    type Report = CampaignSummary;
+    type Error = CampaignError;
+
+    fn check(&self) -> Result<(), CampaignError> {
+        self.check_at(&ResolvedConfig::from_campaign(self)?.nominal)
+    }
+
+    fn configuration(&self) -> Result<String, CampaignError> {
+        self.to_toml()
+    }
+
+    fn unidentified_controller(&self) -> Option<&str> {
+        self.controllers()
+            .find(|controller| controller.source.identity().is_none())
+            .map(|controller| controller.name.as_str())
+    }
+
+    fn load(&self, folder: &RunFolder) -> Result<CampaignState, CampaignError> {
+        folder.transaction().append_only(JOURNAL_FILE).commit()?;
+        let config = ResolvedConfig::from_campaign(self)?;
+        let path = folder.path(JOURNAL_FILE);
+        Ok(CampaignState {
+            journal: Journal::resume(&path, &folder.identity())?,
+            table: (self.search.log == EvaluationLog::Full).then(EvaluationTable::default),
+            findings: CampaignFindings::new(&config),
+            current: None,
+            config,
+        })
+    }
+
+    /// Evaluates the next points of the current method.
+    fn step(
+        &self,
+        state: &mut CampaignState,
+        folder: &RunFolder,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<StudyStep, CampaignError> {
+        let Some(mut current) = state.current.take().or_else(|| self.next_method(state)) else {
+            return Ok(StudyStep::Done);
+        };
+        let points = self.next_points(&mut current, &state.config)?;
+        let verdicts = self.evaluate_or_read(state, &points)?;
+        // If the observer stops the campaign, this batch is dropped: some of its simulations may have ended early.
+        observer.notify(&self.progress(&state.findings, Some(&current.results)))?;
+        if let Some(prefix) = state.journal.append(verdicts.new())? {
+            folder.record_prefix(JOURNAL_FILE, prefix)?;
+        }
+        let costs = self.add_all(state, &mut current.results, points, verdicts, folder)?;
+        current.algorithm.tell(&costs);
+        observer.notify(&self.progress(&state.findings, Some(&current.results)))?;
+        if current.results.evaluations < self.search.budget {
+            state.current = Some(current);
+        } else {
+            state.findings.method_results.push(current.results);
+        }
+        Ok(StudyStep::Continue)
+    }
+
+    fn finish(
+        &self,
+        mut state: CampaignState,
+        _: &RunFolder,
+        results: &mut FolderTransaction<'_>,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<CampaignSummary, CampaignError> {
+        self.find_unanswered_reasons(&mut state)?;
+        let CampaignState {
+            config,
+            table,
+            findings,
+            ..
+        } = &state;
+        if let Some(table) = table {
+            table.finish(&config.space, results)?;
+        }
+        let distinct = self.examine(config, findings, observer)?;
+        let counterexamples = Recorder { config }.record_all(&distinct, results)?;
+        let summary = CampaignSummary::from_findings(self, config, findings, counterexamples)?;
+        observer.notify(&self.progress(findings, None))?;
+        results
+            .write(SUMMARY_TEXT_FILE, summary.to_text())
+            .write(SUMMARY_FILE, summary.to_json()?)
+            .remove(JOURNAL_FILE);
+        Ok(summary)
+    }
+
+    fn read(
+        &self,
+        folder: &RunFolder,
+        _: &dyn Observer<CampaignProgress>,
+    ) -> Result<CampaignSummary, CampaignError> {
+        Ok(folder.read_required_json(SUMMARY_FILE)?)
+    }
+}
+
+/// Verdicts of a batch: those that the journal had, and then new ones.
+struct BatchVerdicts {
+    verdicts: Vec<RunVerdict>,
+    known: usize,
+}
+
+impl BatchVerdicts {
+    fn new(&self) -> &[RunVerdict] {
+        self.verdicts.get(self.known..).unwrap_or_default()
+    }
 }
 
 impl Campaign {
-    /// Runs the campaign in `folder`. If `observer` stops it, the folder keeps its evaluations for `resume`.
-    ///
-    /// # Errors
-    /// [`CampaignError`] if the folder cannot be used, a scenario cannot be run, or `observer` stops the campaign.
-    pub fn run(
+    fn next_method(&self, state: &CampaignState) -> Option<MethodSearch> {
+        let method = self
+            .methods()
+            .into_iter()
+            .nth(state.findings.method_results.len())?;
+        Some(MethodSearch {
+            algorithm: method.start(&state.config.cube, self.seed),
+            results: MethodResults::new(method),
+        })
+    }
+
+    fn next_points(
         &self,
-        folder: &Path,
-        CampaignOptions { log, resume }: CampaignOptions,
-        observer: &dyn Observer<CampaignProgress>,
-    ) -> Result<CampaignSummary, CampaignError> {
-        if let Some(unknown) = self
-            .controllers()
-            .find(|driver| resume && driver.source.identity().is_none())
-        {
-            return Err(CampaignError::NoIdentity(unknown.name.clone()));
-        }
-        let terms = ResolvedConfig::from_campaign(self, log)?;
-        self.check(&terms.nominal)?;
-        let configuration = terms.record.to_toml()?;
-        let work = open_run_folder(folder, &configuration, resume)?;
-        if work.is_complete() {
-            return CampaignSummary::from_json(&String::from_utf8_lossy(
-                &work.read_required(SUMMARY_FILE)?,
-            ));
-        }
-        work.transaction()
-            .write(CONFIGURATION_FILE, configuration)
-            .append_only(JOURNAL_FILE)
-            .commit()?;
-        let mut searching = CampaignRun {
-            campaign: self,
-            config: &terms,
-            run_folder: &work,
-            journal: Journal::open_in_folder(&work, JOURNAL_FILE, resume)?,
-            table: (log == EvaluationLog::Full).then(|| EvaluationTable::new(&terms.space, &work)),
-            findings: CampaignFindings::new(&terms),
+        current: &mut MethodSearch,
+        config: &ResolvedConfig,
+    ) -> Result<Vec<Vec<f64>>, CampaignError> {
+        let method = &current.results.method;
+        // The points of a non-adaptive method do not depend on values, so many batches can be requested at once.
+        let batches = if method.is_non_adaptive() {
+            BLIND_BATCHES
+        } else {
+            1
         };
-        searching.search_all(observer)?;
-        searching.find_unanswered_reasons()?;
-        let CampaignRun {
-            table, findings, ..
-        } = &mut searching;
-        // The journal stays until all results are written.
-        let mut results = work.transaction();
-        table
-            .take()
-            .map_or(Ok(()), |table| table.finish(&mut results))?;
-        let searched = campaign_progress(None, &findings.method_results, self.total_evaluations());
+        let left = self.search.budget - current.results.evaluations;
+        next_points(&mut *current.algorithm, (method, batches), config, left)
+    }
+
+    /// Returns the verdicts of points: those of the journal, and then those of simulations.
+    fn evaluate_or_read(
+        &self,
+        state: &mut CampaignState,
+        points: &[Vec<f64>],
+    ) -> Result<BatchVerdicts, CampaignError> {
+        let mut verdicts = Vec::with_capacity(points.len());
+        while verdicts.len() < points.len()
+            && let Some(verdict) = state.journal.next_verdict()?
+        {
+            verdicts.push(verdict);
+        }
+        let known = verdicts.len();
+        let unknown_points = points.get(known..).unwrap_or_default();
+        verdicts.extend(self.evaluate(&state.config.space, unknown_points)?);
+        Ok(BatchVerdicts { verdicts, known })
+    }
+
+    /// Adds evaluations to the findings and the table. Returns their costs for the search.
+    fn add_all(
+        &self,
+        state: &mut CampaignState,
+        results: &mut MethodResults,
+        points: Vec<Vec<f64>>,
+        verdicts: BatchVerdicts,
+        folder: &RunFolder,
+    ) -> Result<Vec<f64>, CampaignError> {
+        let mut costs = Vec::with_capacity(points.len());
+        for (point, verdict) in points.into_iter().zip(verdicts.verdicts) {
+            let number = results.evaluations + 1;
+            let evaluated = state.config.evaluated_point(number, point, verdict);
+            costs.push(self.search.objective.cost(&evaluated));
+            state.findings.add(results, &evaluated);
+            if let Some(table) = &mut state.table {
+                table.add(&state.config.space, &results.method, &evaluated, folder)?;
+            }
+        }
+        Ok(costs)
+    }
+
+    /// Replays, shrinks and classifies the failures. Returns the distinct ones.
+    fn examine(
+        &self,
+        config: &ResolvedConfig,
+        findings: &CampaignFindings,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<Vec<ExaminedFailure>, CampaignError> {
+        let searched = self.progress(findings, None);
         let notify = |step| {
             observer.notify(&CampaignProgress {
                 examination: Some(step),
@@ -128,34 +285,57 @@ impl Campaign {
             })
         };
         notify(ExaminationStep::Shrinking)?;
-        let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
-        let mut distinct = recorder.select_distinct(
-            examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?,
-        );
+        let examiner = Examiner::new(self, config);
+        let candidates = findings.failures.examination_candidates(MAX_EXAMINED_KINDS);
+        let mut distinct = Recorder { config }.select_distinct(examiner.examine_all(&candidates)?);
         notify(ExaminationStep::Classifying)?;
         examiner.classify_all(&mut distinct);
         notify(ExaminationStep::Confirming)?;
         examiner.confirm_all(&mut distinct);
         self.ensure_all_trusted()?;
-        let counterexamples = recorder.record_all(&distinct, &mut results)?;
-        let summary = CampaignSummary::from_findings(&terms, findings, counterexamples)?;
-        observer.notify(&searched)?;
-        results
-            .write(SUMMARY_TEXT_FILE, summary.to_text())
-            .write(SUMMARY_FILE, summary.to_json()?)
-            .remove(JOURNAL_FILE)
-            .commit()?;
-        work.finish()?;
-        Ok(summary)
+        Ok(distinct)
+    }
+
+    /// Finds the reasons why the partner controller gave no answer, because the journal does not record them.
+    fn find_unanswered_reasons(&self, state: &mut CampaignState) -> Result<(), CampaignError> {
+        for results in &mut state.findings.method_results {
+            if let Some(unanswered) = &mut results.other_unanswered {
+                let scenario = state.config.space.scenario(&unanswered.values)?;
+                let reason = self.evaluator().partner_failure_reason(&scenario);
+                unanswered.because = reason
+                    .unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
+            }
+        }
+        self.ensure_all_trusted()
+    }
+
+    fn progress(
+        &self,
+        findings: &CampaignFindings,
+        current: Option<&MethodResults>,
+    ) -> CampaignProgress {
+        let all = || findings.method_results.iter().chain(current);
+        CampaignProgress {
+            method: current.map(|results| results.method.clone()),
+            examination: None,
+            evaluations: all().map(|results| results.evaluations).sum(),
+            total: self.total_evaluations(),
+            failures: all().map(|results| results.failures).sum(),
+            best_robustness: all()
+                .map(|results| results.best)
+                .fold(f64::INFINITY, f64::min),
+        }
     }
 
     fn total_evaluations(&self) -> u64 {
-        self.budget.saturating_mul(self.methods().len() as u64)
+        self.search
+            .budget
+            .saturating_mul(self.methods().len() as u64)
     }
 
     /// Checks everything that would fail at every point, before any file is written.
-    pub(super) fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
-        CampaignError::check_range("budget", self.budget, 1..=MAX_BUDGET)?;
+    pub(super) fn check_at(&self, nominal: &Scenario) -> Result<(), CampaignError> {
+        CampaignError::check_range("budget", self.search.budget, 1..=MAX_BUDGET)?;
         CampaignError::check_range("seed", self.seed, 0..=MAX_SEED)?;
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NoVehicleUnderTest(
@@ -202,99 +382,6 @@ impl Campaign {
     }
 }
 
-impl CampaignRun<'_> {
-    pub(super) fn search_all(
-        &mut self,
-        observer: &dyn Observer<CampaignProgress>,
-    ) -> Result<(), CampaignError> {
-        for method in self.campaign.methods() {
-            let reached = self.search(method, observer)?;
-            self.findings.method_results.push(reached);
-        }
-        Ok(())
-    }
-
-    /// Finds the reasons why the partner controller gave no answer, because the journal does not record them.
-    pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
-        for reached in &mut self.findings.method_results {
-            if let Some(silent) = &mut reached.other_unanswered {
-                let because = self
-                    .campaign
-                    .evaluator()
-                    .partner_failure_reason(&self.config.space.scenario(&silent.values)?);
-                silent.because = because
-                    .unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
-            }
-        }
-        self.campaign.ensure_all_trusted()
-    }
-
-    pub(super) fn progress(&self, current: Option<&MethodResults>) -> CampaignProgress {
-        campaign_progress(
-            current,
-            &self.findings.method_results,
-            self.campaign.total_evaluations(),
-        )
-    }
-
-    fn search(
-        &mut self,
-        method: Method,
-        observer: &dyn Observer<CampaignProgress>,
-    ) -> Result<MethodResults, CampaignError> {
-        let (terms, space) = (self.config, &self.config.space);
-        let mut search = method.start(&terms.cube, terms.record.seed);
-        let mut reached = MethodResults::new(method.clone());
-        let budget = self.campaign.budget;
-        while reached.evaluations < budget {
-            // The points of a non-adaptive method do not depend on values, so many batches can be requested at once.
-            let batches = if method.is_non_adaptive() {
-                BLIND_BATCHES
-            } else {
-                1
-            };
-            let points = next_points(
-                &mut *search,
-                (&method, batches),
-                terms,
-                budget - reached.evaluations,
-            )?;
-            let mut verdicts = Vec::with_capacity(points.len());
-            while verdicts.len() < points.len()
-                && let Some(verdict) = self.journal.next_verdict()?
-            {
-                verdicts.push(verdict);
-            }
-            let known = verdicts.len();
-            verdicts.extend(
-                self.campaign
-                    .evaluate(space, points.get(known..).unwrap_or_default())?,
-            );
-            // If the observer stops the campaign, this batch is dropped: some of its simulations may have ended early.
-            observer.notify(&self.progress(Some(&reached)))?;
-            if let Some(durable) = self
-                .journal
-                .append(verdicts.get(known..).unwrap_or_default())?
-            {
-                self.run_folder.record_prefix(JOURNAL_FILE, durable)?;
-            }
-            let mut costs = Vec::with_capacity(points.len());
-            for (point, verdict) in points.into_iter().zip(verdicts) {
-                let number = reached.evaluations + 1;
-                let evaluated = terms.evaluated_point(number, point, verdict);
-                costs.push(self.campaign.objective.cost(&evaluated));
-                self.findings.add(&mut reached, &evaluated);
-                if let Some(table) = &mut self.table {
-                    table.add(&method, &evaluated)?;
-                }
-            }
-            search.tell(&costs);
-            observer.notify(&self.progress(Some(&reached)))?;
-        }
-        Ok(reached)
-    }
-}
-
 /// Returns the next points of a search, some batches, but at most `most` points.
 pub(super) fn next_points(
     search: &mut dyn SearchAlgorithm,
@@ -314,31 +401,6 @@ pub(super) fn next_points(
         .iter_mut()
         .for_each(|point| *point = config.space.search_point(point));
     Ok(points)
-}
-
-/// Opens the run folder of a campaign. If it contains another campaign, the error names the first field that differs.
-pub(super) fn open_run_folder(
-    folder: &Path,
-    configuration: &str,
-    resume: bool,
-) -> Result<RunFolder, CampaignError> {
-    let asked = RunFolderOptions {
-        kind: CAMPAIGN_KIND,
-        configuration,
-        configuration_file: CONFIGURATION_FILE,
-        resume,
-        outputs: &[
-            CONFIGURATION_FILE,
-            JOURNAL_FILE,
-            SUMMARY_FILE,
-            SUMMARY_TEXT_FILE,
-            "counterexamples/",
-            "counterexamples/originals/",
-            "counterexamples/escapes/",
-            "evaluations/",
-        ],
-    };
-    Ok(RunFolder::open(folder, asked)?)
 }
 
 /// Checks the journal of an incomplete campaign, of which the manifest knows only a prefix.
@@ -365,31 +427,10 @@ pub fn verify_journal(
     Ok(found)
 }
 
-/// Kind of a campaign's run folder in its `work.json`.
-pub const CAMPAIGN_KIND: &str = "campaign";
-
 pub(super) const CONFIGURATION_FILE: &str = "campaign.toml";
 pub(super) const JOURNAL_FILE: &str = "evaluations.journal";
 pub(super) const SUMMARY_FILE: &str = "summary.json";
 pub(super) const SUMMARY_TEXT_FILE: &str = "summary.txt";
-
-fn campaign_progress(
-    current: Option<&MethodResults>,
-    done: &[MethodResults],
-    total: u64,
-) -> CampaignProgress {
-    let all = || done.iter().chain(current);
-    CampaignProgress {
-        method: current.map(|reached| reached.method.clone()),
-        examination: None,
-        evaluations: all().map(|reached| reached.evaluations).sum(),
-        total,
-        failures: all().map(|reached| reached.failures).sum(),
-        best_robustness: all()
-            .map(|reached| reached.best)
-            .fold(f64::INFINITY, f64::min),
-    }
-}
 
 #[cfg(test)]
 mod tests {
@@ -418,11 +459,7 @@ mod tests {
                 "seed: must be from 0 to 9223372036854775807, found 9223372036854775808",
             ),
         ] {
-            let refused = campaign.run(
-                &folder.path().join("campaign"),
-                CampaignOptions::default(),
-                &Quiet,
-            );
+            let refused = campaign.run(&folder.path().join("campaign"), false, &Quiet);
             assert_eq!(refused.unwrap_err().to_string(), expected);
             assert_eq!(
                 campaign.find_first_failure(&Quiet).unwrap_err().to_string(),
@@ -445,11 +482,7 @@ mod tests {
             }
         });
         let summary = campaign
-            .run(
-                &folder.path().join("campaign"),
-                CampaignOptions::default(),
-                &observer,
-            )
+            .run(&folder.path().join("campaign"), false, &observer)
             .unwrap();
         assert!(summary.falsified);
         let steps = [

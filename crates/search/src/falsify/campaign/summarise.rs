@@ -1,6 +1,5 @@
 //! Creation of a summary from findings.
 
-use super::CampaignError;
 use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
@@ -8,6 +7,7 @@ use super::summary::{
     AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary,
     FailuresByMethod, MethodSummary, SUMMARY_VERSION,
 };
+use super::{Campaign, CampaignError};
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
 use crumple_sim::engine::FailedControllerRuns;
@@ -15,6 +15,7 @@ use crumple_sim::engine::FailedControllerRuns;
 impl CampaignSummary {
     /// Creates the summary from findings and the recorded distinct failures.
     pub(super) fn from_findings(
+        campaign: &Campaign,
         terms: &ResolvedConfig,
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
@@ -27,19 +28,12 @@ impl CampaignSummary {
         let main = reached.first();
         Ok(Self {
             version: SUMMARY_VERSION,
-            crumple: record.crumple.clone(),
             configuration_sha256: sha256(record.to_toml()?),
-            controller: record.controller.clone(),
-            policy_sha256: record.policy_sha256.clone(),
-            nondeterministic: terms.nondeterministic,
-            estimator: record.estimator,
-            space: terms.space.name().to_owned(),
-            specification: terms.specification.to_string(),
+            subject: campaign.subject()?,
             failure_criterion: record.failure_criterion.clone(),
-            method: record.method.name().to_owned(),
-            objective: record.objective.name().to_owned(),
-            budget: record.budget,
-            seed: record.seed,
+            method: record.search.method.name().to_owned(),
+            objective: record.search.objective.name().to_owned(),
+            budget: record.search.budget,
             evaluations: main.map_or(0, |reached| reached.evaluations),
             falsified: reached.iter().any(|reached| reached.failures > 0),
             first_falsification: main.and_then(|reached| reached.first),

@@ -5,13 +5,13 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::{CampaignError, SearchObjective};
+use crate::StudySubject;
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
 use crumple_measure::Specification;
 use crumple_sim::engine::FailedControllerRuns;
-use crumple_sim::observation::EstimatorKind;
 
 pub(super) const SUMMARY_VERSION: u32 = 1;
 
@@ -20,23 +20,11 @@ pub(super) const SUMMARY_VERSION: u32 = 1;
 pub struct CampaignSummary {
     /// Version of the format: 1.
     pub version: u32,
-    /// Version of crumple.
-    pub crumple: String,
     /// SHA-256 of `campaign.toml`.
     pub configuration_sha256: String,
-    /// Controller under test.
-    pub controller: String,
-    /// Hash of the policy; `None` for other controllers.
-    pub policy_sha256: Option<String>,
-    /// True if the controller declares itself non-deterministic: the same campaign may have other results.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub nondeterministic: bool,
-    /// Estimator of the vehicles under test.
-    pub estimator: EstimatorKind,
-    /// Name of the space.
-    pub space: String,
-    /// Specification.
-    pub specification: String,
+    /// Controller, estimator, space, specification and seed.
+    #[serde(flatten)]
+    pub subject: StudySubject,
     /// Additional condition for a failure to count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
@@ -49,8 +37,6 @@ pub struct CampaignSummary {
     pub objective: String,
     /// Evaluations of each method.
     pub budget: u64,
-    /// Seed of the search and of all noise.
-    pub seed: u64,
     /// Evaluations of the requested method.
     pub evaluations: u64,
     /// True if any method found a failure.
@@ -257,11 +243,11 @@ impl CampaignSummary {
         writeln!(
             out,
             "{} in `{}`: {}, estimator {}, seed {}",
-            TerminalText(&self.controller),
-            TerminalText(&self.space),
-            TerminalText(&self.specification),
-            self.estimator.name(),
-            self.seed
+            TerminalText(&self.subject.controller),
+            TerminalText(&self.subject.space),
+            TerminalText(&self.subject.specification),
+            self.subject.estimator.name(),
+            self.subject.seed
         )?;
         if self.objective != SearchObjective::default().name() {
             writeln!(out, "  objective of the search: {}", self.objective)?;
@@ -273,7 +259,7 @@ impl CampaignSummary {
                 TerminalText(&criterion.describe())
             )?;
         }
-        if self.nondeterministic {
+        if self.subject.nondeterministic {
             writeln!(
                 out,
                 "  the controller declares that it is not deterministic: the same campaign may have other results"
@@ -373,7 +359,7 @@ impl CampaignSummary {
             for found in &self.counterexamples {
                 found.write(
                     out,
-                    self.specification.parse() != Ok(Specification::NoContact),
+                    self.subject.specification.parse() != Ok(Specification::NoContact),
                 )?;
             }
         }

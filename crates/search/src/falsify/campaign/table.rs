@@ -29,60 +29,55 @@ const MAX_FIELD_BYTES: usize = 64;
 
 const EXTENSION: &str = ".csv.gz";
 
-pub(super) struct EvaluationTable<'a> {
-    space: &'a ScenarioSpace,
-    run_folder: &'a RunFolder,
+#[derive(Default)]
+pub(super) struct EvaluationTable {
     part_count: usize,
     rows: Vec<(Method, EvaluatedPoint)>,
 }
 
-impl<'a> EvaluationTable<'a> {
-    pub(super) fn new(space: &'a ScenarioSpace, work: &'a RunFolder) -> Self {
-        Self {
-            space,
-            run_folder: work,
-            part_count: 0,
-            rows: Vec::new(),
-        }
-    }
-
+impl EvaluationTable {
     pub(super) fn add(
         &mut self,
+        space: &ScenarioSpace,
         method: &Method,
         evaluated: &EvaluatedPoint,
+        folder: &RunFolder,
     ) -> Result<(), CampaignError> {
         self.rows.push((method.clone(), evaluated.clone()));
         if self.rows.len() < ROWS_PER_PART {
             return Ok(());
         }
         // A resumed campaign writes the same part again.
-        let (name, part) = self.encode_part()?;
+        let (name, part) = self.encode_part(space)?;
         self.part_count += 1;
         self.rows.clear();
-        Ok(self.run_folder.write(&name, part)?)
+        Ok(folder.write(&name, part)?)
     }
 
-    pub(super) fn finish(self, results: &mut FolderTransaction<'_>) -> Result<(), CampaignError> {
+    pub(super) fn finish(
+        &self,
+        space: &ScenarioSpace,
+        results: &mut FolderTransaction<'_>,
+    ) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
-            let (name, part) = self.encode_part()?;
+            let (name, part) = self.encode_part(space)?;
             results.write(&name, part);
         }
         Ok(())
     }
 
-    fn encode_part(&self) -> Result<(String, Vec<u8>), CampaignError> {
+    fn encode_part(&self, space: &ScenarioSpace) -> Result<(String, Vec<u8>), CampaignError> {
         let name = format!("evaluations/part-{:05}{EXTENSION}", self.part_count);
-        Ok((
-            name,
-            self.encode_rows()
-                .map_err(CampaignError::from_encoding_error)?,
-        ))
+        let part = self
+            .encode_rows(space)
+            .map_err(CampaignError::from_encoding_error)?;
+        Ok((name, part))
     }
 
-    fn encode_rows(&self) -> Result<Vec<u8>, csv::Error> {
+    fn encode_rows(&self, space: &ScenarioSpace) -> Result<Vec<u8>, csv::Error> {
         let mut table = Writer::from_writer(GzEncoder::new(Vec::new(), Compression::fast()));
-        table.write_record(columns(self.space))?;
-        let parameters: Vec<_> = self.space.coordinate_parameters().collect();
+        table.write_record(columns(space))?;
+        let parameters: Vec<_> = space.coordinate_parameters().collect();
         for (method, row) in &self.rows {
             table.write_field(method.name())?;
             table.write_field(row.number.to_string())?;

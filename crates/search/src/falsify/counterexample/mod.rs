@@ -31,8 +31,8 @@ use serde::{Deserialize, Serialize};
 pub use avoidability::{Avoidability, AvoidabilityAnalysis, AvoidabilityClass};
 pub(in crate::falsify) use examine::Examiner;
 pub use expected::{ExpectedFile, ExpectedVerdict, ReplayError, ReplayResult};
-pub(in crate::falsify) use record::Recorder;
 pub use record::SAME_FAILURE_DISTANCE;
+pub(in crate::falsify) use record::{ExaminedFailure, Recorder};
 pub use records::{RecordedVerdicts, VerdictRecordReader};
 pub use shrink::{rounder_values, shrink};
 

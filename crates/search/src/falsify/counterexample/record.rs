@@ -139,10 +139,11 @@ impl Recorder<'_> {
             format!("originals/{place:02}-{slug}.toml"),
         );
         let terms = &self.config.record;
-        let policy = terms.policy_sha256.clone();
+        let subject = &terms.subject;
+        let policy = subject.policy_sha256.clone();
         let driver = match &policy {
-            Some(hash) => format!("`{}` (SHA-256 {hash})", terms.controller),
-            None => format!("`{}`", terms.controller),
+            Some(hash) => format!("`{}` (SHA-256 {hash})", subject.controller),
+            None => format!("`{}`", subject.controller),
         };
         let formula = match &self.config.specification {
             Specification::NoContact => String::new(),
@@ -164,7 +165,7 @@ impl Recorder<'_> {
             self.config.space.name(),
             one.method,
             one.number,
-            terms.seed
+            subject.seed
         );
         let how = if one.dt_fragile {
             " It disappears at a tenth of the step: kept as it was found."
@@ -186,7 +187,7 @@ impl Recorder<'_> {
             [] => String::new(),
             _ => format!(" Values beyond the recordings: {}.", outside.join(", ")),
         };
-        let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
+        let name = format!("{}-{}-{place:02}", self.config.space.name(), subject.seed);
         let named_file = |path: String, scenario: &Scenario, name, about| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
             Ok::<_, CampaignError>((
@@ -207,10 +208,10 @@ impl Recorder<'_> {
             )?);
             index.expected.push(ExpectedVerdict {
                 scenario: file.to_owned(),
-                controller: terms.controller.clone(),
+                controller: subject.controller.clone(),
                 policy_sha256: policy.clone(),
-                controller_sha256: terms.controller_sha256.clone(),
-                estimator: terms.estimator,
+                controller_sha256: subject.controller_sha256.clone(),
+                estimator: subject.estimator,
                 specification: self.config.specification.to_string(),
                 violated: verdict.robustness < 0.0,
                 robustness: verdict.robustness,

@@ -19,7 +19,7 @@ use crumple_core::digest::Sha256;
 use crumple_core::regular_file;
 use crumple_measure::RunVerdict;
 use crumple_store::disk::{self, DiskError};
-use crumple_store::run_folder::{Prefix, RunFolder, RunFolderError};
+use crumple_store::run_folder::{Prefix, RunFolderError};
 use record::{JournalEntry, RECORD_BYTES, is_all_zero, read_record, record_checksum};
 pub(super) use record::{decode, encode};
 
@@ -44,21 +44,7 @@ const OTHER_CAMPAIGN_MESSAGE: &str = "belongs to another campaign, so this one c
     remove its folder, or use another --out";
 
 impl Journal {
-    /// Opens the journal of a run: a new one, or that of an earlier process.
-    pub(super) fn open_in_folder(
-        work: &RunFolder,
-        name: &str,
-        resume: bool,
-    ) -> Result<Self, RunFolderError> {
-        let (path, identity) = (work.path(name), work.identity());
-        if resume {
-            Self::resume(&path, &identity)
-        } else {
-            Self::create(&path, &identity)
-        }
-    }
-
-    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
+    fn create(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
         file.write_all(header_line(identity).as_bytes())

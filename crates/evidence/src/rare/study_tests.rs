@@ -4,10 +4,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use proptest::prelude::*;
 
-use super::progress::PROGRESS_FILE;
+use super::study::PROGRESS_FILE;
 use super::*;
 use crate::fixtures::rare_plan;
-use crumple_core::observer::{Listener, RunProgress};
+use crumple_core::observer::Listener;
+use crumple_store::study::{Study, StudyFolder};
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new()
@@ -18,25 +19,29 @@ fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 }
 
 fn run_until(plan: &RarePlan, folder: &Path, plug: u64) -> Option<u64> {
+    // A resumed step counts its runs from those of earlier repetitions.
+    let before = completed_runs(plan, folder);
+    let pilot_runs = AtomicU64::new(0);
     let runs = AtomicU64::new(0);
-    // Pilot and repetitions both count from 0.
-    let after = |before: u64| {
-        let runs = &runs;
-        Listener(move |progress: &RunProgress| {
-            assert!(before + progress.done <= plug, "the plug is pulled");
-            runs.fetch_max(before + progress.done, Ordering::SeqCst);
-        })
-    };
-    let so_far = || runs.load(Ordering::SeqCst);
-    let work = || {
-        let mut kept = plan.open_folder(folder, true).unwrap();
-        if kept.read_report().unwrap().is_none() {
-            let pilot = kept.run_pilot(plan, &after(0)).unwrap();
-            kept.estimate(plan, &pilot, 0, &after(so_far())).unwrap();
-        }
-    };
+    let observer = Listener(|progress: &RareProgress| {
+        let done = match progress.stage {
+            RareStage::Pilot => {
+                pilot_runs.fetch_max(progress.runs, Ordering::SeqCst);
+                progress.runs
+            }
+            _ => pilot_runs.load(Ordering::SeqCst) + progress.runs - before,
+        };
+        assert!(done <= plug, "the plug is pulled");
+        runs.fetch_max(done, Ordering::SeqCst);
+    });
+    let work = || plan.run(folder, true, &observer).unwrap();
     let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
-    ended.ok().map(|()| runs.into_inner())
+    ended.ok().map(|_| runs.into_inner())
+}
+
+fn completed_runs(plan: &RarePlan, folder: &Path) -> u64 {
+    let study = StudyFolder::open(plan, folder, true).unwrap();
+    study.state().map_or(0, |state| state.completed_runs(plan))
 }
 
 fn assert_same(one: &Path, other: &Path) {
@@ -78,12 +83,9 @@ fn repetitions_are_kept_as_they_end() {
     let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
     let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
     assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
-    assert!(
-        plan.open_folder(&broken, true)
-            .unwrap()
-            .completed_repetitions()
-            >= 4
-    );
+    let study = StudyFolder::open(&plan, &broken, true).unwrap();
+    assert!(study.state().unwrap().completed_repetitions() >= 4);
+    drop(study);
     let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
     assert!(left > 0 && left < all / 3, "{left} of {all}");
     assert_same(&through, &broken);
@@ -98,7 +100,7 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
     );
     assert!(root.path().join(PROGRESS_FILE).exists());
     let error = |plan: &RarePlan, resume| {
-        plan.open_folder(root.path(), resume)
+        StudyFolder::open(plan, root.path(), resume)
             .err()
             .map(|error| error.to_string())
     };
@@ -114,9 +116,7 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
                 .ends_with("the rare-failure estimate there has a different configuration")
         );
     }
-    let kept = plan.open_folder(root.path(), true).unwrap();
     let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();
-    drop(kept);
     let path = root.path().join(PROGRESS_FILE);
     fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
     assert!(

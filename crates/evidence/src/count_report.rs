@@ -1,0 +1,109 @@
+//! Report of a count, as text and as JSON.
+
+use std::path::PathBuf;
+
+use crumple_verify::{Rejection, Statement, check};
+use serde::Serialize;
+
+use super::exposure::RatePerExposure;
+use super::{CountResult, RatePlan};
+use crumple_core::quoting::TerminalText;
+use crumple_sim::engine::FailedControllerRuns;
+
+/// Report of a count.
+#[derive(Debug, Serialize)]
+pub struct CountReport {
+    /// Digest of the registration.
+    pub registration_sha256: String,
+    /// Folder of the count.
+    pub folder: PathBuf,
+    /// Number of runs.
+    pub runs: u64,
+    /// Runs in which the controller failed; with two controllers, both.
+    pub failures: u64,
+    /// Runs in which only the first of two controllers failed.
+    pub only_first_failed: u64,
+    /// Runs in which only the second failed.
+    pub only_second_failed: u64,
+    /// Runs without an answer, of the first controller and of the second.
+    pub unanswered: [Option<FailedControllerRuns>; 2],
+    /// Path of the certificate.
+    pub certificate: Option<PathBuf>,
+    /// Bound that the checker accepted, for one controller.
+    pub rate_at_most: Option<f64>,
+    /// Confidence level.
+    pub confidence: Option<f64>,
+    /// Rates per hour and per 1000 km.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposed: Option<RatePerExposure>,
+    /// Description of the counts.
+    #[serde(skip)]
+    summary: String,
+    /// Conclusion of the checker.
+    #[serde(skip)]
+    accepted: Option<String>,
+}
+
+impl CountReport {
+    /// Describes the result of a count in a folder; `certificate` is the path of its certificate.
+    #[must_use]
+    pub fn new(
+        plan: &RatePlan,
+        result: &CountResult,
+        folder: PathBuf,
+        certificate: PathBuf,
+    ) -> Self {
+        let tally = &result.tally;
+        let accepted = result.certificate.as_ref().ok();
+        let rate_at_most = accepted.and_then(|certificate| match &certificate.statement {
+            Statement::Rate(rate) => Some(rate.rate_at_most),
+            _ => None,
+        });
+        let conclusion = accepted.and_then(|certificate| check(certificate).ok());
+        Self {
+            registration_sha256: tally.registration_sha256.clone(),
+            folder,
+            runs: tally.runs,
+            failures: tally.failures,
+            only_first_failed: tally.only_first_failed,
+            only_second_failed: tally.only_second_failed,
+            unanswered: tally.missing_answers(),
+            certificate: accepted.map(|_| certificate),
+            rate_at_most,
+            confidence: Some(plan.registration().confidence),
+            exposed: None,
+            summary: tally.summary(plan.record().is_comparison()),
+            accepted: conclusion.map(|claim| claim.to_string()),
+        }
+    }
+
+    /// Adds rates per hour and per 1000 km.
+    #[must_use]
+    pub fn with_exposure(self, exposed: Option<RatePerExposure>) -> Self {
+        Self { exposed, ..self }
+    }
+
+    /// Describes why the counts prove nothing.
+    #[must_use]
+    pub fn describe_rejection(&self, rejection: &Rejection) -> String {
+        format!(
+            "the counts in {} prove nothing: {rejection} ({})",
+            self.folder.display(),
+            self.summary
+        )
+    }
+
+    /// Returns the report for a reader, as lines.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let mut text = format!("{}\n", self.summary);
+        if let (Some(path), Some(accepted)) = (&self.certificate, &self.accepted) {
+            let path = path.display().to_string();
+            text += &format!("{}: accepted: {accepted}\n", TerminalText(&path));
+        }
+        if let Some(rate) = &self.exposed {
+            text += &rate.to_text();
+        }
+        text
+    }
+}
