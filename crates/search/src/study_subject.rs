@@ -8,7 +8,7 @@ use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{ScenarioSpace, file};
 
-/// What a study is about: a controller in a scenario space, with an estimator, a specification and a seed. `Space` is
+/// Subject of a study: a controller in a scenario space, with an estimator, a specification and a seed. `Space` is
 /// the name of the space, or the space itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StudySubject<Space = String> {
