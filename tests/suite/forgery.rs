@@ -18,7 +18,7 @@ use crumple_sim::scenario::{Scenario, built_in_scenario};
 use crumple_spaces::built_in_space;
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use rand::SeedableRng;
-use rand_xoshiro::Xoshiro256PlusPlus;
+use rand::rngs::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -14,8 +14,8 @@ use crumple_sim::scenario::built_in_scenario;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::HeightTable;
 use crumple_verify::{Certificate, InvariantClaim, ProvedClaim, Statement, WorkLimit, check_with};
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::command_line::temp_folder;
 use crate::onnx_bytes::{TestOnnxNode, model_bytes};

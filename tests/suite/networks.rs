@@ -17,8 +17,8 @@ use crumple_sim::engine::{
 };
 use crumple_sim::policy::{Policy, Workspace};
 use crumple_sim::scenario::{PaperDistribution, Scenario, file};
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Deserialize;
 use tempfile::TempDir;
 

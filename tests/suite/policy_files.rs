@@ -3,9 +3,9 @@
 
 use crumple_sim::policy::Policy;
 use crumple_verify::reach::NeuralController;
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 #[test]
 fn the_checker_refuses_all_policy_files_that_the_simulator_refuses() {

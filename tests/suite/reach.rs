@@ -19,9 +19,9 @@ use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachProblem, reach_with_tube,
 };
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::command_line::{assert_prints, assert_refused, exit_code, run_crumple, stderr, stdout};
 use crate::networks::{controller_corpus, find_source, folder_with};

@@ -6,9 +6,9 @@
 use std::convert::Infallible;
 use std::sync::LazyLock;
 
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::{Rng, RngExt, SeedableRng, TryRng};
 use rand_distr::{Distribution, StandardNormal};
-use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Generator of every stream: small, fast, with values that are fixed across releases and platforms.
 pub type Stream = Xoshiro256PlusPlus;

@@ -721,7 +721,7 @@ fn kill_at_random_times(
     arguments: &str,
     after_ms: impl Iterator<Item = Range<u64>>,
 ) -> usize {
-    let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut moments = rand::rngs::Xoshiro256PlusPlus::seed_from_u64(1);
     let was_killed = |range: Range<u64>| {
         let mut command = command(folder, arguments);
         command

@@ -398,7 +398,7 @@ fn damaged_fmus_are_refused() {
             Some(error)
         }
     };
-    let mut random = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(20);
+    let mut random = rand::rngs::Xoshiro256PlusPlus::seed_from_u64(20);
     let mut accepted = 0;
     for number in 0..200 {
         let mut bytes = whole.clone();

@@ -6,8 +6,8 @@ use crumple_sim::scenario::Scenario;
 use crumple_verify::Certificate;
 use crumple_verify::certificate::FIRST_VERSION;
 use rand::RngExt;
+use rand::rngs::Xoshiro256PlusPlus;
 use rand::seq::IndexedRandom;
-use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Value, json};
 
 /// A genuine certificate, with the data for checking it.

@@ -11,7 +11,9 @@
 //! Jumps of the acceleration are not white jerk. A known jump, such as one of the own motion, is fed forward
 //! ([`Filter::feed_forward`]) without a change of the covariance: a known input adds no uncertainty.
 
-use nalgebra::{Matrix3, Vector3};
+mod matrix;
+
+use matrix::{Matrix3, Vector3};
 
 /// Doublings of the horizon after which the covariance is steady: 2²⁴ steps.
 const DOUBLINGS: usize = 24;
@@ -23,13 +25,13 @@ const MAX_STEPS_TO_FADE: f64 = 1e5;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuning {
     step_s: f64,
-    transition: Matrix3<f64>,
-    process_noise: Matrix3<f64>,
+    transition: Matrix3,
+    process_noise: Matrix3,
     measurement_variance: f64,
     /// Covariance before a measurement in steady state, if no measurement is lost.
-    steady_covariance: Matrix3<f64>,
-    steady_gain: Vector3<f64>,
-    steady_cholesky: Matrix3<f64>,
+    steady_covariance: Matrix3,
+    steady_gain: Vector3,
+    steady_cholesky: Matrix3,
 }
 
 impl Tuning {
@@ -43,17 +45,17 @@ impl Tuning {
         let measurement_variance = noise_m.max(1e-4).powi(2);
         let jerk_density = bandwidth_rad_per_s.powi(6) * measurement_variance * h;
         #[rustfmt::skip]
-        let transition = Matrix3::new(
-            1.0, h, h * h / 2.0,
-            0.0, 1.0, h,
-            0.0, 0.0, 1.0,
-        );
+        let transition = Matrix3([
+            [1.0, h, h * h / 2.0],
+            [0.0, 1.0, h],
+            [0.0, 0.0, 1.0],
+        ]);
         #[rustfmt::skip]
-        let process = jerk_density * Matrix3::new(
-            h.powi(5) / 20.0, h.powi(4) / 8.0, h.powi(3) / 6.0,
-            h.powi(4) / 8.0, h.powi(3) / 3.0, h.powi(2) / 2.0,
-            h.powi(3) / 6.0, h.powi(2) / 2.0, h,
-        );
+        let process = Matrix3([
+            [h.powi(5) / 20.0, h.powi(4) / 8.0, h.powi(3) / 6.0],
+            [h.powi(4) / 8.0, h.powi(3) / 3.0, h.powi(2) / 2.0],
+            [h.powi(3) / 6.0, h.powi(2) / 2.0, h],
+        ]) * jerk_density;
         let steady = steady_covariance(&transition, &process, measurement_variance);
         Self {
             step_s,
@@ -61,8 +63,8 @@ impl Tuning {
             process_noise: process,
             measurement_variance,
             steady_covariance: steady,
-            steady_gain: steady.column(0) / (steady[(0, 0)] + measurement_variance),
-            steady_cholesky: steady.cholesky().map(|root| root.l()).unwrap_or_default(),
+            steady_gain: gain(&steady, measurement_variance),
+            steady_cholesky: steady.cholesky().unwrap_or_default(),
         }
     }
 
@@ -75,7 +77,7 @@ impl Tuning {
     /// Returns steady-state standard deviations before a measurement: distance (m), rate (m/s), acceleration (m/s²).
     #[must_use]
     pub fn steady_deviations(&self) -> [f64; 3] {
-        [0, 1, 2].map(|i| self.steady_covariance[(i, i)].sqrt())
+        [0, 1, 2].map(|i| self.steady_covariance.0[i][i].sqrt())
     }
 
     /// Returns the largest errors of distance (s²) and rate (s) for an acceleration in [-1, 1] m/s² that varies from
@@ -101,37 +103,48 @@ impl Tuning {
         }
     }
 
-    fn gain(&self, covariance: &Matrix3<f64>) -> Vector3<f64> {
-        covariance.column(0) / (covariance[(0, 0)] + self.measurement_variance)
+    fn gain(&self, covariance: &Matrix3) -> Vector3 {
+        gain(covariance, self.measurement_variance)
     }
 
     /// Returns the covariance after a measurement, in Joseph's form, which stays symmetric and positive.
-    fn correct_covariance(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    fn correct_covariance(&self, covariance: &Matrix3) -> Matrix3 {
         let gain = self.gain(covariance);
-        let mut rest = Matrix3::identity();
-        rest.column_mut(0).axpy(-1.0, &gain, 1.0);
-        rest * covariance * rest.transpose() + gain * gain.transpose() * self.measurement_variance
+        let mut rest = Matrix3::IDENTITY;
+        for (row, gain) in rest.0.iter_mut().zip(gain) {
+            row[0] -= gain;
+        }
+        rest * *covariance * rest.transpose()
+            + Matrix3::outer_product(&gain, &gain) * self.measurement_variance
     }
 
-    fn predict_covariance(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
-        let next = self.transition * covariance * self.transition.transpose() + self.process_noise;
+    fn predict_covariance(&self, covariance: &Matrix3) -> Matrix3 {
+        let next = self.transition * *covariance * self.transition.transpose() + self.process_noise;
         (next + next.transpose()) * 0.5
     }
+}
+
+/// Returns the gain of a measurement of the distance.
+fn gain(covariance: &Matrix3, measurement_variance: f64) -> Vector3 {
+    let innovation_variance = covariance.0[0][0] + measurement_variance;
+    covariance
+        .first_column()
+        .map(|value| value / innovation_variance)
 }
 
 /// Solves the discrete Riccati equation for the steady covariance before a measurement. Each iteration of the
 /// structure-preserving doubling algorithm (Chu, Fan, Lin and Wang, Int. J. Control 77(8), 2004) doubles the horizon.
 fn steady_covariance(
-    transition: &Matrix3<f64>,
-    process: &Matrix3<f64>,
+    transition: &Matrix3,
+    process: &Matrix3,
     measurement_variance: f64,
-) -> Matrix3<f64> {
+) -> Matrix3 {
     let mut a = transition.transpose();
-    let mut g = Matrix3::zeros();
-    g[(0, 0)] = measurement_variance.recip();
+    let mut g = Matrix3::default();
+    g.0[0][0] = measurement_variance.recip();
     let mut h = *process;
     for _ in 0..DOUBLINGS {
-        let Some(inverse) = (Matrix3::identity() + g * h).try_inverse() else {
+        let Some(inverse) = (Matrix3::IDENTITY + g * h).inverse() else {
             break;
         };
         let (next_a, next_g) = (a * inverse * a, g + a * inverse * g * a.transpose());
@@ -190,7 +203,7 @@ pub struct KnownChange {
 pub struct Filter {
     prediction: DistanceEstimate,
     /// Covariance of the prediction after a lost measurement; `None` in steady state.
-    covariance: Option<Matrix3<f64>>,
+    covariance: Option<Matrix3>,
 }
 
 impl Filter {
@@ -199,11 +212,12 @@ impl Filter {
     /// `normals` are three independent standard normal numbers.
     #[must_use]
     pub fn new_steady(tuning: &Tuning, distance_m: f64, rate_mps: f64, normals: [f64; 3]) -> Self {
-        let error = tuning.steady_cholesky * Vector3::from(normals);
+        let [distance_error_m, rate_error_mps, acceleration_mps2] =
+            tuning.steady_cholesky * normals;
         let predicted = DistanceEstimate {
-            distance_m: distance_m + error.x,
-            rate_mps: rate_mps + error.y,
-            acceleration_mps2: error.z,
+            distance_m: distance_m + distance_error_m,
+            rate_mps: rate_mps + rate_error_mps,
+            acceleration_mps2,
         };
         Self {
             prediction: predicted,
@@ -220,7 +234,7 @@ impl Filter {
             .unwrap_or(&tuning.steady_covariance);
         Innovation {
             residual_m: measured_m - self.prediction.distance_m,
-            variance_m2: covariance[(0, 0)] + tuning.measurement_variance,
+            variance_m2: covariance.0[0][0] + tuning.measurement_variance,
         }
     }
 
@@ -270,9 +284,9 @@ impl Filter {
                 Some(covariance) => tuning.gain(covariance),
             };
             let residual_m = measured_m - estimate.distance_m;
-            estimate.distance_m += gain.x * residual_m;
-            estimate.rate_mps += gain.y * residual_m;
-            estimate.acceleration_mps2 += gain.z * residual_m;
+            estimate.distance_m += gain[0] * residual_m;
+            estimate.rate_mps += gain[1] * residual_m;
+            estimate.acceleration_mps2 += gain[2] * residual_m;
         }
         if measured_m.is_none() || self.covariance.is_some() {
             self.update_covariance(tuning, measured_m.is_some());
