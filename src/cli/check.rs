@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::global_options::GlobalOptions;
 use clap::Args;
-use crumple_verify::{Certificate, CertificateParseError, ProvedClaim, Statement, WorkLimit};
+use crumple_verify::{Certificate, CertificateParseError, ClaimSubject, WorkLimit};
 use serde::Serialize;
 
 use super::output_format::OutputFormat;
@@ -148,10 +148,8 @@ impl Check {
             global.controllers,
         )
         .map_err(|refused| CliError::at(path, refused))?;
-        let is_count = matches!(
-            report.accepted,
-            Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. })
-        );
+        let is_about_runs = matches!(certificate.statement.subject(), ClaimSubject::Runs(_));
+        let is_count = is_about_runs && report.accepted.is_ok();
         report.counts = match self.rerun {
             _ if !is_count => None,
             Some(percent) => Some(self.rerun_counts(path, certificate, percent, global)?),
@@ -228,12 +226,9 @@ impl Check {
         }
         let found = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
-        let is_of_reference = match &certificate.statement {
-            Statement::Reach(_) | Statement::Invariant(_) => certificate
-                .policy_reference()
-                .is_some_and(|(_, digest)| digest == Policy::reference().digest()),
-            _ => false,
-        };
+        let is_of_reference = certificate
+            .policy_reference()
+            .is_some_and(|(_, digest)| digest == Policy::reference().digest());
         Ok(found.or_else(|| {
             (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())
         }))

@@ -30,34 +30,115 @@
 //! and egos, no ego that brakes to u at most falls back, nor does a leader that does not brake. A follower that has not
 //! fired may fire later and fall back; its speed must not exceed u.
 
-use crate::certificate::AvoidableClaim;
-use crate::claim::Scene;
+use serde::{Deserialize, Serialize};
+
+use crate::assumption::Assumption;
+use crate::bounded;
+use crate::claim::{ConstantPiece, MAX_EGOS, Scene};
 use crate::interval::Interval;
 use crate::motion::{distance_and_speed_after, expand_pieces};
-use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
-use crate::{ProvedClaim, Rejection, SafetyAfterHorizon};
+use crate::rejection::Rejection;
+use crate::scope::Scope;
+use crate::work::OPS_PER_INTERVAL_OP;
+use crate::{CheckInput, Claim, ClaimSubject, ProvedClaim};
 
 const OPS_PER_STEP: u64 = 20 * OPS_PER_INTERVAL_OP;
 
-pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
-    claim.scene.check()?;
-    work.charge_or_reject(
-        claim.scene.instant_count() * claim.scene.vehicle_count() * OPS_PER_STEP,
-    )?;
-    check_profiles(claim)?;
-    let (smallest_gap_m, afterwards) = replay(claim)?;
-    let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
-    if smallest_gap_m >= stated_m {
-        Ok(ProvedClaim::Avoidable {
-            min_gap_m: smallest_gap_m,
-            horizon_s: claim.scene.horizon_s(),
-            after_horizon: afterwards,
+/// A profile that avoids a collision.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AvoidableClaim {
+    /// Scene of the claim.
+    pub scene: Scene,
+    /// Acceleration of each ego over each of the N steps, in m/s².
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub witness: Vec<Vec<ConstantPiece<f64>>>,
+    /// Optional claim: lower bound of all gaps, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_gap_m_at_least: Option<f64>,
+}
+
+/// Safety after a stated profile has ended without a collision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SafetyAfterHorizon {
+    /// Every vehicle behind the leader can stop within the gap ahead: safe for any leader.
+    ForAnyLeader,
+    /// Every vehicle behind the leader can slow down to the slowest ahead: safe if the leader brakes no more.
+    UnlessLeaderBrakes,
+    /// Nothing is shown.
+    Unproved,
+}
+
+impl SafetyAfterHorizon {
+    /// Returns the name in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ForAnyLeader => "whatever-the-leader-does",
+            Self::UnlessLeaderBrakes => "if-the-leader-does-not-brake",
+            Self::Unproved => "not-shown",
+        }
+    }
+}
+
+impl std::fmt::Display for SafetyAfterHorizon {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::ForAnyLeader => {
+                "and a collision remains avoidable afterwards, whatever the leader does"
+            }
+            Self::UnlessLeaderBrakes => {
+                "and a collision remains avoidable afterwards, if the leader does not brake again"
+            }
+            Self::Unproved => "nothing is proved about the time afterwards",
         })
-    } else {
-        Err(Rejection::GapTooSmall {
-            stated_m,
-            min_gap_m: smallest_gap_m,
-        })
+    }
+}
+
+impl Claim for AvoidableClaim {
+    fn name(&self) -> &'static str {
+        "avoidable"
+    }
+
+    fn subject(&self) -> ClaimSubject<'_> {
+        ClaimSubject::Scene {
+            scene: &self.scene,
+            profile: Some(&self.witness),
+        }
+    }
+
+    fn assumptions(&self) -> Vec<Assumption> {
+        self.scene.assumptions(Assumption::EgoOnProfile)
+    }
+
+    fn scope(&self) -> Scope {
+        Scope {
+            covers_after_horizon: true,
+            ..self.scene.scope()
+        }
+    }
+
+    fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
+        self.scene.check()?;
+        input.work.charge_or_reject(
+            self.scene.instant_count() * self.scene.vehicle_count() * OPS_PER_STEP,
+        )?;
+        check_profiles(self)?;
+        let (smallest_gap_m, afterwards) = replay(self)?;
+        let stated_m = self.min_gap_m_at_least.unwrap_or(0.0);
+        if smallest_gap_m >= stated_m {
+            Ok(ProvedClaim::Avoidable {
+                min_gap_m: smallest_gap_m,
+                horizon_s: self.scene.horizon_s(),
+                after_horizon: afterwards,
+            })
+        } else {
+            Err(Rejection::GapTooSmall {
+                stated_m,
+                min_gap_m: smallest_gap_m,
+            })
+        }
     }
 }
 

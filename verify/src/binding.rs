@@ -4,27 +4,11 @@
 //! the numbers of the statement with the texts. A rate states its space and program twice; both must agree. Fields that
 //! do not belong to a kind of statement are rejected, so that no part of a certificate stays unchecked.
 
-use crate::canonical::{is_sha256, sha256};
-use crate::certificate::{Assumption, Certificate, CertificateProvenance, Statement};
-use crate::invariant::NetworkReference;
-use crate::rate::Registration;
-use crate::reach::controller_file_name;
-use crate::{Rejection, rate};
-
-/// Entries of every registration, and those of a second controller.
-const REQUIRED_ENTRIES: [&str; 9] = [
-    "controller",
-    "controller_sha256",
-    "crumple",
-    "estimator",
-    "failure",
-    "horizon_s",
-    "seed",
-    "space",
-    "space_sha256",
-];
-const COMPARISON_ENTRIES: [&str; 2] = ["against", "against_sha256"];
-const POLICY_ENTRIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
+use crate::ClaimSubject;
+use crate::assumption::Assumption;
+use crate::canonical::sha256;
+use crate::certificate::{Certificate, CertificateProvenance};
+use crate::rejection::Rejection;
 
 /// Checks all that version 2 adds.
 pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
@@ -42,57 +26,36 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
             "are not in the order of their definition",
         ));
     }
-    match &certificate.statement {
-        Statement::Kernel(_) => check_no_source(
-            provenance,
-            "must be absent: a kernel does not belong to a scenario",
-        ),
-        Statement::Reach(claim) => {
-            check_source(provenance)?;
-            if provenance.box_text.is_none() {
-                return Err(Rejection::invalid("provenance.box_text", "is missing"));
-            }
-            check_policy_file_name(
-                &claim.policy_file,
-                &claim.policy_sha256,
-                claim.source.is_some(),
-            )
-        }
-        Statement::Invariant(claim) => {
-            check_source(provenance)?;
-            if provenance.box_text.is_none() {
-                return Err(Rejection::invalid("provenance.box_text", "is missing"));
-            }
-            let check = |of: &NetworkReference| {
-                check_policy_file_name(&of.policy_file, &of.policy_sha256, of.source.is_some())
-            };
-            claim.network().map_or(Ok(()), check)
-        }
-        Statement::Rate(claim) => {
-            check_space(provenance, &claim.registration, false)?;
-            rate::check_rate_blocks(claim)
-        }
-        Statement::Comparison(claim) => {
-            check_space(provenance, &claim.registration, true)?;
-            rate::check_comparison_blocks(claim)
-        }
-        _ => check_source(provenance),
-    }
+    let claim = certificate.statement.claim();
+    check_texts(provenance, claim.subject())?;
+    claim.check_fields(provenance)
 }
 
-/// Checks that the name of a network file follows from its digest.
-fn check_policy_file_name(
-    file: &str,
-    digest: &str,
-    is_from_outside: bool,
+/// Checks that the certificate contains the texts that its subject needs.
+fn check_texts(
+    provenance: &CertificateProvenance,
+    subject: ClaimSubject<'_>,
 ) -> Result<(), Rejection> {
-    if is_sha256(digest) && file == controller_file_name(digest, is_from_outside) {
-        Ok(())
-    } else {
-        Err(Rejection::invalid(
-            "policy_file",
-            "is not named after `policy_sha256`",
-        ))
+    let box_problem = match subject {
+        ClaimSubject::AnyVehicles => {
+            return check_no_source(
+                provenance,
+                "must be absent: a kernel does not belong to a scenario",
+            );
+        }
+        ClaimSubject::Scene { .. } => None,
+        ClaimSubject::InitialStates(_) | ClaimSubject::Region(_) => {
+            provenance.box_text.is_none().then_some("is missing")
+        }
+        ClaimSubject::Runs(_) => {
+            let has_box = provenance.box_text.is_some();
+            has_box.then_some("must be absent: runs are drawn from a space")
+        }
+    };
+    check_source(provenance)?;
+    match box_problem {
+        Some(problem) => Err(Rejection::invalid("provenance.box_text", problem)),
+        None => Ok(()),
     }
 }
 
@@ -132,79 +95,4 @@ fn check_source(provenance: &CertificateProvenance) -> Result<(), Rejection> {
         ));
     }
     Ok(())
-}
-
-/// Checks that the registration names the space of the provenance and has only known entries.
-fn check_space(
-    provenance: &CertificateProvenance,
-    registration: &Registration,
-    two: bool,
-) -> Result<(), Rejection> {
-    check_source(provenance)?;
-    if provenance.box_text.is_some() {
-        return Err(Rejection::invalid(
-            "provenance.box_text",
-            "must be absent: runs are drawn from a space",
-        ));
-    }
-    let place = |key: &str| format!("registration.configuration.{key}");
-    let entries = &registration.configuration;
-    let needed = || {
-        REQUIRED_ENTRIES
-            .iter()
-            .chain(COMPARISON_ENTRIES.iter().filter(|_| two))
-    };
-    if let Some(key) = needed().find(|key| entries.get(**key).is_none_or(String::is_empty)) {
-        return Err(Rejection::invalid(place(key), "is missing"));
-    }
-    let may_be = |key: &str| {
-        needed()
-            .chain(POLICY_ENTRIES.iter().take(if two { 2 } else { 1 }))
-            .any(|known| *known == key)
-    };
-    if let Some(key) = entries.keys().find(|key| !may_be(key)) {
-        return Err(Rejection::invalid(place(key), "is not known"));
-    }
-    if let Some((key, _)) = entries
-        .iter()
-        .find(|(key, value)| key.ends_with("_sha256") && !is_sha256(value))
-    {
-        return Err(Rejection::invalid(place(key), "is not a SHA-256"));
-    }
-    if entries
-        .get("seed")
-        .is_none_or(|seed| seed.parse::<u64>().map(|read| read.to_string()).as_ref() != Ok(seed))
-    {
-        return Err(Rejection::invalid(place("seed"), "must be a whole number"));
-    }
-    let is_positive = |text: &String| {
-        text.parse::<f64>()
-            .is_ok_and(|value| value > 0.0 && value.is_finite())
-    };
-    if !entries.get("horizon_s").is_some_and(is_positive) {
-        return Err(Rejection::invalid(
-            place("horizon_s"),
-            "must be a positive number",
-        ));
-    }
-    let doubled = [
-        ("crumple", &provenance.crumple, "differs from `provenance`"),
-        (
-            "space",
-            &provenance.scenario,
-            "differs from `provenance.scenario`",
-        ),
-        (
-            "space_sha256",
-            &provenance.scenario_sha256,
-            "differs from `provenance.scenario_sha256`",
-        ),
-    ];
-    match doubled
-        .into_iter()
-        .find(|(key, value, _)| entries.get(*key) != Some(*value))
-    {
-        Some((key, _, problem)) => Err(Rejection::invalid(place(key), problem)),
-        None => Ok(()),
-    }
 }

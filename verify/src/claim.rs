@@ -5,9 +5,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Rejection;
+use crate::assumption::Assumption;
 use crate::bounded;
 use crate::interval::Interval;
+use crate::number::format_range;
+use crate::rejection::Rejection;
+use crate::scope::Scope;
 
 pub(crate) const MAX_STEPS: u32 = 100_000;
 /// Maximum number of egos of a scene.
@@ -170,6 +173,73 @@ impl Scene {
             Ok(())
         } else {
             Err(Rejection::invalid(field(), "must last for all N steps"))
+        }
+    }
+
+    /// Returns the assumptions of a claim about the scene with a statement about its egos.
+    pub(crate) fn assumptions(&self, about_egos: Assumption) -> Vec<Assumption> {
+        let follower = self.follower.as_ref().map(|_| Assumption::LatchedFollower);
+        [
+            Assumption::ExactMotion,
+            Assumption::ScriptedLeader,
+            about_egos,
+        ]
+        .into_iter()
+        .chain(follower)
+        .collect()
+    }
+
+    /// Returns the scope of a claim about the scene.
+    pub(crate) fn scope(&self) -> Scope {
+        let leader = &self.leader;
+        let script = &leader.acceleration_mps2;
+        let ends = |held: &ConstantPiece<Interval>| [held.1.low(), held.1.high()];
+        let hull = script
+            .iter()
+            .map(ends)
+            .reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
+        let script = match hull.and_then(|[low, high]| Interval::new(low, high)) {
+            Some(accelerations) => format!(
+                "a script of {} pieces at {} m/s²",
+                script.len(),
+                format_range(accelerations)
+            ),
+            None => "no script".to_owned(),
+        };
+        let start = |position_m: Interval, speed_mps: Interval| {
+            format!(
+                "front bumper at {} m, {} m/s",
+                format_range(position_m),
+                format_range(speed_mps)
+            )
+        };
+        let mut vehicles = vec![format!(
+            "leader: {}, {} m long, {script}",
+            start(leader.position_m, leader.speed_mps),
+            leader.length_m
+        )];
+        vehicles.extend(self.egos.iter().map(|ego| {
+        let SceneEgo { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
+        format!(
+            "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to \
+             {max_accel_mps2} m/s²",
+            start(*position_m, *speed_mps)
+        )
+    }));
+        let behind = match &self.follower {
+            Some(follower) => format!(
+                "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
+                start(follower.position_m, follower.speed_mps),
+                format_range(follower.brake_mps2),
+                follower.reaction_steps,
+                follower.ttc_s
+            ),
+            None => "behind: no vehicle is part of the claim".to_owned(),
+        };
+        let limits = vec![format!("{} steps of {} s", self.steps, self.step_s)];
+        Scope {
+            behind: Some(behind),
+            ..Scope::new(Some(self.horizon_s()), vehicles, limits)
         }
     }
 }

@@ -49,9 +49,11 @@ use num_rational::BigRational;
 use num_traits::Signed;
 use serde::{Deserialize, Serialize};
 
+use crate::assumption::Assumption;
 use crate::polynomial::Polynomial;
-use crate::work::OpBudget;
-use crate::{ProvedClaim, Rejection};
+use crate::rejection::Rejection;
+use crate::scope::Scope;
+use crate::{CheckInput, Claim, ClaimSubject, ProvedClaim};
 
 /// Cost for the longest numbers; the polynomials are always the same.
 const OPS_PER_CHECK: u64 = 50_000_000;
@@ -78,54 +80,91 @@ pub struct KernelClaim {
     pub catching_up_squared: Option<String>,
 }
 
-/// Checks a kernel.
-///
-/// # Errors
-/// [`Rejection`] names the field that is no number or not positive, or the first case in which the proof fails.
-pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
-    work.charge_or_reject(OPS_PER_CHECK)?;
-    let positive = |field, text| match parse_rational(field, text)? {
-        value if value.is_positive() => Ok(value),
-        _ => Err(Rejection::invalid(field, "must be positive")),
-    };
-    let b = positive("ego_brake_mps2", &kernel.ego_brake_mps2)?;
-    let c = positive("leader_brake_mps2", &kernel.leader_brake_mps2)?;
-    positive("step_s", &kernel.step_s)?;
-    positive("margin_m", &kernel.margin_m)?;
-    let p = parse_rational("stopping_own_squared", &kernel.stopping_own_squared)?;
-    let q = parse_rational("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
-    let r = kernel
-        .catching_up_squared
-        .as_ref()
-        .map(|text| parse_rational("catching_up_squared", text))
-        .transpose()?;
-    let limits = BrakeLimits {
-        b: &b,
-        c: &c,
-        stopping_coefficients: [&p, &q],
-    };
-    let cases = match (r, b > c) {
-        (Some(r), true) => [
-            &limits.last_stop_cases()[..],
-            &[limits.harder_braking_case()],
-            &limits.catching_up_cases(&r),
+impl Claim for KernelClaim {
+    fn name(&self) -> &'static str {
+        "kernel"
+    }
+
+    fn subject(&self) -> ClaimSubject<'_> {
+        ClaimSubject::AnyVehicles
+    }
+
+    fn assumptions(&self) -> Vec<Assumption> {
+        vec![
+            Assumption::ExactMotion,
+            Assumption::LeaderWithinLimit,
+            Assumption::EgoCanBrake,
         ]
-        .concat(),
-        (None, false) => [
-            &limits.last_stop_cases()[..],
-            &limits.softer_braking_cases(),
+    }
+
+    fn scope(&self) -> Scope {
+        // Texts from a file must not control a terminal.
+        let [b, c, step_s, margin_m] = [
+            &self.ego_brake_mps2,
+            &self.leader_brake_mps2,
+            &self.step_s,
+            &self.margin_m,
         ]
-        .concat(),
-        _ => {
-            return Err(Rejection::invalid(
-                "catching_up_squared",
-                "must be present exactly if b > c",
-            ));
+        .map(|text| text.escape_debug());
+        let vehicles = vec![
+            format!("ahead: never brakes harder than {c} m/s², and does not reverse"),
+            format!("own: can brake at {b} m/s² from every decision on"),
+        ];
+        let limits = vec![format!(
+            "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither \
+             lag nor delay"
+        )];
+        Scope {
+            behind: Some("behind: not considered".to_owned()),
+            ..Scope::new(Some(f64::INFINITY), vehicles, limits)
         }
-    };
-    match cases.into_iter().find(|case| !case.holds()) {
-        Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
-        None => Ok(ProvedClaim::Kernel),
+    }
+
+    fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
+        input.work.charge_or_reject(OPS_PER_CHECK)?;
+        let positive = |field, text| match parse_rational(field, text)? {
+            value if value.is_positive() => Ok(value),
+            _ => Err(Rejection::invalid(field, "must be positive")),
+        };
+        let b = positive("ego_brake_mps2", &self.ego_brake_mps2)?;
+        let c = positive("leader_brake_mps2", &self.leader_brake_mps2)?;
+        positive("step_s", &self.step_s)?;
+        positive("margin_m", &self.margin_m)?;
+        let p = parse_rational("stopping_own_squared", &self.stopping_own_squared)?;
+        let q = parse_rational("stopping_ahead_squared", &self.stopping_ahead_squared)?;
+        let r = self
+            .catching_up_squared
+            .as_ref()
+            .map(|text| parse_rational("catching_up_squared", text))
+            .transpose()?;
+        let limits = BrakeLimits {
+            b: &b,
+            c: &c,
+            stopping_coefficients: [&p, &q],
+        };
+        let cases = match (r, b > c) {
+            (Some(r), true) => [
+                &limits.last_stop_cases()[..],
+                &[limits.harder_braking_case()],
+                &limits.catching_up_cases(&r),
+            ]
+            .concat(),
+            (None, false) => [
+                &limits.last_stop_cases()[..],
+                &limits.softer_braking_cases(),
+            ]
+            .concat(),
+            _ => {
+                return Err(Rejection::invalid(
+                    "catching_up_squared",
+                    "must be present exactly if b > c",
+                ));
+            }
+        };
+        match cases.into_iter().find(|case| !case.holds()) {
+            Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
+            None => Ok(ProvedClaim::Kernel),
+        }
     }
 }
 

@@ -2,8 +2,9 @@
 //!
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
 //! This crate accepts or rejects the file, without random numbers. Modules in reading order: [`interval`], [`claim`],
-//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`], [`invariant`],
-//! [`certificate`], [`scope`], [`work`].
+//! [`motion`], [`avoidable`], [`unavoidable`], [`gap_bound`], [`polynomial`], [`kernel`], [`registration`], [`rate`],
+//! [`comparison`], [`reach`], [`invariant`], [`assumption`], [`certificate`], [`scope`], [`work`]. Each kind of claim
+//! is a variant of [`Statement`], and has a file.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test. Behind them there may be a
@@ -54,38 +55,180 @@
 //! # Ok::<(), crumple_verify::CertificateParseError>(())
 //! ```
 
+pub mod assumption;
 pub mod avoidable;
 mod binding;
 mod bounded;
 mod canonical;
 pub mod certificate;
 pub mod claim;
+pub mod comparison;
+pub mod gap_bound;
 pub mod interval;
 pub mod invariant;
 pub mod kernel;
 pub mod motion;
+mod number;
 pub mod polynomial;
 pub mod rate;
 pub mod reach;
+pub mod registration;
+pub mod rejection;
 pub mod scope;
 pub mod unavoidable;
 pub mod work;
 
-pub use certificate::{
-    Assumption, AvoidableClaim, Branch, Certificate, CertificateParseError, CertificateProvenance,
-    GapBoundClaim, MultiplierRows, Statement, UnavoidableClaim,
-};
+use serde::{Deserialize, Serialize};
+
+pub use assumption::Assumption;
+pub use avoidable::{AvoidableClaim, SafetyAfterHorizon};
+pub use certificate::{Certificate, CertificateParseError, CertificateProvenance};
 pub use claim::{ConstantPiece, Scene, SceneEgo, SceneFollower, SceneLeader};
+pub use comparison::ComparisonClaim;
+pub use gap_bound::GapBoundClaim;
 pub use interval::Interval;
 pub use invariant::InvariantClaim;
 pub use kernel::KernelClaim;
-pub use rate::{ComparisonClaim, RateClaim, Registration};
+pub use rate::RateClaim;
 pub use reach::ReachClaim;
+pub use registration::Registration;
+pub use rejection::Rejection;
 pub use scope::Scope;
-use work::OpBudget;
+pub use unavoidable::{Branch, MultiplierRows, UnavoidableClaim};
 pub use work::WorkLimit;
 
-/// A proved claim.
+use number::{round_down, round_up};
+use registration::CertifiedBlock;
+use work::OpBudget;
+
+/// A claim with its proof: one variant for each kind of claim. The type of a variant states all that is particular to
+/// the kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Statement {
+    /// One profile of ego accelerations avoids a collision.
+    Avoidable(AvoidableClaim),
+    /// No profile of ego accelerations avoids a collision.
+    Unavoidable(UnavoidableClaim),
+    /// No profile of ego accelerations keeps every gap larger than stated.
+    GapBound(GapBoundClaim),
+    /// From exactly these states a collision can be avoided.
+    Kernel(KernelClaim),
+    /// A bound of a controller's failure rate.
+    Rate(RateClaim),
+    /// One controller fails less often than another.
+    Comparison(ComparisonClaim),
+    /// A policy avoids collisions from parts of a box.
+    Reach(ReachClaim),
+    /// A controller keeps a set of states, in which it never collides.
+    Invariant(Box<InvariantClaim>),
+}
+
+impl Statement {
+    fn claim(&self) -> &dyn Claim {
+        match self {
+            Self::Avoidable(claim) => claim,
+            Self::Unavoidable(claim) => claim,
+            Self::GapBound(claim) => claim,
+            Self::Kernel(claim) => claim,
+            Self::Rate(claim) => claim,
+            Self::Comparison(claim) => claim,
+            Self::Reach(claim) => claim,
+            Self::Invariant(claim) => &**claim,
+        }
+    }
+
+    /// Returns the name in a file.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.claim().name()
+    }
+
+    /// Returns the subject.
+    #[must_use]
+    pub fn subject(&self) -> ClaimSubject<'_> {
+        self.claim().subject()
+    }
+
+    /// Returns the scene of the statement, if it has one.
+    #[must_use]
+    pub fn scene(&self) -> Option<&Scene> {
+        match self.subject() {
+            ClaimSubject::Scene { scene, .. } => Some(scene),
+            _ => None,
+        }
+    }
+
+    /// Returns the assumptions of the statement.
+    #[must_use]
+    pub fn assumptions(&self) -> Vec<Assumption> {
+        self.claim().assumptions()
+    }
+
+    /// Returns the counts and the hash of each block of runs, in order; `None` if the claim counts nothing.
+    #[must_use]
+    pub fn counted_blocks(&self) -> Option<Vec<CertifiedBlock<[u64; 2]>>> {
+        self.claim().counted_blocks()
+    }
+}
+
+/// One kind of claim, with its proof.
+trait Claim {
+    /// Returns the name in a file: that of the variant of [`Statement`].
+    fn name(&self) -> &'static str;
+
+    /// Returns the subject, which decides what texts a certificate must contain.
+    fn subject(&self) -> ClaimSubject<'_>;
+
+    /// Returns the assumptions, in the order of their definition.
+    fn assumptions(&self) -> Vec<Assumption>;
+
+    /// Returns the scope, without a description of the subject.
+    fn scope(&self) -> Scope;
+
+    /// Checks fields that version 2 requires and the proof does not use.
+    fn check_fields(&self, _provenance: &CertificateProvenance) -> Result<(), Rejection> {
+        Ok(())
+    }
+
+    /// Checks the proof.
+    fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection>;
+
+    /// Returns the failures of the first and second controller, and the hash, of each block of runs.
+    fn counted_blocks(&self) -> Option<Vec<CertifiedBlock<[u64; 2]>>> {
+        None
+    }
+}
+
+/// Input of the check of a proof, besides the claim.
+struct CheckInput<'a> {
+    /// Content of the policy file.
+    policy: Option<&'a [u8]>,
+    is_first_version: bool,
+    work: &'a OpBudget,
+}
+
+/// The subject of a claim.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ClaimSubject<'a> {
+    /// Any two vehicles with the stated limits. The certificate contains no text.
+    AnyVehicles,
+    /// A scene, which a scenario describes.
+    Scene {
+        /// The scene.
+        scene: &'a Scene,
+        /// Accelerations of each ego, for a claim about one profile; `None` for a claim about every profile.
+        profile: Option<&'a [Vec<ConstantPiece<f64>>]>,
+    },
+    /// A box of initial states around a scenario.
+    InitialStates(&'a ReachClaim),
+    /// A region of states, with the limits of a scenario.
+    Region(&'a InvariantClaim),
+    /// Runs in a scenario space.
+    Runs(&'a Registration),
+}
+
+/// A proved claim, one variant for each kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ProvedClaim {
@@ -152,44 +295,6 @@ pub enum ProvedClaim {
     },
 }
 
-/// Safety after a stated profile has ended without a collision.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum SafetyAfterHorizon {
-    /// Every vehicle behind the leader can stop within the gap ahead: safe for any leader.
-    ForAnyLeader,
-    /// Every vehicle behind the leader can slow down to the slowest ahead: safe if the leader brakes no more.
-    UnlessLeaderBrakes,
-    /// Nothing is shown.
-    Unproved,
-}
-
-impl SafetyAfterHorizon {
-    /// Returns the name in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::ForAnyLeader => "whatever-the-leader-does",
-            Self::UnlessLeaderBrakes => "if-the-leader-does-not-brake",
-            Self::Unproved => "not-shown",
-        }
-    }
-}
-
-impl std::fmt::Display for SafetyAfterHorizon {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(match self {
-            Self::ForAnyLeader => {
-                "and a collision remains avoidable afterwards, whatever the leader does"
-            }
-            Self::UnlessLeaderBrakes => {
-                "and a collision remains avoidable afterwards, if the leader does not brake again"
-            }
-            Self::Unproved => "nothing is proved about the time afterwards",
-        })
-    }
-}
-
 impl std::fmt::Display for ProvedClaim {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -197,16 +302,16 @@ impl std::fmt::Display for ProvedClaim {
                 formatter,
                 "avoidable: on the stated profile no gap is ever smaller than {} m for {horizon_s} s; \
                  {afterwards}",
-                scope::round_down(*smallest_gap_m)
+                round_down(*smallest_gap_m)
             ),
             Self::Unavoidable { overlap_m, horizon_s } => write!(
                 formatter,
                 "unavoidable: for every command, two vehicles would overlap by {} m or more within \
                  {horizon_s} s",
-                scope::round_down(*overlap_m)
+                round_down(*overlap_m)
             ),
             Self::GapBound { gap_m, horizon_s } => {
-                let gap_m = scope::round_up(*gap_m);
+                let gap_m = round_up(*gap_m);
                 write!(formatter, "gap bound: for every command, some gap is at most {gap_m} m within {horizon_s} s")
             }
             Self::Kernel => formatter.write_str(
@@ -214,7 +319,7 @@ impl std::fmt::Display for ProvedClaim {
                  any other state",
             ),
             Self::Rate { max_rate: at_most, confidence } => {
-                let at_most = scope::round_up(*at_most);
+                let at_most = round_up(*at_most);
                 write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
             }
             Self::FailsLessOften { confidence } => write!(
@@ -241,7 +346,7 @@ impl std::fmt::Display for ProvedClaim {
                 "reach: in {:.2} % of the box's volume no gap is ever smaller than {} m for {horizon_s} s, {}{}; {:.2} \
                  % of it is in cells with an initial state that ends in a collision",
                 (1e4 * verified_share).floor() / 1e2,
-                scope::round_down(*smallest_gap_m),
+                round_down(*smallest_gap_m),
                 limit.map_or_else(String::new, |limit| format!("however the leader brakes at up to {limit} m/s², ")),
                 if *has_follower { "with a vehicle behind" } else { "with no vehicle behind" },
                 (1e4 * falsified_share).floor() / 1e2
@@ -250,122 +355,9 @@ impl std::fmt::Display for ProvedClaim {
                 formatter,
                 "invariant: from a set with {:.2} % of the region's volume, no gap is ever smaller than {} m{}",
                 (1e4 * share).floor() / 1e2,
-                scope::round_down(*min_gap_m),
+                round_down(*min_gap_m),
                 if *own_speed_is_kept { "" } else { ", until the own speed leaves its range" }
             ),
-        }
-    }
-}
-
-/// Reason for which a certificate proves nothing.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum Rejection {
-    /// A field has an invalid value.
-    #[error("`{field}` {problem}")]
-    Invalid {
-        /// Name of the field.
-        field: String,
-        /// Description of the problem.
-        problem: &'static str,
-    },
-    /// The assumptions are not those that the statement needs.
-    #[error("`assumptions` must be {needed:?}, and only noise-of-seed may be added")]
-    Assumptions {
-        /// Assumptions that the statement needs.
-        needed: Vec<Assumption>,
-    },
-    /// Two vehicles may collide on the stated profile.
-    #[error(
-        "vehicle {front_vehicle} and its follower may collide in step {step}: only a gap of {gap_m} m is proved"
-    )]
-    MayCollide {
-        /// Index of the vehicle ahead, 0 for the leader.
-        front_vehicle: usize,
-        /// Index of the step, from 0.
-        step: u32,
-        /// Proved lower bound of the gap, in metres.
-        gap_m: f64,
-    },
-    /// The smallest gap is not proved to be as large as stated.
-    #[error("`min_gap_m_at_least` is {stated_m}, and only {min_gap_m} m is proved")]
-    GapTooSmall {
-        /// Stated bound, in metres.
-        stated_m: f64,
-        /// Proved bound, in metres.
-        min_gap_m: f64,
-    },
-    /// The branches do not cover the firing instants one after the other.
-    #[error(
-        "`branches[{branch}]` must begin where the previous one ends, and end no later than instant N"
-    )]
-    Tiling {
-        /// Index of the branch.
-        branch: usize,
-    },
-    /// The multipliers of a branch prove nothing.
-    #[error("`branches[{branch}]` is not proved: its sum may be as low as {sum_m} m")]
-    Unproved {
-        /// Index of the branch.
-        branch: usize,
-        /// Lower bound of the sum, in metres.
-        sum_m: f64,
-    },
-    /// No gap is proved to get as small as stated.
-    #[error("`gap_m` is {stated_m}, and only {gap_m} m is proved")]
-    GapBound {
-        /// Stated gap, in metres.
-        stated_m: f64,
-        /// Proved gap, in metres.
-        gap_m: f64,
-    },
-    /// The policy file is missing, is not the one of the claim, or is not usable.
-    #[error("the policy file {problem}")]
-    Policy {
-        /// Description of the problem.
-        problem: String,
-    },
-    /// The claim about a cell of a partition is not proved.
-    #[error("leaf {leaf} of `partition`: {problem}")]
-    Leaf {
-        /// Index among the cells that are not cut.
-        leaf: usize,
-        /// Reason.
-        problem: String,
-    },
-    /// A state of a set may leave it.
-    #[error("cell {cell} of the set: a state may leave the set; {missing_m} m are missing")]
-    LeavesSet {
-        /// Index of the cell.
-        cell: usize,
-        /// Missing height, in metres.
-        missing_m: f64,
-    },
-    /// Checking exceeds the operation limit: the claim stays undecided.
-    #[error("the check takes more than the allowed {limit} operations")]
-    BudgetExceeded {
-        /// Allowed number of operations.
-        limit: WorkLimit,
-    },
-    /// The observation, or a better one, is too probable if the claim is false.
-    #[error(
-        "the observed counts, or better ones, may have probability {} if the claim is false, and at most {} is allowed",
-        scope::format_number(*tail_probability),
-        scope::format_number(*max_tail_probability)
-    )]
-    NotSignificant {
-        /// Upper bound of the probability.
-        tail_probability: f64,
-        /// 1 - confidence.
-        max_tail_probability: f64,
-    },
-}
-
-impl Rejection {
-    fn invalid(field: impl Into<String>, problem: &'static str) -> Self {
-        Self::Invalid {
-            field: field.into(),
-            problem,
         }
     }
 }
@@ -395,17 +387,9 @@ pub fn check_with(
     if !certificate.is_first_version() {
         binding::check(certificate)?;
     }
-    let work = &OpBudget::new(limit);
-    match &certificate.statement {
-        Statement::Avoidable(claim) => avoidable::check(claim, work),
-        Statement::Unavoidable(claim) => unavoidable::check(claim, work),
-        Statement::GapBound(claim) => unavoidable::check_gap_bound(claim, work),
-        Statement::Kernel(claim) => kernel::check(claim, work),
-        Statement::Rate(claim) => rate::check_rate(claim, work),
-        Statement::Comparison(claim) => rate::check_comparison(claim, work),
-        Statement::Reach(claim) => {
-            reach::check(claim, policy, certificate.is_first_version(), work)
-        }
-        Statement::Invariant(claim) => invariant::check(claim, policy, work),
-    }
+    certificate.statement.claim().check(&CheckInput {
+        policy,
+        is_first_version: certificate.is_first_version(),
+        work: &OpBudget::new(limit),
+    })
 }

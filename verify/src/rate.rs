@@ -18,53 +18,21 @@
 //! The tail is evaluated upwards: every factor is positive, and every operation rounds to nearest and then up by one
 //! floating-point number. The result is an upper bound of F.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
+use crate::assumption::Assumption;
 use crate::bounded;
-use crate::canonical;
-use crate::work::OpBudget;
-use crate::{ProvedClaim, Rejection};
+use crate::certificate::CertificateProvenance;
+use crate::registration::{CertifiedBlock, Registration};
+pub use crate::registration::{MAX_BLOCKS, MAX_RUNS};
+use crate::rejection::Rejection;
+use crate::scope::Scope;
+use crate::{CheckInput, Claim, ClaimSubject, ProvedClaim};
 
-/// Maximum number of runs of a certificate.
-pub const MAX_RUNS: u64 = 1_000_000_000;
 /// Maximum number of runs for a tail with one factor per run; above it, powers of the common factor are used.
 const MAX_FACTORWISE_RUNS: u64 = 100_000_000;
 
-/// Maximum number of blocks of runs.
-pub const MAX_BLOCKS: u64 = 10_000;
-
-const MAX_ENTRIES: usize = 10_000;
-const OPS_PER_RUN: u64 = 100;
-
-/// Parameters that were fixed before the first run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Registration {
-    /// Controllers, scenario space, seed and version of the runs. Nothing is concluded from them.
-    #[serde(deserialize_with = "bounded::deserialize_map::<MAX_ENTRIES, _>")]
-    pub configuration: BTreeMap<String, String>,
-    /// n, the number of runs.
-    pub runs: u64,
-    /// γ, above 1/2, read as the nearest floating-point number.
-    pub confidence: f64,
-    /// Runs per hashed block; the last block may be shorter. Since version 2.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub block_runs: Option<u64>,
-}
-
-/// Counts of a block of runs, and a hash that only the author of the runs can know.
-pub(crate) type CertifiedBlock<T> = (T, String);
-
-impl Registration {
-    /// Returns the SHA-256 in hexadecimal of the registration as compact JSON with fields in the order of this type.
-    #[must_use]
-    pub fn digest(&self) -> String {
-        // A struct of strings and numbers always has a JSON form.
-        canonical::sha256(serde_json::to_vec(self).unwrap_or_default())
-    }
-}
+pub(crate) const OPS_PER_RUN: u64 = 100;
 
 /// The claim that a controller fails in a space at no more than a rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -87,171 +55,81 @@ pub struct RateClaim {
     pub blocks: Vec<CertifiedBlock<u64>>,
 }
 
-/// The claim that the first of two controllers fails less often than the second on the same samples.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ComparisonClaim {
-    /// Parameters that were fixed before the first run.
-    pub registration: Registration,
-    /// Published digest of the registration.
-    pub registration_sha256: String,
-    /// k, the runs in which the first fails and the second does not.
-    pub only_first_failed: u64,
-    /// d - k, the runs in which the second fails and the first does not.
-    pub only_second_failed: u64,
-    /// For each block in order: runs that only the first and only the second failed, and its hash. Since version 2.
-    #[serde(
-        default,
-        skip_serializing_if = "Vec::is_empty",
-        deserialize_with = "bounded::deserialize_list::<{ MAX_BLOCKS as usize }, _, _>"
-    )]
-    pub blocks: Vec<CertifiedBlock<[u64; 2]>>,
+impl Claim for RateClaim {
+    fn name(&self) -> &'static str {
+        "rate"
+    }
+
+    fn subject(&self) -> ClaimSubject<'_> {
+        ClaimSubject::Runs(&self.registration)
+    }
+
+    fn assumptions(&self) -> Vec<Assumption> {
+        vec![Assumption::RegisteredDraws]
+    }
+
+    fn scope(&self) -> Scope {
+        self.registration.scope()
+    }
+
+    fn check_fields(&self, provenance: &CertificateProvenance) -> Result<(), Rejection> {
+        self.registration.check_entries(provenance, 1)?;
+        self.registration
+            .check_blocks(&self.two_controller_blocks(), [self.failures, 0])
+    }
+
+    fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
+        let registration = &self.registration;
+        registration.check(&self.registration_sha256)?;
+        if self.failures >= registration.runs {
+            return Err(Rejection::invalid(
+                "failures",
+                "equal the number of runs: no bound on the rate follows",
+            ));
+        }
+        if !(self.rate_at_most > 0.0 && self.rate_at_most < 1.0) {
+            return Err(Rejection::invalid(
+                "rate_at_most",
+                "must be between 0 and 1",
+            ));
+        }
+        input
+            .work
+            .charge_or_reject(registration.runs.saturating_mul(OPS_PER_RUN))?;
+        check_tail(
+            self.failures,
+            registration.runs,
+            self.rate_at_most,
+            registration.confidence,
+        )?;
+        Ok(ProvedClaim::Rate {
+            max_rate: self.rate_at_most,
+            confidence: registration.confidence,
+        })
+    }
+
+    fn counted_blocks(&self) -> Option<Vec<CertifiedBlock<[u64; 2]>>> {
+        Some(self.two_controller_blocks())
+    }
 }
 
-pub(crate) fn check_rate(claim: &RateClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
-    let registration = &claim.registration;
-    check_registration(registration, &claim.registration_sha256)?;
-    if claim.failures >= registration.runs {
-        return Err(Rejection::invalid(
-            "failures",
-            "equal the number of runs: no bound on the rate follows",
-        ));
+impl RateClaim {
+    /// Returns the blocks with counts for two controllers, of which the second never fails.
+    fn two_controller_blocks(&self) -> Vec<CertifiedBlock<[u64; 2]>> {
+        let blocks = self.blocks.iter();
+        blocks
+            .map(|(failures, sha256)| ([*failures, 0], sha256.clone()))
+            .collect()
     }
-    if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
-        return Err(Rejection::invalid(
-            "rate_at_most",
-            "must be between 0 and 1",
-        ));
-    }
-    work.charge_or_reject(registration.runs.saturating_mul(OPS_PER_RUN))?;
-    check_tail(
-        claim.failures,
-        registration.runs,
-        claim.rate_at_most,
-        registration.confidence,
-    )?;
-    Ok(ProvedClaim::Rate {
-        max_rate: claim.rate_at_most,
-        confidence: registration.confidence,
-    })
 }
 
-pub(crate) fn check_comparison(
-    claim: &ComparisonClaim,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
-    let registration = &claim.registration;
-    check_registration(registration, &claim.registration_sha256)?;
-    let differ = claim
-        .only_first_failed
-        .saturating_add(claim.only_second_failed);
-    if differ > registration.runs {
-        return Err(Rejection::invalid(
-            "only_first_failed",
-            "and `only_second_failed` must not exceed the runs",
-        ));
-    }
-    work.charge_or_reject(differ.saturating_mul(OPS_PER_RUN))?;
-    check_tail(
-        claim.only_first_failed,
-        differ,
-        0.5,
-        registration.confidence,
-    )?;
-    Ok(ProvedClaim::FailsLessOften {
-        confidence: registration.confidence,
-    })
-}
-
-fn check_registration(registration: &Registration, published: &str) -> Result<(), Rejection> {
-    if registration.digest() != published {
-        return Err(Rejection::invalid(
-            "registration_sha256",
-            "is not the digest of `registration`",
-        ));
-    }
-    if !(1..=MAX_RUNS).contains(&registration.runs) {
-        return Err(Rejection::invalid(
-            "registration.runs",
-            "must be from 1 to 1000 million",
-        ));
-    }
-    // For γ between 1/2 and 1 the subtraction 1 - γ does not round.
-    if !(registration.confidence > 0.5 && registration.confidence < 1.0) {
-        return Err(Rejection::invalid(
-            "registration.confidence",
-            "must be between 1/2 and 1",
-        ));
-    }
-    Ok(())
-}
-
-pub(crate) fn check_rate_blocks(claim: &RateClaim) -> Result<(), Rejection> {
-    let counts = claim
-        .blocks
-        .iter()
-        .map(|(failures, sha256)| (*failures, 0, sha256.as_str()));
-    check_blocks(&claim.registration, counts, [claim.failures, 0])
-}
-
-pub(crate) fn check_comparison_blocks(claim: &ComparisonClaim) -> Result<(), Rejection> {
-    let counts = claim
-        .blocks
-        .iter()
-        .map(|([first, second], sha256)| (*first, *second, sha256.as_str()));
-    check_blocks(
-        &claim.registration,
-        counts,
-        [claim.only_first_failed, claim.only_second_failed],
-    )
-}
-
-/// Checks that the blocks cover the runs and that their counts sum to the claimed ones.
-fn check_blocks<'a>(
-    registration: &Registration,
-    blocks: impl ExactSizeIterator<Item = (u64, u64, &'a str)>,
-    claimed: [u64; 2],
+/// Checks that the observed failures, or fewer, are improbable at this rate.
+pub(crate) fn check_tail(
+    failures: u64,
+    runs: u64,
+    rate: f64,
+    confidence: f64,
 ) -> Result<(), Rejection> {
-    let block_runs = registration.block_runs.filter(|&block_runs| block_runs > 0);
-    let block_runs = block_runs
-        .ok_or_else(|| Rejection::invalid("registration.block_runs", "must be positive"))?;
-    if blocks.len() as u64 != registration.runs.div_ceil(block_runs) {
-        return Err(Rejection::invalid("blocks", "must cover all runs"));
-    }
-    let (mut sums, mut left) = ([0_u64; 2], registration.runs);
-    for (index, (first, second, sha256)) in blocks.enumerate() {
-        let runs = left.min(block_runs);
-        if first.saturating_add(second) > runs {
-            return Err(Rejection::invalid(
-                format!("blocks[{index}]"),
-                "counts more runs than it has",
-            ));
-        }
-        if !canonical::is_sha256(sha256) {
-            return Err(Rejection::invalid(
-                format!("blocks[{index}]"),
-                "must have a SHA-256",
-            ));
-        }
-        (sums, left) = (
-            [
-                sums[0].saturating_add(first),
-                sums[1].saturating_add(second),
-            ],
-            left - runs,
-        );
-    }
-    if sums == claimed {
-        Ok(())
-    } else {
-        Err(Rejection::invalid(
-            "blocks",
-            "do not add up to the claimed counts",
-        ))
-    }
-}
-
-fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
     let (tail, allowed) = (
         binomial_tail_upper_bound(failures, runs, rate),
         1.0 - confidence,

@@ -43,52 +43,90 @@
 //! Every ego behaviour is a measurable acceleration within [-b, A], for any observation. It may be held over steps,
 //! zero at standstill, delayed, lagging or limited in jerk. Delay, lag and sensor noise only restrict the behaviour.
 
-use crate::certificate::{Branch, GapBoundClaim, MultiplierRows, UnavoidableClaim};
-use crate::claim::{Scene, SceneEgo};
+use serde::{Deserialize, Serialize};
+
+use crate::assumption::Assumption;
+use crate::bounded;
+use crate::claim::{MAX_EGOS, MAX_STEPS, Scene, SceneEgo};
 use crate::interval::Interval;
+use crate::rejection::Rejection;
+use crate::scope::Scope;
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
-use crate::{ProvedClaim, Rejection};
+use crate::{CheckInput, Claim, ClaimSubject, ProvedClaim};
 
 const OPS_PER_INSTANT: u64 = 20 * OPS_PER_INTERVAL_OP;
 
-pub(crate) fn check(
-    UnavoidableClaim { scene, branches }: &UnavoidableClaim,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
-    let overlap_m = min_overlap_m(scene, branches, work, positive_overlap_m)?;
-    Ok(ProvedClaim::Unavoidable {
-        overlap_m,
-        horizon_s: scene.horizon_s(),
-    })
+/// A proof that every profile ends in a collision.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UnavoidableClaim {
+    /// Scene of the claim.
+    pub scene: Scene,
+    /// A proof for each range of firing instants of the follower's brake; a single one without a follower.
+    #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize + 1 }, _, _>")]
+    pub branches: Vec<Branch>,
 }
 
-pub(crate) fn check_gap_bound(
-    claim: &GapBoundClaim,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
-    let GapBoundClaim {
-        scene,
-        gap_m: stated_m,
-        branches,
-    } = claim;
-    if !(*stated_m >= 0.0 && stated_m.is_finite()) {
-        return Err(Rejection::invalid("gap_m", "must be 0 or more"));
+/// Pairs of an instant, increasing, and a multiplier that is not negative. In a file `[[instant, multiplier], …]`.
+pub type MultiplierRows = Vec<(u32, f64)>;
+
+/// Multipliers for all profiles in which the follower's brake first fires at an instant from `first` to `last`.
+///
+/// Instant N means never. The [module](self) defines the rows; absent ones are empty or zero.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Branch {
+    /// Earliest firing instant.
+    pub first: u32,
+    /// Latest firing instant.
+    pub last: u32,
+    /// The first ego stays behind the leader, instants 0 to N.
+    pub front: MultiplierRows,
+    /// Ego i + 1 stays behind ego i, one list for each pair.
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub between: Vec<MultiplierRows>,
+    /// The last ego stays ahead of the follower, instants 0 to N.
+    pub rear: MultiplierRows,
+    /// No ego reverses, one list for each ego, instants 0 to N.
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub speed: Vec<MultiplierRows>,
+    /// The follower's brake has not fired, instants before `first`.
+    pub unfired: MultiplierRows,
+    /// The follower's brake fires at `first`; only if `first` = `last` < N.
+    pub fired: f64,
+}
+
+impl Claim for UnavoidableClaim {
+    fn name(&self) -> &'static str {
+        "unavoidable"
     }
-    let gap_m = (-min_overlap_m(scene, branches, work, branch_overlap_m)?).max(0.0);
-    match gap_m <= *stated_m {
-        true => Ok(ProvedClaim::GapBound {
-            gap_m,
-            horizon_s: scene.horizon_s(),
-        }),
-        false => Err(Rejection::GapBound {
-            stated_m: *stated_m,
-            gap_m,
-        }),
+
+    fn subject(&self) -> ClaimSubject<'_> {
+        ClaimSubject::Scene {
+            scene: &self.scene,
+            profile: None,
+        }
+    }
+
+    fn assumptions(&self) -> Vec<Assumption> {
+        self.scene.assumptions(Assumption::EgoWithinLimits)
+    }
+
+    fn scope(&self) -> Scope {
+        self.scene.scope()
+    }
+
+    fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
+        let overlap_m = min_overlap_m(&self.scene, &self.branches, input.work, positive_overlap_m)?;
+        Ok(ProvedClaim::Unavoidable {
+            overlap_m,
+            horizon_s: self.scene.horizon_s(),
+        })
     }
 }
 
 /// Returns the least proved overlap of all branches, in metres.
-fn min_overlap_m(
+pub(crate) fn min_overlap_m(
     scene: &Scene,
     branches: &[Branch],
     work: &OpBudget,
@@ -128,7 +166,11 @@ fn positive_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f6
 }
 
 /// Returns the proved overlap of a branch; a negative one bounds a gap.
-fn branch_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+pub(crate) fn branch_overlap_m(
+    scene: &Scene,
+    branch: &Branch,
+    index: usize,
+) -> Result<f64, Rejection> {
     let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
     if overlap_m > f64::NEG_INFINITY {
         Ok(overlap_m)

@@ -6,7 +6,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::Rejection;
+use crate::rejection::Rejection;
 
 const BILLION: u64 = 1_000_000_000;
 

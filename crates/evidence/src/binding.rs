@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crumple_controllers::Controllers;
 use crumple_verify::reach::{BoxDimension, NeuralController};
-use crumple_verify::{Certificate, InvariantClaim, ReachClaim, Registration, Statement};
+use crumple_verify::{Certificate, ClaimSubject, InvariantClaim, ReachClaim, Registration};
 
 use super::initial_set::InitialSet;
 use super::invariant::{InvariantSpec, has_frame};
@@ -130,16 +130,14 @@ pub fn check_binding(
             Err(scene_mismatch())
         };
     }
-    match &certificate.statement {
-        Statement::Kernel(_) => Ok(()),
-        Statement::Reach(claim) => check_box(certificate, claim, policy, controllers),
-        Statement::Invariant(claim) => check_invariant(certificate, claim, policy, controllers),
-        Statement::Rate(claim) => check_registration(certificate, &claim.registration, controllers),
-        Statement::Comparison(claim) => {
-            check_registration(certificate, &claim.registration, controllers)
+    match certificate.statement.subject() {
+        ClaimSubject::AnyVehicles => Ok(()),
+        ClaimSubject::InitialStates(claim) => check_box(certificate, claim, policy, controllers),
+        ClaimSubject::Region(claim) => check_invariant(certificate, claim, policy, controllers),
+        ClaimSubject::Runs(registration) => {
+            check_registration(certificate, registration, controllers)
         }
-        // All other statements are about a scene.
-        _ => {
+        ClaimSubject::Scene { .. } => {
             if certificate.provenance.box_text.is_some() {
                 let problem = "is a box of `avoid --box`, which crumple 0.3.0 removed: version 0.2.0 checks it";
                 return Err(BindingError::Differs {
@@ -167,7 +165,7 @@ pub fn check_covers_scenario(
     scenario: &Scenario,
     policy: Option<&[u8]>,
 ) -> Result<(), ScenarioMismatch> {
-    let Statement::Reach(claim) = &certificate.statement else {
+    let ClaimSubject::InitialStates(claim) = certificate.statement.subject() else {
         return if covers_scenario(certificate, scenario) {
             Ok(())
         } else {

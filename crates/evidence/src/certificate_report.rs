@@ -7,7 +7,9 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::{PlantKind, built_in_scenario, file};
 use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
-use crumple_verify::{Certificate, ProvedClaim, Scope, Statement, WorkLimit, check, check_with};
+use crumple_verify::{
+    Certificate, ClaimSubject, ProvedClaim, Scope, Statement, WorkLimit, check, check_with,
+};
 use serde::Serialize;
 
 /// Report of the checker on a certificate.
@@ -182,10 +184,8 @@ impl CertificateReport<'_> {
             .scenario_text
             .as_ref()
             .filter(|_| !self.certificate.is_first_version())?;
-        let built_in = match &self.certificate.statement {
-            Statement::Rate(_) | Statement::Comparison(_) => {
-                space_file::to_toml(&built_in_space(&provenance.scenario)?)
-            }
+        let built_in = match self.certificate.statement.subject() {
+            ClaimSubject::Runs(_) => space_file::to_toml(&built_in_space(&provenance.scenario)?),
             _ => file::to_toml(&built_in_scenario(&provenance.scenario)?),
         };
         Some(built_in.is_ok_and(|built_in| built_in == *text))
@@ -193,7 +193,7 @@ impl CertificateReport<'_> {
 
     /// Returns the plants of a space; `None` for other statements, which have the plants as an assumption.
     fn plants(&self) -> Option<&'static str> {
-        let (Statement::Rate(_) | Statement::Comparison(_)) = &self.certificate.statement else {
+        let ClaimSubject::Runs(_) = self.certificate.statement.subject() else {
             return None;
         };
         let space = read_space(self.certificate, self.controllers).ok()?;

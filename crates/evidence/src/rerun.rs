@@ -4,7 +4,7 @@
 //! probability at most C(m - a, s)/C(m, s).
 
 use crumple_controllers::Controllers;
-use crumple_verify::{Certificate, Statement};
+use crumple_verify::{Certificate, ClaimSubject};
 use rayon::prelude::*;
 
 use super::binding::{self, BindingError};
@@ -145,16 +145,11 @@ impl Rerun {
         given: &[NamedController],
         opener: Controllers,
     ) -> Result<Self, RerunError> {
-        let (registration, stated) = match &certificate.statement {
-            Statement::Rate(claim) => {
-                let blocks = claim
-                    .blocks
-                    .iter()
-                    .map(|(failures, sha256)| ([*failures, 0], sha256.clone()));
-                (&claim.registration, blocks.collect())
-            }
-            Statement::Comparison(claim) => (&claim.registration, claim.blocks.clone()),
-            other => return Err(RerunError::NothingCounted(other.name())),
+        let statement = &certificate.statement;
+        let (ClaimSubject::Runs(registration), Some(stated)) =
+            (statement.subject(), statement.counted_blocks())
+        else {
+            return Err(RerunError::NothingCounted(statement.name()));
         };
         if certificate.is_first_version() {
             return Err(RerunError::NoBlocks);

@@ -42,6 +42,7 @@
 //! bounds of networks include those of single precision: see [`controller`](crate::reach::controller). Motion is that
 //! of real numbers; the rounding of a simulator belongs to the observation errors.
 
+mod claim;
 mod command;
 mod share;
 mod step;
@@ -53,8 +54,8 @@ use crate::bounded;
 use crate::claim::ConstantPiece;
 use crate::interval::Interval;
 use crate::reach::{FollowerLaw, NetworkFileSource, load_controller};
+use crate::rejection::Rejection;
 use crate::work::{OpBudget, WorkLimit};
-use crate::{ProvedClaim, Rejection};
 use command::CommandModel;
 use step::ClosedLoop;
 use table::{AXIS_COUNT, HeightTable, MAX_NODES, TableAxis};
@@ -298,45 +299,6 @@ impl InvariantClaim {
             MotionModel::Absolute => Ok(()),
         }
     }
-}
-
-pub(crate) fn check(
-    claim: &InvariantClaim,
-    policy: Option<&[u8]>,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
-    let closed_loop = claim.closed_loop(policy, work)?;
-    let table = HeightTable::from_runs(claim.axes, &claim.heights)?;
-    claim.check_axes(&table)?;
-    let [lowest_m, _] = table.extremes();
-    let min_gap_m = (Interval::point(lowest_m) - Interval::point(claim.floor_m())).low();
-    if min_gap_m.is_nan() || min_gap_m <= 0.0 {
-        return Err(Rejection::invalid(
-            "heights",
-            "are too small to exclude a collision between decisions",
-        ));
-    }
-    let failed = failing_cells(&closed_loop, &table, 1);
-    // The verdict does not depend on which thread first exceeded the budget.
-    work.charge_or_reject(0)?;
-    if let Some(&(cell, missing_m)) = failed.first() {
-        return Err(Rejection::LeavesSet { cell, missing_m });
-    }
-    let share = claim.share(&table)?;
-    let own_speed_is_kept = closed_loop.keeps_own_speed(&table, FARTHEST_GAP_M);
-    for (field, stated, proved) in [
-        ("share_at_least", claim.share_at_least, share),
-        ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m),
-    ] {
-        if stated.is_nan() || proved.is_nan() || stated > proved {
-            return Err(Rejection::invalid(field, "exceeds the proved value"));
-        }
-    }
-    Ok(ProvedClaim::Invariant {
-        share,
-        min_gap_m,
-        own_speed_is_kept,
-    })
 }
 
 /// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread.

@@ -31,7 +31,7 @@ use super::ranges::{BoxDimension, InitialRanges};
 use super::relax::{reciprocal, relu, relu_squared};
 use crate::Rejection;
 use crate::interval::Interval;
-use crate::scope::round_down;
+use crate::number::round_down;
 
 /// Smallest gap of `idm`, in metres; smaller ones count as this.
 const MIN_GAP_M: f64 = 0.01;

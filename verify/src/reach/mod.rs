@@ -41,6 +41,7 @@
 pub mod activation;
 pub mod bounds;
 pub mod braking;
+mod claim;
 pub mod controller;
 pub mod ego_set;
 #[cfg(test)]
@@ -57,90 +58,17 @@ pub mod safetensors;
 mod volume;
 pub mod window;
 
-use serde::{Deserialize, Serialize};
-
-use crate::bounded;
-use crate::canonical::sha256;
-use crate::claim::steps_to_seconds;
-use crate::interval::Interval;
-use crate::work::OpBudget;
-use crate::{ProvedClaim, Rejection};
+use crate::canonical::{is_sha256, sha256};
+use crate::rejection::Rejection;
 pub use activation::Activation;
+pub use claim::{PartitionCell, ReachClaim};
 pub use controller::{
     ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer,
     NeuralController, OBSERVATION_SIZE,
 };
 pub use follower::{AccAebLaw, FollowerLaw, FollowerModel, IdmLaw};
-use propagate::reach_with_budget;
 pub use propagate::{ReachProblem, ReachTube, reach, reach_with_tube};
 pub use ranges::{BoxDimension, InitialRanges};
-
-/// Memory limit of all threads for the data between two layers, in bytes.
-const MAX_BYTES: usize = 256 << 20;
-/// Maximum number of cells of a partition, and of cuts of one cell.
-const MAX_CELLS: usize = 2_000_000;
-const MAX_CUTS: usize = 48;
-const MAX_STEPS: u32 = 100_000;
-
-const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
-
-/// A claim about a box of initial states under a policy.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ReachClaim {
-    /// File name of the policy, in the certificate's folder.
-    pub policy_file: String,
-    /// SHA-256 of the policy file, in hexadecimal.
-    pub policy_sha256: String,
-    /// Source file of an imported network.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub source: Option<NetworkFileSource>,
-    /// h, the time between two instants, in seconds.
-    pub step_s: f64,
-    /// N, the number of steps.
-    pub steps: u32,
-    /// θ, the TTC threshold of a follower with a latched emergency brake, in seconds; null for one with a law, or
-    /// without a follower.
-    pub follower_ttc_s: Option<f64>,
-    /// Law of the follower, if it has one. `follower_brake_mps2` of the box is then its hardest braking.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub follower_law: Option<Box<FollowerLaw>>,
-    /// Brake limit b, in m/s², of a leader with bounded braking: over each step until it stands, it holds any
-    /// acceleration from -b to 0. `leader_brake_mps2` and `onset_steps` of the box are then 0. Absent for a leader that
-    /// follows these two.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub leader_brakes_at_most_mps2: Option<f64>,
-    /// Largest error of each observed number at a decision: gaps ahead and behind in metres, speeds ahead, own and
-    /// behind in m/s, accelerations ahead, own and behind in m/s².
-    pub observation_error: [f64; OBSERVATION_SIZE],
-    /// The box.
-    pub ranges: InitialRanges,
-    /// Partition of the box in preorder: a cut is followed by all cells of its lower half, then by those of its upper
-    /// half.
-    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_CELLS, _, _>")]
-    pub partition: Vec<PartitionCell>,
-    /// Share of the box's volume in verified cells. Version 1 assumed that each cut makes exact halves.
-    pub verified_share_at_least: f64,
-    /// Share of the box's volume in falsified cells, with the same assumption in version 1.
-    pub falsified_share_at_least: f64,
-    /// Lower bound of the gaps of verified members, in metres.
-    pub min_gap_m_at_least: f64,
-}
-
-/// A cell of the partition.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PartitionCell {
-    /// Bisected in a dimension.
-    Cut(BoxDimension),
-    /// No member ever collides.
-    Verified,
-    /// The member with these values, in the order of the ranges, collides. A leader with bounded braking then brakes at
-    /// this rate from this onset.
-    Falsified([f64; 8]),
-    /// Nothing is claimed.
-    Undecided,
-}
 
 /// Reason for which a collision is not excluded.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -195,216 +123,6 @@ impl ReachResult {
     };
 }
 
-impl ReachClaim {
-    /// Returns the reachability problem of the whole box.
-    ///
-    /// # Errors
-    /// [`Rejection`] if the claim is invalid, or the controller's decisions do not fall on instants.
-    pub fn problem<'a>(
-        &self,
-        controller: &'a NeuralController,
-    ) -> Result<ReachProblem<'a>, Rejection> {
-        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
-            return Err(Rejection::invalid("step_s", "must be positive"));
-        }
-        let decision_steps = (controller.decision_interval_s / self.step_s).round();
-        if !(decision_steps >= 1.0
-            && (decision_steps * self.step_s - controller.decision_interval_s).abs() < 1e-9)
-        {
-            return Err(Rejection::invalid(
-                "step_s",
-                "must divide the decision interval",
-            ));
-        }
-        if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
-            return Err(Rejection::invalid(
-                "steps",
-                "must be from one decision interval to 100 000",
-            ));
-        }
-        let decision_steps = decision_steps as u32;
-        if !self.steps.is_multiple_of(decision_steps) {
-            return Err(Rejection::invalid(
-                "steps",
-                "must be whole decision intervals",
-            ));
-        }
-        for dimension in BoxDimension::ALL {
-            if self.ranges.get(dimension).low() < 0.0 {
-                return Err(Rejection::invalid(
-                    format!("ranges.{}", dimension.field_name()),
-                    "contains a negative number",
-                ));
-            }
-        }
-        let of_follower = self
-            .follower_ttc_s
-            .iter()
-            .map(|ttc_s| ("follower_ttc_s", ttc_s));
-        let of_leader = self
-            .leader_brakes_at_most_mps2
-            .iter()
-            .map(|limit| (LEADER_LIMIT_FIELD, limit));
-        let errors = self
-            .observation_error
-            .iter()
-            .map(|error| ("observation_error", error));
-        for (field, value) in of_follower.chain(of_leader).chain(errors) {
-            if !(*value >= 0.0 && value.is_finite()) {
-                return Err(Rejection::invalid(field, "is negative or infinite"));
-            }
-        }
-        // Rate and onset have no meaning for a leader with bounded braking and must not suggest one.
-        let unused = [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].into_iter();
-        let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
-        if let Some(dimension) =
-            unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO)
-        {
-            let field = format!("ranges.{}", dimension.field_name());
-            return Err(Rejection::invalid(
-                field,
-                "must be 0 if the leader brakes arbitrarily",
-            ));
-        }
-        Ok(ReachProblem {
-            controller,
-            ranges: self.ranges,
-            follower: self.follower_model()?,
-            leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
-            observation_error: self.observation_error,
-            step_s: self.step_s,
-            steps: self.steps,
-            decision_steps,
-            stop_when_undecided: true,
-        })
-    }
-
-    /// Returns the follower model.
-    ///
-    /// # Errors
-    /// [`Rejection`] if two are stated, or an invalid one.
-    fn follower_model(&self) -> Result<Option<FollowerModel>, Rejection> {
-        match (self.follower_ttc_s, self.follower_law.as_deref()) {
-            (Some(_), Some(_)) => Err(Rejection::invalid(
-                "follower_law",
-                "and `follower_ttc_s` must not both be present",
-            )),
-            (Some(ttc_s), None) => Ok(Some(FollowerModel::Latched { ttc_s })),
-            (None, law) => Ok(law
-                .copied()
-                .map(FollowerLaw::validate)
-                .transpose()?
-                .map(FollowerModel::ByLaw)),
-        }
-    }
-
-    /// Returns N h, rounded to the nanosecond; the claim covers no later time.
-    #[must_use]
-    pub(crate) fn horizon_s(&self) -> f64 {
-        steps_to_seconds(self.step_s, self.steps)
-    }
-
-    /// Returns the uncut cells with their ranges and lower bounds of their volume shares, exact if every cut is in
-    /// equal halves.
-    ///
-    /// # Errors
-    /// [`Rejection`] if the cuts do not make a partition.
-    pub fn leaves(&self) -> Result<Vec<(PartitionCell, InitialRanges, f64)>, Rejection> {
-        let mut pending = vec![(self.ranges, 0, 1.0)];
-        let mut leaves = Vec::new();
-        if self.partition.len() > MAX_CELLS {
-            return Err(Rejection::invalid("partition", "has too many cells"));
-        }
-        for (index, &cell) in self.partition.iter().enumerate() {
-            let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
-            let (ranges, cuts, share) = pending
-                .pop()
-                .ok_or_else(|| invalid("is one cell more than the cuts create"))?;
-            if let PartitionCell::Cut(dimension) = cell {
-                let [lower, upper] = ranges
-                    .bisect(dimension)
-                    .ok_or_else(|| invalid("cuts a range that is a single number"))?;
-                if cuts == MAX_CUTS {
-                    return Err(invalid("cuts too often"));
-                }
-                let share_of = |half: &InitialRanges| {
-                    volume::part_share(share, half.get(dimension), ranges.get(dimension))
-                };
-                let shares = [&upper, &lower].map(share_of);
-                pending.extend([(upper, cuts + 1, shares[0]), (lower, cuts + 1, shares[1])]);
-            } else {
-                leaves.push((cell, ranges, share));
-            }
-        }
-        if pending.is_empty() {
-            Ok(leaves)
-        } else {
-            Err(Rejection::invalid("partition", "ends too early"))
-        }
-    }
-}
-
-/// Tolerance by which shares of version 1 may exceed their volume: they assume exact halves, but the middle of a range
-/// is rounded.
-const V1_SHARE_TOLERANCE: f64 = 1e-9;
-
-pub(crate) fn check(
-    claim: &ReachClaim,
-    policy: Option<&[u8]>,
-    is_old: bool,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
-    let controller = load_controller(policy, &claim.policy_sha256, claim.source.as_ref())?;
-    let scene = claim.problem(&controller)?;
-    let leaves = claim.leaves()?;
-    let verdicts = check_leaves(&scene, &leaves, work);
-    // The verdict does not depend on which thread first exceeded the budget.
-    work.charge_or_reject(0)?;
-    let [verified_share, falsified_share] = claim.volume_shares()?;
-    let mut smallest_gap_m = f64::INFINITY;
-    for (index, verdict) in verdicts.into_iter().enumerate() {
-        let gap_m = verdict.map_err(|problem| Rejection::Leaf {
-            leaf: index,
-            problem,
-        })?;
-        smallest_gap_m = smallest_gap_m.min(gap_m);
-    }
-    let tolerance = if is_old { V1_SHARE_TOLERANCE } else { 0.0 };
-    let stated = [
-        (
-            "verified_share_at_least",
-            claim.verified_share_at_least,
-            verified_share + tolerance,
-        ),
-        (
-            "falsified_share_at_least",
-            claim.falsified_share_at_least,
-            falsified_share + tolerance,
-        ),
-        (
-            "min_gap_m_at_least",
-            claim.min_gap_m_at_least,
-            smallest_gap_m,
-        ),
-    ];
-    let is_more = |(_, stated, found): &&(_, f64, f64)| {
-        stated
-            .partial_cmp(found)
-            .is_none_or(std::cmp::Ordering::is_gt)
-    };
-    if let Some((field, ..)) = stated.iter().find(is_more) {
-        return Err(Rejection::invalid(*field, "exceeds the proved value"));
-    }
-    Ok(ProvedClaim::Reach {
-        verified_share,
-        falsified_share,
-        min_gap_m: smallest_gap_m,
-        horizon_s: claim.horizon_s(),
-        has_follower: scene.follower.is_some(),
-        leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
-    })
-}
-
 /// Loads the controller of a file and checks its digest and source.
 pub(crate) fn load_controller(
     file: Option<&[u8]>,
@@ -440,72 +158,31 @@ pub fn controller_file_name(digest: &str, is_imported: bool) -> String {
     )
 }
 
-/// Returns for each leaf the smallest proved gap or the problem, in order; runs on all cores.
-fn check_leaves(
-    scene: &ReachProblem<'_>,
-    leaves: &[(PartitionCell, InitialRanges, f64)],
-    work: &OpBudget,
-) -> Vec<Result<f64, String>> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = cores
-        .min(MAX_BYTES / scene.controller.max_decision_bytes().max(1))
-        .max(1);
-    let judge = |(cell, ranges, _): &(PartitionCell, InitialRanges, f64)| {
-        check_leaf(scene, cell, ranges, work)
-    };
-    std::thread::scope(|scope| {
-        let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
-        let parts: Vec<_> = parts
-            .map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>()))
-            .collect();
-        let died = || vec![Err("its check failed".to_owned())];
-        parts
-            .into_iter()
-            .flat_map(|part| part.join().unwrap_or_else(|_| died()))
-            .collect()
-    })
-}
-
-fn check_leaf(
-    scene: &ReachProblem<'_>,
-    cell: &PartitionCell,
-    ranges: &InitialRanges,
-    work: &OpBudget,
-) -> Result<f64, String> {
-    match cell {
-        PartitionCell::Verified => {
-            let reached = reach_with_budget(
-                &ReachProblem {
-                    ranges: *ranges,
-                    ..scene.clone()
-                },
-                work,
-            );
-            let gap_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-            reached
-                .undecided
-                .map_or(Ok(gap_m), |undecided| Err(undecided.to_string()))
-        }
-        PartitionCell::Falsified(point) => {
-            let cell = ReachProblem {
-                ranges: *ranges,
-                ..scene.clone()
-            };
-            let reached = reach_with_budget(
-                &cell
-                    .at_point(point)
-                    .ok_or("the point is outside the cell")?,
-                work,
-            );
-            if reached.surely_collides {
-                Ok(f64::INFINITY)
-            } else {
-                Err("the point is not proved to collide".to_owned())
-            }
-        }
-        PartitionCell::Undecided | PartitionCell::Cut(_) => Ok(f64::INFINITY),
+/// Checks that the name of a network file follows from its digest.
+pub(crate) fn check_policy_file_name(
+    file: &str,
+    digest: &str,
+    is_from_outside: bool,
+) -> Result<(), Rejection> {
+    if is_sha256(digest) && file == controller_file_name(digest, is_from_outside) {
+        Ok(())
+    } else {
+        Err(Rejection::invalid(
+            "policy_file",
+            "is not named after `policy_sha256`",
+        ))
     }
 }
 
-#[cfg(test)]
-mod tests;
+/// Describes a network for the scope of a claim.
+pub(crate) fn describe_network(digest: &str, source: Option<&NetworkFileSource>) -> String {
+    let digest = digest.escape_debug();
+    match source {
+        None => format!("policy with SHA-256 {digest}"),
+        Some(NetworkFileSource { format, sha256 }) => format!(
+            "network with SHA-256 {digest}, read from a file in the format {} with SHA-256 {}",
+            format.name(),
+            sha256.escape_debug()
+        ),
+    }
+}

@@ -1,8 +1,8 @@
 //! Certificates that `crumple-verify` checks without the simulator and the solver.
 
 use crumple_verify::{
-    Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece,
-    GapBoundClaim, Interval, Scene, SceneLeader, Statement, UnavoidableClaim,
+    Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ClaimSubject,
+    ConstantPiece, GapBoundClaim, Interval, Scene, SceneLeader, Statement, UnavoidableClaim,
 };
 
 use super::avoidance_problem::AvoidanceProblem;
@@ -289,10 +289,13 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
     if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
         return false;
     }
-    match &certificate.statement {
+    let ClaimSubject::Scene { profile, .. } = certificate.statement.subject() else {
+        return false;
+    };
+    match profile {
         // A proof covers any follower and any delay of the vehicles under test.
-        Statement::Unavoidable(_) | Statement::GapBound(_) => problem.proof_caveat.is_none(),
-        Statement::Avoidable(claim) => {
+        None => problem.proof_caveat.is_none(),
+        Some(profile) => {
             let waits = |(&dead_steps, witness): (&usize, &Vec<ConstantPiece<f64>>)| {
                 let held = witness.iter().flat_map(|ConstantPiece(steps, value)| {
                     std::iter::repeat_n(*value, *steps as usize)
@@ -301,8 +304,7 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
             };
             problem.escape_caveat.is_none()
                 && problem.proof_caveat.is_none()
-                && problem.dead_steps.iter().zip(&claim.witness).all(waits)
+                && problem.dead_steps.iter().zip(profile).all(waits)
         }
-        _ => false,
     }
 }

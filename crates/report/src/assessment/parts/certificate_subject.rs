@@ -1,7 +1,7 @@
 //! The subject of a certificate, decided by hashes, and descriptions of statements.
 
 use crumple_verify::reach::InitialRanges;
-use crumple_verify::{Certificate, ReachClaim, Registration, Statement};
+use crumple_verify::{Certificate, ClaimSubject, ReachClaim, Registration, Statement};
 
 use super::CertificateSubject;
 use crate::assessment::AssessmentPlan;
@@ -19,45 +19,31 @@ pub(super) fn describe_statement(
     certificate: &Certificate,
     policy: Option<&[u8]>,
 ) -> String {
-    match &certificate.statement {
-        Statement::Rate(rate) => {
-            let of = |key: &str| {
-                rate.registration
-                    .configuration
-                    .get(key)
-                    .map_or("", String::as_str)
-            };
-            format!(
-                "{} in {} runs of space `{}`",
-                of("controller"),
-                rate.registration.runs,
-                of("space")
-            )
-        }
-        Statement::Comparison(two) => {
-            let of = |key: &str| {
-                two.registration
-                    .configuration
-                    .get(key)
-                    .map_or("", String::as_str)
-            };
-            let (first, second) = (of("controller"), of("against"));
-            format!(
-                "{first} against {second} in {} runs of space `{}`",
-                two.registration.runs,
-                of("space")
-            )
-        }
-        Statement::Reach(reach) => {
+    match certificate.statement.subject() {
+        ClaimSubject::Runs(registration) => describe_runs(registration),
+        ClaimSubject::InitialStates(reach) => {
             let ranges = describe_ranges(reach).join(", ");
-            format!(
-                "{}: {ranges}",
-                initial_states_id(plan, name, (certificate, reach), policy).name
-            )
+            let states = initial_states_id(plan, name, (certificate, reach), policy);
+            format!("{}: {ranges}", states.name)
         }
-        Statement::Kernel(_) => "vehicles of these classes, dry road".to_owned(),
-        _ => certificate.provenance.scenario.clone(),
+        ClaimSubject::AnyVehicles => "vehicles of these classes, dry road".to_owned(),
+        ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => {
+            certificate.provenance.scenario.clone()
+        }
     }
+}
+
+fn describe_runs(registration: &Registration) -> String {
+    let entry = |key: &str| {
+        let value = registration.configuration.get(key);
+        value.map_or("", String::as_str)
+    };
+    let controllers = match registration.configuration.get("against") {
+        None => entry("controller").to_owned(),
+        Some(second) => format!("{} against {second}", entry("controller")),
+    };
+    let runs = registration.runs;
+    format!("{controllers} in {runs} runs of space `{}`", entry("space"))
 }
 
 fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
@@ -132,11 +118,10 @@ pub(super) fn certificate_subject(
     certificate: &Certificate,
     policy: Option<&[u8]>,
 ) -> CertificateSubject {
-    match &certificate.statement {
-        Statement::Rate(rate) => registered_subject(plan, &rate.registration),
-        Statement::Comparison(two) => registered_subject(plan, &two.registration),
+    match certificate.statement.subject() {
+        ClaimSubject::Runs(registration) => registered_subject(plan, registration),
         // The unshielded policy or network with the true state: a shield would make it another controller.
-        Statement::Reach(reach) => {
+        ClaimSubject::InitialStates(reach) => {
             let digest = |one: &NamedController| Some(sha256(checker_file(&one.source).ok()??));
             let is_it = |one: &NamedController| {
                 digest(one).as_deref() == Some(reach.policy_sha256.as_str())
@@ -155,8 +140,8 @@ pub(super) fn certificate_subject(
                 },
             }
         }
-        Statement::Kernel(_) => CertificateSubject::Kernel,
-        _ => CertificateSubject::NoController,
+        ClaimSubject::AnyVehicles => CertificateSubject::Kernel,
+        ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => CertificateSubject::NoController,
     }
 }
 

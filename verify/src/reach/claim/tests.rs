@@ -1,5 +1,6 @@
-use super::fixtures::{constant_controller, default_problem, interval, point_box};
+use super::super::fixtures::{constant_controller, default_problem, interval, point_box};
 use super::*;
+use crate::reach::controller_file_name;
 use crate::work::WorkLimit;
 
 const DEFAULT_POINT: [f64; 8] = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
