@@ -2,29 +2,21 @@
 //! attempts, a fifth of which leave the certificate unchanged.
 
 mod changes;
+mod genuine;
+
+use std::collections::BTreeMap;
 
 use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
-use crumple_evidence::{
-    BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding,
-    check_covers_scenario, shipped_kernels,
-};
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
-use crumple_sim::control::{BuiltInController, IntoSource};
-use crumple_sim::engine::NamedController;
-use crumple_sim::observation::EstimatorKind;
-use crumple_sim::policy::Policy;
-use crumple_sim::scenario::{Scenario, built_in_scenario};
-use crumple_spaces::built_in_space;
-use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
+use crumple_evidence::{BlockSelection, Rerun, RerunError, check_binding, check_covers_scenario};
+use crumple_sim::scenario::Scenario;
+use crumple_verify::{Certificate, ProvedClaim, WorkLimit, check_with};
 use rand::SeedableRng;
 use rand::rngs::Xoshiro256PlusPlus;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::path::Path;
 
-use crate::networks::find_source;
 use changes::{ForgedCertificate, GenuineCertificate, forge};
+use genuine::{KIND_COUNT, genuine_certificates, implies};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
@@ -105,205 +97,7 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
     let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
     has_all_assumptions(original, claimed)
         && is_of_it
-        && match (&original.statement, &claimed.statement, shown) {
-            (
-                Statement::Avoidable(one),
-                Statement::Avoidable(other),
-                ProvedClaim::Avoidable {
-                    min_gap_m: smallest_gap_m,
-                    ..
-                },
-            ) => {
-                one.scene == other.scene
-                    && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m
-            }
-            (Statement::Unavoidable(one), Statement::Unavoidable(other), _) => {
-                one.scene == other.scene
-            }
-            (
-                Statement::GapBound(one),
-                Statement::GapBound(other),
-                ProvedClaim::GapBound { gap_m, .. },
-            ) => one.scene == other.scene && other.gap_m >= *gap_m,
-            (Statement::Kernel(one), Statement::Kernel(other), _) => {
-                // The theorem holds for every step and margin.
-                let (step_s, margin_m) = (one.step_s.clone(), one.margin_m.clone());
-                *one == crumple_verify::KernelClaim {
-                    step_s,
-                    margin_m,
-                    ..other.clone()
-                }
-            }
-            // The checker derives the rate from the repeated counts.
-            (Statement::Rate(one), Statement::Rate(other), _) => {
-                (&one.registration, one.failures) == (&other.registration, other.failures)
-            }
-            (Statement::Comparison(one), Statement::Comparison(other), _) => {
-                let counts = |claim: &crumple_verify::ComparisonClaim| {
-                    (claim.only_first_failed, claim.only_second_failed)
-                };
-                one.registration == other.registration && counts(one) == counts(other)
-            }
-            (
-                Statement::Reach(one),
-                Statement::Reach(other),
-                ProvedClaim::Reach {
-                    verified_share,
-                    falsified_share,
-                    min_gap_m: smallest_gap_m,
-                    ..
-                },
-            ) => {
-                // A leader within a limit is within any larger one.
-                let leads = match (
-                    one.leader_brakes_at_most_mps2,
-                    other.leader_brakes_at_most_mps2,
-                ) {
-                    (None, None) => true,
-                    (Some(one), Some(other)) => other <= one,
-                    _ => false,
-                };
-                leads
-                    && (one.ranges, one.steps, one.step_s, one.follower_ttc_s)
-                        == (
-                            other.ranges,
-                            other.steps,
-                            other.step_s,
-                            other.follower_ttc_s,
-                        )
-                    && one.follower_law == other.follower_law
-                    && one.policy_sha256 == other.policy_sha256
-                    && one
-                        .observation_error
-                        .iter()
-                        .zip(&other.observation_error)
-                        .all(|(one, other)| one >= other)
-                    && other.verified_share_at_least <= *verified_share + 1e-9
-                    && other.falsified_share_at_least <= *falsified_share + 1e-9
-                    && other.min_gap_m_at_least <= *smallest_gap_m
-            }
-            _ => false,
-        }
-}
-
-fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
-    let certificate = match avoid(scenario, AvoidOptions::default())
-        .expect("options fit")
-        .verdict
-    {
-        AvoidanceVerdict::Avoidable(escape) => certify(scenario, &escape).expect("accepted"),
-        AvoidanceVerdict::Unavoidable(certificate) => *certificate,
-        AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
-    };
-    GenuineCertificate {
-        certificate,
-        policy: None,
-        scenario: Some(scenario.clone()),
-    }
-}
-
-fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
-    let options = AvoidOptions {
-        certify_bound: true,
-        ..AvoidOptions::default()
-    };
-    let certificate = avoid(scenario, options)
-        .expect("options fit")
-        .bound_certificate
-        .expect("a bound");
-    GenuineCertificate {
-        certificate: *certificate,
-        policy: None,
-        scenario: Some(scenario.clone()),
-    }
-}
-
-fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
-    let find =
-        |name: &str| NamedController::from(BuiltInController::from_name(name).expect("built in"));
-    let plan = RatePlan::new(RateConfig {
-        second_controller: against.map(find),
-        seed: 5,
-        estimator: EstimatorKind::Truth,
-        ..RateConfig::new(
-            find(controller),
-            built_in_space("paper").expect("built in"),
-            runs,
-        )
-    })
-    .expect("a plan");
-    let mut tally = plan.empty_tally();
-    while tally.runs < runs {
-        plan.count_batch(&mut tally).expect("runs");
-    }
-    GenuineCertificate {
-        certificate: plan.certificate(&tally),
-        policy: None,
-        scenario: None,
-    }
-}
-
-fn reach_certificate(controller: impl IntoSource, of_leader: &str) -> GenuineCertificate {
-    let text = format!(
-        "version = 1\nscenario = \"paper-2\"\n{of_leader}[ranges]\ngap_ahead_m = {{ low = 15.9, high = 16.1 }}"
-    );
-    let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
-    let plan = ReachPlan::new(controller, &spec).expect("a plan");
-    let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
-    GenuineCertificate {
-        certificate,
-        policy: Some(plan.policy_bytes().to_vec()),
-        scenario: built_in_scenario("paper-2"),
-    }
-}
-
-/// Returns at least one certificate of every kind, two of most.
-fn genuine_certificates() -> Vec<GenuineCertificate> {
-    let paper = built_in_scenario("paper-1").expect("built in");
-    let close = paper
-        .edited(|spec| spec.vehicles[1].speed_mps = 60.0)
-        .expect("valid");
-    let noisy = paper
-        .edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05)
-        .expect("valid");
-    let mut all = vec![
-        avoidability_certificate(&paper),
-        avoidability_certificate(&close),
-        avoidability_certificate(&noisy),
-    ];
-    all.extend([
-        gap_bound_certificate(&paper),
-        gap_bound_certificate(&built_in_scenario("paper-2").expect("built in")),
-    ]);
-    all.extend([
-        rate_certificate("idm", None, 200),
-        rate_certificate("idm", Some("baseline"), 150),
-    ]);
-    all.extend([
-        reach_certificate(Policy::reference(), ""),
-        reach_certificate(Policy::retrained(), ""),
-    ]);
-    all.push(reach_certificate(find_source("leaky-40-clip.onnx"), ""));
-    // One is verified, and one is falsified by a leader within the limit.
-    all.extend([0.02, 7.5].map(|limit| {
-        reach_certificate(
-            Policy::reference(),
-            &format!("leader_brakes_at_most_mps2 = {limit}\n"),
-        )
-    }));
-    all.extend(["idm", "acc-aeb"].map(|law| {
-        reach_certificate(
-            Policy::reference(),
-            &format!("follower_drives = \"{law}\"\n"),
-        )
-    }));
-    let kernel = |(_, certificate)| GenuineCertificate {
-        certificate,
-        policy: None,
-        scenario: None,
-    };
-    all.extend(shipped_kernels().into_iter().take(2).map(kernel));
-    all
+        && implies(&original.statement, shown, &claimed.statement)
 }
 
 #[test]
@@ -335,7 +129,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         .iter()
         .map(|one| one.certificate.statement.name())
         .collect();
-    assert_eq!(kinds.len(), 7, "of every kind: {kinds:?}");
+    assert_eq!(kinds.len(), KIND_COUNT, "{kinds:?}");
     let tried = (0..wanted).into_par_iter().map(|index| {
         let which = index as usize % genuine.len();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
