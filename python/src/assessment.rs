@@ -74,7 +74,7 @@ impl PyAssessment {
     }
 
     fn __str__(&self) -> String {
-        self.0.first_page.to_plain_text() + &self.0.first_page.gates_to_plain_text()
+        self.0.first_page.to_plain_text() + &self.0.summary.gates_to_plain_text()
     }
 
     fn __repr__(&self) -> String {

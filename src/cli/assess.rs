@@ -197,7 +197,7 @@ impl Assess {
         if let Some(comparison) = &assessment.comparison {
             message += &format!("{}\n", comparison.describe());
         }
-        message += &assessment.first_page.gates_to_plain_text();
+        message += &assessment.summary.gates_to_plain_text();
         let failed: Vec<_> = assessment
             .summary
             .gates

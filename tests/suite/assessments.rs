@@ -164,6 +164,7 @@ fn foreign_certificates_change_no_claim() {
         };
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
         let proof = with
+            .results
             .proofs
             .certificates
             .iter()
@@ -248,6 +249,7 @@ fn names_prove_nothing() {
     }
     assert!(
         assessment
+            .results
             .proofs
             .certificates
             .iter()
@@ -347,6 +349,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
         .map(|(name, _)| name)
         .collect();
     let found: Vec<_> = assessment
+        .results
         .searches
         .spaces
         .iter()
@@ -684,11 +687,11 @@ fn gates_on_spaces_look_at_random_scenarios() {
     // The gates end the first page on a terminal, and are in both forms of the report.
     assert!(
         found
-            .first_page
+            .summary
             .gates_to_plain_text()
             .ends_with("2 of 5 gates hold.\n"),
         "{}",
-        found.first_page.gates_to_plain_text()
+        found.summary.gates_to_plain_text()
     );
     for page in [found.first_page_to_html(), found.to_markdown()] {
         let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"]
@@ -926,7 +929,7 @@ fn a_recording_is_assessed_as_its_episodes() {
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";
     let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
     let found = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).expect("runs");
-    let traffic = found.file_scenarios.as_ref().expect("a part");
+    let traffic = found.results.file_scenarios.as_ref().expect("a part");
     assert_eq!(
         (traffic.scenarios.len(), found.summary.gates[0].holds),
         (2, true),

@@ -295,7 +295,13 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
     let own = [FailingController::new(100, Ok(f64::NAN)).into_named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
-    let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];
+    let case = &assessment
+        .results
+        .paper_scenarios
+        .as_ref()
+        .unwrap()
+        .scenarios[0]
+        .cases[1];
     assert!(
         matches!(
             &case.verdict,
@@ -309,7 +315,7 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
             .to_markdown()
             .contains("controller of 1 failed at 1.00 s: it answered with a number")
     );
-    let drawn = assessment.rate_spaces.spaces[0]
+    let drawn = assessment.results.rate_spaces.spaces[0]
         .controllers
         .iter()
         .find(|drawn| drawn.controller == "failing")

@@ -305,9 +305,8 @@ fn the_goal_structure_has_no_dangling_reference() {
         if let Some(part) = evidence.and_then(|url| url.strip_prefix("assessment.html#")) {
             assert!(
                 BUILT_IN_ASSESSMENT
-                    .parts()
+                    .sections()
                     .iter()
-                    .chain(&BUILT_IN_ASSESSMENT.appendix())
                     .any(|known| known.anchor == part),
                 "{id} points to {part}"
             );
@@ -326,6 +325,7 @@ fn every_counterexample_of_the_report_collides() {
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
     for search in BUILT_IN_ASSESSMENT
+        .results
         .searches
         .spaces
         .iter()
@@ -369,7 +369,8 @@ fn a_comparison_finds_changes() {
     let again = |text: &str| {
         fs::write(&path, text).expect("writes");
         let earlier = EarlierAssessment::load(&path).expect("evidence");
-        crumple_report::assessment::AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT)
+        BUILT_IN_ASSESSMENT
+            .compare_with(&earlier)
             .expect("comparable")
     };
     let json = BUILT_IN_ASSESSMENT.to_json().expect("serializes");
@@ -409,7 +410,7 @@ fn a_comparison_finds_changes() {
 /// counted runs is not compared with results of a search.
 #[test]
 fn a_search_with_more_failures_is_worse_in_every_row() {
-    use crumple_report::assessment::{AssessmentComparison, EarlierAssessment};
+    use crumple_report::assessment::EarlierAssessment;
     let mut evidence: Value =
         serde_json::from_str(&BUILT_IN_ASSESSMENT.to_json().expect("serializes")).expect("JSON");
     // The earlier search of `road` in `high-risk` found one failure less, and all of them were avoidable.
@@ -462,7 +463,9 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
     let path = folder.path().join("old.json");
     fs::write(&path, evidence.to_string()).expect("writes");
     let earlier = EarlierAssessment::load(&path).expect("evidence");
-    let found = AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable");
+    let found = BUILT_IN_ASSESSMENT
+        .compare_with(&earlier)
+        .expect("comparable");
     assert!(found.better.is_empty(), "{:?}", found.better);
     let [worse] = &found.worse[..] else {
         panic!("{:?}", found.worse)
@@ -538,6 +541,7 @@ fn the_verdict_is_that_of_the_evidence() {
 #[test]
 fn no_controller_exceeds_the_bound_and_regrets_add_up() {
     let scenarios = &BUILT_IN_ASSESSMENT
+        .results
         .paper_scenarios
         .as_ref()
         .expect("asked for")
@@ -584,17 +588,19 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
 #[test]
 fn every_certificate_is_accepted() {
     let accepted = BUILT_IN_ASSESSMENT
+        .results
         .proofs
         .certificates
         .iter()
         .filter(|proof| proof.is_accepted());
     assert_eq!(
         accepted.count(),
-        BUILT_IN_ASSESSMENT.proofs.certificates.len()
+        BUILT_IN_ASSESSMENT.results.proofs.certificates.len()
     );
     for statement in ["kernel", "rate", "comparison", "reach"] {
         assert!(
             BUILT_IN_ASSESSMENT
+                .results
                 .proofs
                 .certificates
                 .iter()

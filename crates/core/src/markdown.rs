@@ -28,9 +28,7 @@ impl Inline {
     /// Creates bold text, with code between backticks.
     #[must_use]
     pub fn strong(text: &str) -> Self {
-        Self {
-            text: format!("**{}**", Self::prose(text.trim()).text),
-        }
+        Self::default().and_strong(text)
     }
 
     /// Appends text, with code between backticks.
@@ -41,6 +39,16 @@ impl Inline {
                 true => self = self.and_code(piece),
                 false => self.push_escaped(piece),
             }
+        }
+        self
+    }
+
+    /// Appends bold text, with code between backticks. A space at its end stays, but is not bold.
+    #[must_use]
+    pub fn and_strong(mut self, text: &str) -> Self {
+        self.text += &format!("**{}**", Self::prose(text.trim()).text);
+        if text.ends_with(' ') {
+            self.text.push(' ');
         }
         self
     }

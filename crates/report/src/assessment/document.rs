@@ -1,67 +1,86 @@
-//! The text of a part, written as HTML and as Markdown at once.
+//! The text of a part as blocks, from which HTML and Markdown follow.
 
-use maud::{Markup, PreEscaped, Render, html};
+use maud::{Markup, Render, html};
 
-use super::prose::prose_to_html;
+use super::report_block::{
+    ListStyle, ParagraphStyle, ReportBlock, blocks_to_html, write_blocks_as_markdown,
+};
+use super::rich_text::RichText;
 use super::table::ReportTable;
 use crumple_core::markdown::Markdown;
 
-/// A text with two forms: HTML with figures, and Markdown without.
-#[derive(Debug, Default)]
-pub struct ReportDocument {
-    html: String,
-    markdown: Markdown,
+/// A text of blocks. Text between backticks is code.
+#[derive(Debug, Clone)]
+pub(super) struct ReportDocument {
+    blocks: Vec<ReportBlock>,
 }
 
 impl ReportDocument {
-    /// Writes a paragraph; text between backticks is code.
-    pub(super) fn paragraph(&mut self, text: &str) {
-        self.push_html(html! { p { (prose_to_html(text)) } });
-        self.markdown.paragraph(text);
+    pub(super) fn new() -> Self {
+        Self { blocks: Vec::new() }
+    }
+
+    pub(super) fn push(&mut self, block: ReportBlock) {
+        self.blocks.push(block);
+    }
+
+    pub(super) fn paragraph(&mut self, text: impl Into<RichText>) {
+        self.push(ReportBlock::Paragraph(text.into(), ParagraphStyle::Plain));
     }
 
     /// Writes a heading below that of the part.
-    pub(super) fn heading(&mut self, text: &str) {
-        self.push_html(html! { h3 { (text) } });
-        self.markdown.heading(3, text);
+    pub(super) fn heading(&mut self, text: impl Into<String>) {
+        self.push(ReportBlock::Heading(text.into()));
     }
 
-    pub(super) fn table(&mut self, table: &ReportTable) {
-        self.push_html(table.to_html());
-        table.write_markdown(&mut self.markdown);
+    pub(super) fn table(&mut self, table: ReportTable) {
+        self.push(ReportBlock::Table(table));
     }
 
-    pub(super) fn list(&mut self, lines: &[String]) {
-        self.push_html(html! { ul { @for line in lines { li { (prose_to_html(line)) } } } });
-        self.markdown.list(lines.iter().map(String::as_str));
-    }
-
-    /// Writes content that only HTML shows, such as a figure.
-    pub(super) fn push_html(&mut self, markup: impl Render) {
-        markup.render_to(&mut self.html);
+    pub(super) fn list(&mut self, lines: impl IntoIterator<Item = impl Into<RichText>>) {
+        let lines = lines.into_iter().map(Into::into).collect();
+        self.push(ReportBlock::List(lines, ListStyle::Plain));
     }
 
     pub(super) fn figure(&mut self, figure: impl Render) {
-        self.push_html(html! { figure { (figure) } });
-    }
-
-    pub(super) fn markdown_mut(&mut self) -> &mut Markdown {
-        &mut self.markdown
+        self.push(ReportBlock::Figure(html! { (figure) }));
     }
 
     /// Writes blocks that HTML shows on demand, below a summary.
-    pub(super) fn collapsible(&mut self, summary: &str, write: impl FnOnce(&mut Self)) {
-        self.html += "<details>";
-        self.push_html(html! { summary { (summary) } });
-        write(self);
-        self.html += "</details>";
+    pub(super) fn collapsible(&mut self, summary: impl Into<String>, content: impl Into<Self>) {
+        let content = content.into().blocks;
+        self.push(ReportBlock::Collapsible(summary.into(), content));
     }
 
-    pub(super) fn into_html(self) -> Markup {
-        PreEscaped(self.html)
+    pub(super) fn html_only(&mut self, content: impl Into<Self>) {
+        self.push(ReportBlock::HtmlOnly(content.into().blocks));
     }
 
-    pub(super) fn into_markdown(self) -> Markdown {
-        self.markdown
+    pub(super) fn markdown_only(&mut self, content: impl Into<Self>) {
+        self.push(ReportBlock::MarkdownOnly(content.into().blocks));
+    }
+
+    pub(super) fn to_html(&self) -> Markup {
+        blocks_to_html(&self.blocks)
+    }
+
+    pub(super) fn to_markdown(&self) -> Markdown {
+        let mut text = Markdown::default();
+        write_blocks_as_markdown(&self.blocks, &mut text);
+        text
+    }
+}
+
+impl From<ReportBlock> for ReportDocument {
+    fn from(block: ReportBlock) -> Self {
+        Self {
+            blocks: vec![block],
+        }
+    }
+}
+
+impl From<ReportTable> for ReportDocument {
+    fn from(table: ReportTable) -> Self {
+        ReportBlock::Table(table).into()
     }
 }

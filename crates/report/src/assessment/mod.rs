@@ -1,12 +1,13 @@
 //! The assessment: which controller is safer, with evidence and remaining failures.
 //!
-//! [`assess`] gathers evidence into an [`AssessmentReport`], which is rendered as Markdown, HTML and JSON. Each part
-//! has its own evidence type and rendering (see [`ReportPart`]). A new part needs a file under `parts/`, a field of
-//! [`AssessmentReport`] and a line in [`AssessmentReport::parts`].
+//! [`assess`] gathers results into [`GatheredResults`], and derives an [`AssessmentReport`] from them: evidence,
+//! claims, gates and the answer. It is written as HTML, Markdown, JSON, JUnit and a safety case. Each part of the
+//! report is a file under `parts/`, which implements the trait `ReportPart`.
 
 mod avoidance;
 mod cache;
 mod case;
+mod claim_draft;
 mod claims;
 mod commands;
 mod config;
@@ -14,7 +15,7 @@ mod controller_arg;
 mod document;
 mod followers;
 mod gate;
-mod gate_evaluation;
+mod gate_rules;
 mod gather_context;
 mod junit;
 mod page;
@@ -22,12 +23,14 @@ mod parts;
 mod plan;
 mod planned_suite;
 mod prose;
+mod report;
+mod report_block;
+mod report_part;
+mod results;
+mod rich_text;
 mod rounded;
 mod run_ends;
 mod table;
-
-use maud::Markup;
-use serde::Serialize;
 
 pub use avoidance::RoundedAvoidance;
 pub use cache::{CacheError, EvidenceCache, EvidenceHash};
@@ -42,23 +45,14 @@ pub use commands::{CommandFile, CrumpleCommand};
 pub use config::{
     AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig,
 };
-use crumple_core::markdown::Markdown;
-pub use document::ReportDocument;
 pub use gate::AssessmentGate;
-pub use gate_evaluation::GateResult;
-pub use parts::{
-    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits,
-    AssessmentProvenance, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow,
-    ClaimSummary, ControllerHarm, ControllerSample, ControllerUsefulness, DistinctFailure,
-    EarlierAssessment, EscapeFile, FailureSearch, FailureSearches, FileScenarios, FirstPage,
-    GainCurve, Glossary, HarmGroup, HarmReport, LargestGain, LimitingAssumption,
-    MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
-    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer,
-    ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
-    SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
-};
+pub use gate_rules::GateResult;
+pub use parts::*;
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
+pub use report::{AssessmentReport, EVIDENCE_VERSION, REPORT_FOLDERS, REPORT_KIND};
+pub use report_part::ReportSection;
+pub use results::GatheredResults;
 pub use rounded::Rounded;
 pub use run_ends::RunEnds;
 
@@ -68,60 +62,8 @@ use crumple_measure::GainError;
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_sim::engine::{RefusedController, RunError};
 use crumple_sim::scenario::InvalidField;
-use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
 use gather_context::GatherContext;
-
-/// Version of the JSON evidence that this release writes.
-pub const EVIDENCE_VERSION: u32 = 4;
-
-/// All results of an assessment.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct AssessmentReport {
-    /// Version of the evidence format.
-    pub version: u32,
-    /// First page: the question and its answer.
-    pub first_page: FirstPage,
-    /// Verdict: claims, and the strength of their evidence.
-    pub summary: ClaimSummary,
-    /// All evidence, each piece with its claim.
-    pub evidence: Ledger,
-    /// Paper's three scenarios; absent if the plan leaves the paper out.
-    pub paper_scenarios: Option<PaperScenarios>,
-    /// Failures counted on random scenarios of scenario spaces.
-    #[serde(rename = "distributions")]
-    pub rate_spaces: SpaceSamples,
-    /// Collisions ahead and behind, and harm; absent unless the configuration asks for them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub harm: Option<HarmReport>,
-    /// Scenarios from files; absent if the configuration names none.
-    #[serde(rename = "traffic")]
-    pub file_scenarios: Option<FileScenarios>,
-    /// Tests that are modelled on regulations; absent if the configuration names no suites.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub suites: Option<Suites>,
-    /// Results of searches for failures.
-    pub searches: FailureSearches,
-    /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
-    pub usefulness: Option<UsefulnessReport>,
-    /// Proved claims.
-    pub proofs: Proofs,
-    /// Statistics of the scenario spaces.
-    #[serde(rename = "domains")]
-    pub space_descriptions: SpaceDescriptions,
-    /// Limits of the assessment.
-    pub limits: AssessmentLimits,
-    /// Safety case: the verdict as a goal structure, in `assessment.gsn.yaml`.
-    #[serde(skip)]
-    pub argument: Argument,
-    /// Changes since an earlier assessment; absent if there is none to compare with.
-    pub comparison: Option<AssessmentComparison>,
-    /// Provenance of the evidence.
-    pub provenance: AssessmentProvenance,
-    /// Files that commands of the report need.
-    pub command_files: Vec<CommandFile>,
-}
 
 impl From<GainError> for AssessError {
     fn from(error: GainError) -> Self {
@@ -129,58 +71,6 @@ impl From<GainError> for AssessError {
             GainError::Scenario(invalid) => Self::Draw(invalid),
             GainError::Run(error) => Self::Run(error),
         }
-    }
-}
-
-/// One part of an assessment.
-pub trait ReportPart {
-    /// Writes the part, without its heading.
-    fn write(&self, out: &mut ReportDocument);
-
-    /// Returns the part as HTML, without its heading.
-    fn to_html(&self) -> Markup {
-        self.to_document().into_html()
-    }
-
-    /// Returns the part as Markdown, without its heading.
-    fn to_markdown(&self) -> Markdown {
-        self.to_document().into_markdown()
-    }
-
-    #[doc(hidden)]
-    fn to_document(&self) -> ReportDocument {
-        let mut document = ReportDocument::default();
-        self.write(&mut document);
-        document
-    }
-}
-
-/// A part of an assessment, with its heading and its anchor in the page.
-#[derive(Clone, Copy)]
-pub struct ReportSection<'a> {
-    /// Anchor in the page.
-    pub anchor: &'static str,
-    /// Heading.
-    pub title: &'static str,
-    /// Part below the heading.
-    pub part: &'a dyn ReportPart,
-}
-
-impl<'a> ReportSection<'a> {
-    fn new(anchor: &'static str, title: &'static str, part: &'a dyn ReportPart) -> Self {
-        Self {
-            anchor,
-            title,
-            part,
-        }
-    }
-
-    fn optional(
-        anchor: &'static str,
-        title: &'static str,
-        part: Option<&'a impl ReportPart>,
-    ) -> Option<Self> {
-        part.map(|part| Self::new(anchor, title, part))
     }
 }
 
@@ -258,54 +148,15 @@ pub fn assess(
         cache,
         ProgressCounter::new(observer, Some(plan.runs())),
     );
-    let paper_scenarios = PaperScenarios::gather(&work)?;
-    let rate_spaces = SpaceSamples::gather(&work)?;
-    let harm = HarmReport::gather(&work)?;
-    let traffic = FileScenarios::gather(&work)?;
-    let suites = Suites::gather(&work)?;
-    let searches = FailureSearches::gather(&work)?;
-    let usefulness = UsefulnessReport::gather(&work)?;
-    let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
-    let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
-    let proofs = Proofs::gather(&work, scenarios)?;
+    let results = GatheredResults::gather(&work)?;
     work.ensure_all_trusted()?;
-    let mut assessment = AssessmentReport {
-        version: EVIDENCE_VERSION,
-        provenance: AssessmentProvenance::new(plan, cache),
-        comparison: None,
-        space_descriptions: SpaceDescriptions::new(plan),
-        command_files: plan.command_files()?,
-        // These depend on the other parts.
-        evidence: Ledger::default(),
-        summary: ClaimSummary::default(),
-        first_page: FirstPage::default(),
-        argument: Argument::default(),
-        paper_scenarios,
-        rate_spaces,
-        harm,
-        file_scenarios: traffic,
-        suites,
-        searches,
-        usefulness,
-        proofs,
-        limits: AssessmentLimits::new(plan),
-    };
-    assessment.evidence = assessment.collect_ledger(plan);
-    assessment.summary = ClaimSummary::new(plan, &assessment);
-    assessment.first_page = FirstPage::new(plan, &assessment);
-    assessment.argument = Argument::new(plan, &assessment.summary, &assessment.limits);
-    assessment.comparison =
-        against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
-    // Gates come last: they evaluate all other results.
-    let gates: Vec<_> = plan
-        .config
-        .gates
-        .iter()
-        .map(|gate| gate.evaluate(plan, &assessment))
-        .collect();
-    assessment.first_page.gates.clone_from(&gates);
-    assessment.summary.gates = gates;
-    Ok(assessment)
+    Ok(AssessmentReport::derive(
+        plan,
+        results,
+        AssessmentProvenance::new(plan, cache),
+        plan.command_files()?,
+        against,
+    ))
 }
 
 impl AssessmentPlan {
@@ -339,184 +190,3 @@ impl AssessmentPlan {
             + counted.saturating_mul(self.config.rates.runs)
     }
 }
-
-impl AssessmentReport {
-    fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
-        let mut all = Vec::new();
-        all.extend(
-            self.paper_scenarios
-                .iter()
-                .flat_map(|part| part.evidence(plan)),
-        );
-        all.extend(self.rate_spaces.evidence(plan));
-        all.extend(
-            self.file_scenarios
-                .iter()
-                .flat_map(|part| part.evidence(plan)),
-        );
-        all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.searches.evidence(plan));
-        all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.proofs.evidence(plan));
-        Ledger::new(all)
-    }
-
-    /// Adds the time, program and machine of the assessment.
-    #[must_use]
-    pub fn with_run_info(mut self, made: RunInfo) -> Self {
-        self.provenance.run_info = Some(made);
-        self
-    }
-
-    /// Returns the parts in the order of the report, without the appendix.
-    #[must_use]
-    pub fn parts(&self) -> Vec<ReportSection<'_>> {
-        let rate_spaces = Some(&self.rate_spaces).filter(|drawn| !drawn.spaces.is_empty());
-        let searches = Some(&self.searches).filter(|searches| !searches.spaces.is_empty());
-        let harm = "Collisions ahead avoided, collisions behind caused, and harm";
-        let parts = [
-            ReportSection::optional("answer", "Result", Some(&self.first_page)),
-            ReportSection::optional("verdict", "Claims", Some(&self.summary)),
-            ReportSection::optional(
-                "changes",
-                "Changes since the earlier assessment",
-                self.comparison.as_ref(),
-            ),
-            ReportSection::optional(
-                "paper",
-                "The paper's scenarios",
-                self.paper_scenarios.as_ref(),
-            ),
-            ReportSection::optional(
-                "traffic",
-                "Scenario files and recordings",
-                self.file_scenarios.as_ref(),
-            ),
-            ReportSection::optional(
-                "suites",
-                "Tests modelled on regulations",
-                self.suites.as_ref(),
-            ),
-            ReportSection::optional("distribution", "Collision rates", rate_spaces),
-            ReportSection::optional("harm", harm, self.harm.as_ref()),
-            ReportSection::optional("search", "Counterexamples found by search", searches),
-            ReportSection::optional(
-                "usefulness",
-                "Comfort and unnecessary braking",
-                self.usefulness.as_ref(),
-            ),
-            ReportSection::optional("proofs", "Proofs", Some(&self.proofs)),
-            ReportSection::optional("limits", "Limits", Some(&self.limits)),
-        ];
-        parts.into_iter().flatten().collect()
-    }
-
-    /// Returns the parts of the appendix.
-    #[must_use]
-    pub fn appendix(&self) -> Vec<ReportSection<'_>> {
-        vec![
-            ReportSection::new("domain", "Scenario spaces", &self.space_descriptions),
-            ReportSection::new("glossary", "Glossary", &Glossary),
-            ReportSection::new("provenance", "Provenance", &self.provenance),
-        ]
-    }
-
-    /// Returns the report as one self-contained HTML page.
-    #[must_use]
-    pub fn to_html(&self) -> String {
-        page::render_html(self)
-    }
-
-    /// Returns the first page as a self-contained HTML page: question, answer and reasons.
-    #[must_use]
-    pub fn first_page_to_html(&self) -> String {
-        page::render_first_page(self)
-    }
-
-    /// Returns the report as Markdown, without figures.
-    #[must_use]
-    pub fn to_markdown(&self) -> String {
-        page::render_markdown(self)
-    }
-
-    /// Returns the evidence as JSON.
-    ///
-    /// # Errors
-    /// None in practice; an error of the serializer is passed on.
-    pub fn to_json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self).map(|json| json + "\n")
-    }
-
-    /// Returns every file of the report, with its path relative to the report folder.
-    ///
-    /// # Errors
-    /// None in practice; an error of the serializer is passed on.
-    pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
-        let mut texts = vec![
-            ("assessment.html".to_owned(), self.to_html()),
-            ("assessment.md".to_owned(), self.to_markdown()),
-            ("assessment.json".to_owned(), self.to_json()?),
-            ("assessment.junit.xml".to_owned(), junit::render_junit(self)),
-            ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
-            (
-                "replay.sh".to_owned(),
-                commands::replay_script(self.proofs.recount_command().as_ref(), self.commands()),
-            ),
-        ];
-        texts.extend(
-            self.harm
-                .iter()
-                .map(|harm| ("runs.csv".to_owned(), harm.runs_csv.clone())),
-        );
-        let figures = self
-            .paper_scenarios
-            .iter()
-            .flat_map(PaperScenarios::figure_files);
-        texts.extend(figures.map(|(name, svg)| (name, svg.document())));
-        let written = self
-            .proofs
-            .certificates
-            .iter()
-            .filter_map(|proof| Some((proof.file.clone()?, proof.text.clone())));
-        texts.extend(written);
-        let texts = texts
-            .into_iter()
-            .map(|(name, text)| (name, text.into_bytes()));
-        let needed = self
-            .command_files
-            .iter()
-            .map(|needed| (needed.file.clone(), needed.contents.clone()));
-        let failures = self.searches.failures().flat_map(DistinctFailure::files);
-        let of_suites = self.suites.iter().flat_map(Suites::files);
-        let mut all: Vec<_> = texts
-            .chain(failures)
-            .chain(of_suites)
-            .chain(needed)
-            .collect();
-        let contents = all
-            .iter()
-            .map(|(name, contents)| (name.as_str(), contents.as_slice()));
-        let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
-        all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
-        Ok(all)
-    }
-
-    /// Returns every command that reproduces a result of the report, in its order.
-    pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
-        let failures = self.searches.failures().flat_map(DistinctFailure::commands);
-        let of_suites = self.suites.iter().flat_map(Suites::commands);
-        failures.chain(of_suites)
-    }
-}
-
-/// Content of a report folder, as its `work.json` states it.
-pub const REPORT_KIND: &str = "report of an assessment";
-
-/// Subfolders of a report whose files may differ between reports.
-pub const REPORT_FOLDERS: [&str; 5] = [
-    "counterexamples/",
-    "certificates/",
-    "controllers/",
-    "spaces/",
-    "scenarios/",
-];

@@ -2,7 +2,9 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::{AssessmentReport, ReportPart, ReportSection};
+use super::document::ReportDocument;
+use super::report_part::{Chapter, ReportPart};
+use super::{AssessmentReport, ReportSection};
 use crate::units::insert_nbsp_before_units;
 use crate::{PAGE_STYLE, draw};
 use crumple_core::markdown::Markdown;
@@ -11,26 +13,29 @@ use crumple_core::quoting::TerminalLines;
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
 pub(super) fn render_html(assessment: &AssessmentReport) -> String {
-    let (parts, appendix) = (assessment.parts(), assessment.appendix());
+    let sections = assessment.sections();
+    let [(title, main), (appendix_title, appendix)] = split(&sections);
     render_page(&html! {
         header {
             p.kicker { "crumple " (assessment.provenance.crumple) }
-            h1 { (TITLE) }
+            h1 { (title) }
             nav {
-                @for ReportSection { anchor, title, .. } in parts.iter().chain(&appendix) {
-                    a href={ "#" (anchor) } { (title) } " "
+                @for section in &sections {
+                    a href={ "#" (section.anchor) } { (section.title) } " "
                 }
             }
         }
         main {
-            (sections(&parts))
-            div.appendix { h1 { "Appendix" } (sections(&appendix)) }
+            (sections_to_html(main))
+            div.appendix { h1 { (appendix_title) } (sections_to_html(appendix)) }
         }
     })
 }
 
 pub(super) fn render_first_page(assessment: &AssessmentReport) -> String {
-    render_page(&html! { main { section { (assessment.first_page.to_html()) } } })
+    let mut document = ReportDocument::new();
+    assessment.first_page_section().write(&mut document);
+    render_page(&html! { main { section { (document.to_html()) } } })
 }
 
 fn render_page(body: &Markup) -> String {
@@ -51,24 +56,28 @@ fn render_page(body: &Markup) -> String {
     insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
-fn sections(parts: &[ReportSection<'_>]) -> Markup {
+/// Returns the sections of the main part and those of the appendix, each under its heading.
+fn split(sections: &[ReportSection]) -> [(&'static str, &[ReportSection]); 2] {
+    let main = sections.partition_point(|section| section.chapter < Chapter::Appendix);
+    let (main, appendix) = sections.split_at(main);
+    [(TITLE, main), ("Appendix", appendix)]
+}
+
+fn sections_to_html(sections: &[ReportSection]) -> Markup {
     html! {
-        @for ReportSection { anchor, title, part } in parts {
-            section id=(anchor) { h2 { (title) } (part.to_html()) }
+        @for section in sections {
+            section id=(section.anchor) { h2 { (section.title) } (section.document.to_html()) }
         }
     }
 }
 
 pub(super) fn render_markdown(assessment: &AssessmentReport) -> String {
     let mut text = Markdown::default();
-    for (heading, parts) in [
-        (TITLE, assessment.parts()),
-        ("Appendix", assessment.appendix()),
-    ] {
+    for (heading, sections) in split(&assessment.sections()) {
         text.heading(1, heading);
-        for ReportSection { title, part, .. } in parts {
-            text.heading(2, title);
-            text.append(&part.to_markdown());
+        for section in sections {
+            text.heading(2, section.title);
+            text.append(&section.document.to_markdown());
         }
     }
     text.into_string()

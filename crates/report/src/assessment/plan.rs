@@ -207,6 +207,15 @@ impl AssessmentPlan {
         self.controllers.get(self.subject_index)
     }
 
+    pub(super) fn subject_name(&self) -> &str {
+        self.subject().map_or("", |subject| subject.name.as_str())
+    }
+
+    pub(super) fn controller_names(&self) -> Vec<String> {
+        let names = self.controllers.iter();
+        names.map(|controller| controller.name.clone()).collect()
+    }
+
     pub(super) fn identities(&self) -> Value {
         self.controllers
             .iter()

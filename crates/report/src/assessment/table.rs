@@ -6,7 +6,7 @@ use super::prose::prose_to_html;
 use crumple_core::markdown::Markdown;
 
 /// A table of text. Cells may have a mark, so that failures are visible without colour.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct ReportTable {
     header: Vec<String>,
     rows: Vec<Vec<ReportCell>>,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{AssuranceClaim, Domain, Evidence, InferenceRule, Property, Strength};
 
 /// All evidence of an assessment.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
 pub struct Ledger {

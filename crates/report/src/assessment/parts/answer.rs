@@ -1,22 +1,20 @@
 //! The first page: the question, the answer, and the main reasons.
 
-use maud::html;
 use serde::Serialize;
 
-use super::ScenarioCases;
 use super::certificates::describe_estimator;
 use super::summary::SubjectClaim;
+use super::{AssessmentLimits, ClaimSummary, FailureSearches, ScenarioCases, UsefulnessReport};
+use crate::assessment::AssessmentPlan;
 use crate::assessment::claims::{InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
-use crate::assessment::prose::prose_to_html;
-use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart};
-use crate::draw::Svg;
-use crumple_core::markdown::Inline;
+use crate::assessment::report_block::{ListStyle, ParagraphStyle, ReportBlock, TitledList};
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
+use crate::assessment::rich_text::RichText;
 use crumple_core::quoting::TerminalText;
 
 /// The answer to the question of whether the subject collides.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -26,12 +24,11 @@ pub enum SafetyAnswer {
     /// No run failed, and bounds or proofs cover the domains considered.
     SafeInDomain,
     /// No run failed and nothing more is known, or the evidence is contradictory.
-    #[default]
     Undecided,
 }
 
 /// The first page of a report.
-#[derive(Debug, Clone, Default, Serialize)]
+#[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FirstPage {
     /// Question in words.
@@ -47,96 +44,101 @@ pub struct FirstPage {
     pub speaks_for: Vec<String>,
     /// Assumptions of the assessment.
     pub assumed: Vec<&'static str>,
-    #[serde(skip)]
-    pub(in crate::assessment) gates: Vec<GateResult>,
-    /// Table that compares the subject with the first controller.
-    #[serde(skip)]
-    comparison: ReportTable,
-    #[serde(skip)]
-    worst_failures: Vec<ScenarioCases>,
-    /// Table of safety and usefulness of all controllers, a sentence that explains it, and a figure.
-    #[serde(skip)]
-    both_sides: Option<(ReportTable, String, Svg)>,
 }
 
 const MAX_FAILURES_SHOWN: usize = 3;
 
 impl FirstPage {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &AssessmentReport) -> Self {
-        let subject = plan
-            .subject()
-            .map_or("", |controller| controller.name.as_str());
-        let mut claims = found.summary.claims_about(plan.subject_index);
-        // The strongest first: a refutation outweighs everything.
-        claims.sort_by(|a, b| {
-            b.status
-                .strength
-                .weight()
-                .total_cmp(&a.status.strength.weight())
-        });
-        // Omit claims that are refuted only because a part of them is: the part is listed.
-        let speaks_against = |one: &&SubjectClaim<'_>| {
-            (one.status.strength.is_refutation()
-                && one.status.rule != Some(InferenceRule::RefutedInPart))
-                || matches!(
-                    one.status.strength,
-                    Strength::Contradicted | Strength::Unanswered { .. }
-                )
-        };
+    pub(in crate::assessment) fn new(
+        plan: &AssessmentPlan,
+        summary: &ClaimSummary,
+        limits: &AssessmentLimits,
+    ) -> Self {
+        let subject = plan.subject_name();
+        let claims = strongest_first(summary.claims_about(plan.subject_index));
         let against: Vec<String> = claims
             .iter()
-            .filter(speaks_against)
+            .filter(|one| speaks_against(one))
             .map(describe_refutation)
             .collect();
-        let speaks_for = |one: &&SubjectClaim<'_>| {
-            one.status.strength.is_assurance()
-                || one.status.strength.is_gain_in_limit()
-                || matches!(
-                    one.status.strength,
-                    Strength::Tested { .. } | Strength::PartlyProved { .. }
-                )
-        };
-        let describe = |one: &SubjectClaim<'_>| {
-            format!("{}: {}", one.row.claim, one.status.strength.describe())
-        };
-        let speaks_for = claims.iter().filter(speaks_for).map(describe).collect();
-        let (answer, answer_text) = SafetyAnswer::new(plan, subject, &claims, &against);
-        let answer_text = format!("{answer_text} {}", describe_comparison(plan, &claims));
-        let compared = match plan.controllers.first() {
-            Some(first) if plan.subject_index != 0 => {
-                format!(", and is it safer than `{}`", first.name)
-            }
-            _ => String::new(),
-        };
-        let question = format!(
-            "Does `{subject}`, {}, avoid collisions with the surrounding vehicles{compared}?",
-            describe_estimator(plan.config.estimator)
-        );
+        let answer = SafetyAnswer::new(plan, &claims);
+        let answer_text = answer.describe(subject, &relevant_claims(plan, &claims), &against);
+        let comparison = describe_comparison(plan, &claims);
         Self {
-            question,
+            question: ask_question(plan),
             answer,
-            answer_text: answer_text.trim_end().to_owned(),
+            answer_text: format!("{answer_text} {comparison}").trim_end().to_owned(),
             against,
-            speaks_for,
-            assumed: found
-                .limits
+            speaks_for: claims
+                .iter()
+                .filter(|one| speaks_for(one))
+                .map(describe_support)
+                .collect(),
+            assumed: limits
                 .assumptions
                 .iter()
                 .map(|limit| limit.assumed)
                 .collect(),
-            // Filled in later, because gates evaluate all other parts.
-            gates: Vec::new(),
-            comparison: found.summary.comparison_table(plan.subject_index),
-            worst_failures: found.searches.worst_failures(subject, MAX_FAILURES_SHOWN),
-            both_sides: found.usefulness.as_ref().map(|usefulness| {
-                (
-                    usefulness.both_sides_table(),
-                    usefulness.both_sides_note(),
-                    usefulness.figure("both-sides"),
-                )
-            }),
         }
     }
+
+    fn evidence_lists(&self) -> Vec<TitledList> {
+        vec![
+            TitledList {
+                title: "Evidence against it",
+                lines: self.against.clone(),
+            },
+            TitledList {
+                title: "Evidence for it",
+                lines: self.speaks_for.clone(),
+            },
+        ]
+    }
+}
+
+/// Sorts claims by their weight: a refutation outweighs everything.
+fn strongest_first(mut claims: Vec<SubjectClaim<'_>>) -> Vec<SubjectClaim<'_>> {
+    let weight = |one: &SubjectClaim<'_>| one.status.strength.weight();
+    claims.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+    claims
+}
+
+/// True for a claim that does not hold, unless only a part of it is refuted: that part is another claim.
+fn speaks_against(one: &SubjectClaim<'_>) -> bool {
+    let is_refuted_itself = one.status.strength.is_refutation()
+        && one.status.rule != Some(InferenceRule::RefutedInPart);
+    is_refuted_itself
+        || matches!(
+            one.status.strength,
+            Strength::Contradicted | Strength::Unanswered { .. }
+        )
+}
+
+fn speaks_for(one: &SubjectClaim<'_>) -> bool {
+    one.status.strength.is_assurance()
+        || one.status.strength.is_gain_in_limit()
+        || matches!(
+            one.status.strength,
+            Strength::Tested { .. } | Strength::PartlyProved { .. }
+        )
+}
+
+fn describe_support(one: &SubjectClaim<'_>) -> String {
+    format!("{}: {}", one.row.claim, one.status.strength.describe())
+}
+
+fn ask_question(plan: &AssessmentPlan) -> String {
+    let compared = match plan.controllers.first() {
+        Some(first) if plan.subject_index != 0 => {
+            format!(", and is it safer than `{}`", first.name)
+        }
+        _ => String::new(),
+    };
+    format!(
+        "Does `{}`, {}, avoid collisions with the surrounding vehicles{compared}?",
+        plan.subject_name(),
+        describe_estimator(plan.config.estimator)
+    )
 }
 
 /// Returns a sentence on failing less often than the first controller; empty if the subject is the first.
@@ -183,66 +185,66 @@ fn describe_refutation(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -
     }
 }
 
+/// Returns the claims that decide the answer: those of another estimator or about only the leader do not.
+fn relevant_claims<'c, 'a>(
+    plan: &AssessmentPlan,
+    claims: &'c [SubjectClaim<'a>],
+) -> Vec<&'c SubjectClaim<'a>> {
+    let is_relevant = |one: &&SubjectClaim<'_>| {
+        matches!(
+            one.claim.property,
+            Property::NoContact | Property::RateAtMost { .. }
+        ) && one.claim.subject.estimator == plan.config.estimator
+    };
+    claims.iter().filter(is_relevant).collect()
+}
+
+fn is_refuted(one: &SubjectClaim<'_>) -> bool {
+    one.status.strength.is_refutation()
+}
+
+/// True if some evidence refutes the claim, even if it is not the strongest.
+fn has_refutation(one: &SubjectClaim<'_>) -> bool {
+    let mut others = one.status.secondary.iter();
+    is_refuted(one) || others.any(|other| other.strength.is_refutation())
+}
+
 impl SafetyAnswer {
-    /// Derives the answer, and describes it with its domain and strength, so that it can be quoted alone. A failed run
-    /// outweighs all other evidence; claims of another estimator or only the leader do not count.
-    fn new(
-        plan: &AssessmentPlan,
-        subject: &str,
-        claims: &[SubjectClaim<'_>],
-        against: &[String],
-    ) -> (Self, String) {
-        let is_relevant = |one: &&SubjectClaim<'_>| {
-            matches!(
-                one.claim.property,
-                Property::NoContact | Property::RateAtMost { .. }
-            ) && one.claim.subject.estimator == plan.config.estimator
-        };
-        let about: Vec<_> = claims.iter().filter(is_relevant).collect();
-        let is_refuted = |one: &&SubjectClaim<'_>| one.status.strength.is_refutation();
-        let is_refuted_beside = |one: &&SubjectClaim<'_>| {
-            one.status
-                .secondary
-                .iter()
-                .any(|beside| beside.strength.is_refutation())
-        };
+    /// Derives the answer. A failed run outweighs all other evidence.
+    fn new(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> Self {
+        let about = relevant_claims(plan, claims);
+        let is_assured = about.iter().any(|one| one.status.strength.is_assurance());
+        let is_contradicted = about
+            .iter()
+            .any(|one| one.status.strength == Strength::Contradicted);
+        if about.iter().any(|one| has_refutation(one)) {
+            Self::NotSafe
+        } else if is_assured && !is_contradicted {
+            Self::SafeInDomain
+        } else {
+            Self::Undecided
+        }
+    }
+
+    /// Describes the answer with its domain and strength, so that it can be quoted alone. `about` are the claims that
+    /// decide it.
+    fn describe(self, subject: &str, about: &[&SubjectClaim<'_>], against: &[String]) -> String {
         let besides = against.first().map_or(String::new(), |first| {
             format!(" Evidence against it: {first}.")
         });
-        let assured = about
-            .iter()
-            .filter(|one| one.status.strength.is_assurance());
-        let assured: Vec<_> = assured
-            .map(|one| format!("{} ({})", one.row.claim, one.status.strength.describe()))
-            .collect();
-        if about
-            .iter()
-            .any(|one| is_refuted(one) || is_refuted_beside(one))
-        {
-            let mut refuted = about.iter().copied().filter(is_refuted);
-            let why = refuted.find(|one| one.status.rule != Some(InferenceRule::RefutedInPart));
-            let why = why.map_or_else(
-                || "a failed run in a part of a domain".to_owned(),
-                describe_refutation,
-            );
-            (
-                Self::NotSafe,
-                format!("Not safe. Main evidence against `{subject}`: {why}."),
-            )
-        } else if assured.is_empty()
-            || about
-                .iter()
-                .any(|one| one.status.strength == Strength::Contradicted)
-        {
-            let words = format!("no result of this report bounds the failure rate of `{subject}`");
-            (Self::Undecided, format!("Undecided: {words}.{besides}"))
-        } else {
-            let words = format!(
+        match self {
+            Self::NotSafe => format!(
+                "Not safe. Main evidence against `{subject}`: {}.",
+                main_refutation(about)
+            ),
+            Self::Undecided => format!(
+                "Undecided: no result of this report bounds the failure rate of `{subject}`.{besides}"
+            ),
+            Self::SafeInDomain => format!(
                 "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
                  known about other situations.{besides}",
-                assured.join("; ")
-            );
-            (Self::SafeInDomain, words)
+                list_assurances(about)
+            ),
         }
     }
 
@@ -253,6 +255,25 @@ impl SafetyAnswer {
             Self::Undecided => "answer",
         }
     }
+}
+
+fn main_refutation(about: &[&SubjectClaim<'_>]) -> String {
+    let main = about
+        .iter()
+        .copied()
+        .find(|one| is_refuted(one) && one.status.rule != Some(InferenceRule::RefutedInPart));
+    main.map_or_else(
+        || "a failed run in a part of a domain".to_owned(),
+        describe_refutation,
+    )
+}
+
+fn list_assurances(about: &[&SubjectClaim<'_>]) -> String {
+    let assured = about
+        .iter()
+        .filter(|one| one.status.strength.is_assurance())
+        .map(|one| format!("{} ({})", one.row.claim, one.status.strength.describe()));
+    assured.collect::<Vec<_>>().join("; ")
 }
 
 impl FirstPage {
@@ -278,110 +299,109 @@ impl FirstPage {
         text + &list("evidence against it:", &self.against)
             + &list("evidence for it:", &self.speaks_for)
     }
-
-    /// Returns the gates and their results, as text for a terminal; empty without gates.
-    #[must_use]
-    pub fn gates_to_plain_text(&self) -> String {
-        let line = |gate: &GateResult| {
-            let verdict = if gate.holds { "holds " } else { "FAILED" };
-            format!(
-                "  {verdict}  {}\n",
-                TerminalText(&format!("{} ({})", gate.gate, gate.reason))
-            )
-        };
-        let lines: String = self.gates.iter().map(line).collect();
-        if lines.is_empty() {
-            lines
-        } else {
-            format!("gates:\n{lines}{}\n", self.describe_gates())
-        }
-    }
-
-    fn describe_gates(&self) -> String {
-        let holding = self.gates.iter().filter(|gate| gate.holds).count();
-        match (holding, self.gates.len()) {
-            (1, 1) => "The gate holds.".to_owned(),
-            (all, of) if all == of => format!("All {of} gates hold."),
-            (holding, of) => format!("{holding} of {of} gates hold."),
-        }
-    }
-
-    fn gate_table(&self) -> ReportTable {
-        ReportTable::from_items(
-            &self.gates,
-            &[
-                ("gate", &|gate| ReportCell::text(&gate.gate)),
-                ("result", &|gate| {
-                    ReportCell::with_verdict(&gate.reason, gate.holds)
-                }),
-            ],
-        )
-    }
 }
 
 const COMPARISON_NOTE: &str = "A cell counts the runs that fail or the distinct failures of a search, or bounds a rate \
     with a confidence level. All controllers run the same scenarios.";
 
+const BOTH_SIDES_NOTE: &str = "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further \
+    left is better.";
+
 const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
 
-impl ReportPart for FirstPage {
+/// The section of the first page, with the results that it shows.
+pub(in crate::assessment) struct FirstPageSection<'a> {
+    pub(in crate::assessment) page: &'a FirstPage,
+    pub(in crate::assessment) summary: &'a ClaimSummary,
+    pub(in crate::assessment) searches: &'a FailureSearches,
+    pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
+}
+
+impl ReportPart for FirstPageSection<'_> {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Verdict,
+            anchor: "answer",
+            title: "Result",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.push_html(
-            html! { p class=(self.answer.css_class()) { (prose_to_html(&self.answer_text)) } },
-        );
-        out.markdown_mut().paragraph(self.answer_text.as_str());
-        if !self.comparison.is_empty() {
-            out.table(&self.comparison);
+        self.write_answer(out);
+        self.write_gates(out);
+        out.push(ReportBlock::Columns(self.page.evidence_lists()));
+        self.write_both_sides_figure(out);
+        self.write_worst_failures(out);
+        self.write_assumptions(out);
+    }
+}
+
+impl FirstPageSection<'_> {
+    fn write_answer(&self, out: &mut ReportDocument) {
+        let style = ParagraphStyle::Class(self.page.answer.css_class());
+        out.push(ReportBlock::Paragraph(
+            (&self.page.answer_text).into(),
+            style,
+        ));
+        let comparison = self.summary.comparison_table();
+        if !comparison.is_empty() {
+            out.table(comparison);
             out.paragraph(COMPARISON_NOTE);
         }
-        if let Some((table, note, _)) = &self.both_sides {
-            out.table(table);
-            out.paragraph(note);
+        if let Some(usefulness) = self.usefulness {
+            out.table(usefulness.both_sides_table());
+            out.paragraph(usefulness.both_sides_note());
         }
-        out.push_html(html! { p { b { "Question: " } (prose_to_html(&self.question)) } });
-        out.markdown_mut()
-            .paragraph(Inline::strong("Question:").and_prose(&format!(" {}", self.question)));
-        if !self.gates.is_empty() {
-            out.push_html(
-                html! { h3 { "Gates" } p { b { (self.describe_gates()) } " " (GATES_NOTE) } },
-            );
-            out.markdown_mut()
-                .paragraph(format!("{} {GATES_NOTE}", self.describe_gates()));
-            out.table(&self.gate_table());
-        }
-        let sides = [
-            ("Evidence against it", &self.against),
-            ("Evidence for it", &self.speaks_for),
-        ];
-        out.push_html(html! {
-            div.sides { @for (title, lines) in sides {
-                div {
-                    h3 { (title) }
-                    ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { "none" } } }
-                }
-            } }
-            @if let Some((_, _, sides)) = &self.both_sides {
-                h3 { "Safety and usefulness of each controller" }
-                p { "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further left is \
-                    better." }
-                figure { (sides) }
-            }
-            @if !self.worst_failures.is_empty() {
-                h3 { "Severest failures" }
-                div.worst { @for cases in &self.worst_failures { @for case in &cases.cases {
-                    figure {
-                        (cases.figure(case)) figcaption { (case.verdict.describe()) " · " (cases.replay_html(case)) }
-                    }
-                } } }
-            }
-            h3 { "Assumptions" }
-            ul.short { @for line in &self.assumed { li { (line) } } }
-        });
-        for (title, lines) in sides {
-            out.markdown_mut().paragraph(format!("{title}:"));
-            out.markdown_mut().list(lines.iter().map(String::as_str));
-        }
-        out.markdown_mut()
-            .paragraph("The assumptions are in the section \"Limits\".");
+        out.paragraph(RichText::strong("Question: ").and_prose(&self.page.question));
     }
+
+    fn write_gates(&self, out: &mut ReportDocument) {
+        if self.summary.gates.is_empty() {
+            return;
+        }
+        let verdict = self.summary.describe_gates();
+        out.markdown_only(paragraph(format!("{verdict} {GATES_NOTE}")));
+        let mut head = ReportDocument::new();
+        head.heading("Gates");
+        head.paragraph(RichText::strong(verdict).and_prose(format!(" {GATES_NOTE}")));
+        out.html_only(head);
+        out.table(self.summary.gate_table());
+    }
+
+    fn write_both_sides_figure(&self, out: &mut ReportDocument) {
+        let Some(usefulness) = self.usefulness else {
+            return;
+        };
+        let mut figure = ReportDocument::new();
+        figure.heading("Safety and usefulness of each controller");
+        figure.paragraph(BOTH_SIDES_NOTE);
+        figure.figure(usefulness.figure("both-sides"));
+        out.html_only(figure);
+    }
+
+    fn write_worst_failures(&self, out: &mut ReportDocument) {
+        let subject = self.summary.subject.as_deref().unwrap_or_default();
+        let worst = self.searches.worst_failures(subject, MAX_FAILURES_SHOWN);
+        if worst.is_empty() {
+            return;
+        }
+        let figures = worst.iter().flat_map(ScenarioCases::captioned_drawings);
+        let mut failures = ReportDocument::new();
+        failures.heading("Severest failures");
+        failures.push(ReportBlock::Gallery(figures.collect()));
+        out.html_only(failures);
+    }
+
+    fn write_assumptions(&self, out: &mut ReportDocument) {
+        let lines = self.page.assumed.iter().map(|&line| line.into()).collect();
+        let mut assumptions = ReportDocument::new();
+        assumptions.heading("Assumptions");
+        assumptions.push(ReportBlock::List(lines, ListStyle::Short));
+        out.html_only(assumptions);
+        out.markdown_only(paragraph("The assumptions are in the section \"Limits\"."));
+    }
+}
+
+fn paragraph(text: impl Into<RichText>) -> ReportBlock {
+    ReportBlock::Paragraph(text.into(), ParagraphStyle::Plain)
 }

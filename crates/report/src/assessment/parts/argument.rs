@@ -21,8 +21,13 @@ const CONTEXT: &str = "C";
 const ASSUMPTION: &str = "A";
 
 /// The safety case: elements in the order of their numbers, the top goal first.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Argument {
+    elements: Vec<GsnElement>,
+}
+
+/// The elements of a safety case that is being written.
+struct ArgumentBuilder {
     elements: Vec<GsnElement>,
 }
 
@@ -44,7 +49,7 @@ struct GsnElement {
     url: Option<String>,
 }
 
-impl Argument {
+impl ArgumentBuilder {
     fn add(&mut self, prefix: &str, text: impl Into<String>) -> String {
         let kind = |element: &GsnElement| {
             element
@@ -121,7 +126,7 @@ fn state_claim(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String
     }
 }
 
-impl Argument {
+impl ArgumentBuilder {
     fn propagate_defeat(&mut self) {
         // Elements come before those that support them.
         let mut defeated: Vec<String> = Vec::new();
@@ -137,44 +142,50 @@ impl Argument {
     }
 }
 
-/// The goals below the top one: statement, strategy, and filter of the properties.
-type PropertyFilter = fn(&Property) -> bool;
-const GOALS: [(&str, &str, PropertyFilter); 6] = [
-    (
-        "has no collision in any run of this report",
-        "over the domains of the report",
-        |property| matches!(property, Property::NoContact | Property::NoContactAhead),
-    ),
-    (
-        "passes the tests that are modelled on regulations",
-        "over suites of tests",
-        |property| matches!(property, Property::PassesTests),
-    ),
-    (
-        "fails rarely",
-        "over the distributions of spaces",
-        |property| matches!(property, Property::RateAtMost { .. }),
-    ),
-    (
-        "fails less often than the first controller",
-        "over the same runs of both",
-        |property| matches!(property, Property::FailsLessOften { .. }),
-    ),
-    (
-        "causes no collision of other vehicles",
-        "over runs in which other vehicles may collide",
-        |property| matches!(property, Property::OthersKeepClear),
-    ),
-    (
-        "is useful in ordinary traffic: no unnecessary braking, keeps up, no oscillation that grows",
-        "over ordinary traffic",
-        |property| {
+/// A goal below the top one.
+struct Goal {
+    statement: &'static str,
+    strategy: &'static str,
+    /// True for the properties that the goal is about.
+    is_about: fn(&Property) -> bool,
+}
+
+const GOALS: [Goal; 6] = [
+    Goal {
+        statement: "has no collision in any run of this report",
+        strategy: "over the domains of the report",
+        is_about: |property| matches!(property, Property::NoContact | Property::NoContactAhead),
+    },
+    Goal {
+        statement: "passes the tests that are modelled on regulations",
+        strategy: "over suites of tests",
+        is_about: |property| matches!(property, Property::PassesTests),
+    },
+    Goal {
+        statement: "fails rarely",
+        strategy: "over the distributions of spaces",
+        is_about: |property| matches!(property, Property::RateAtMost { .. }),
+    },
+    Goal {
+        statement: "fails less often than the first controller",
+        strategy: "over the same runs of both",
+        is_about: |property| matches!(property, Property::FailsLessOften { .. }),
+    },
+    Goal {
+        statement: "causes no collision of other vehicles",
+        strategy: "over runs in which other vehicles may collide",
+        is_about: |property| matches!(property, Property::OthersKeepClear),
+    },
+    Goal {
+        statement: "is useful in ordinary traffic: no unnecessary braking, keeps up, no oscillation that grows",
+        strategy: "over ordinary traffic",
+        is_about: |property| {
             matches!(
                 property,
                 Property::NoUnnecessaryBraking | Property::KeepsUp | Property::NoGrowingOscillation
             )
         },
-    ),
+    },
 ];
 
 /// Returns the domains of claims about rates, which must not be read without them.
@@ -198,66 +209,91 @@ fn describe_rate_domains(about: &[&SubjectClaim<'_>]) -> String {
     }
 }
 
+impl ArgumentBuilder {
+    /// Adds the context of the top goal: simulation, domains and assumptions. Returns the identifiers.
+    fn add_contexts(
+        &mut self,
+        claims: &[SubjectClaim<'_>],
+        limits: &AssessmentLimits,
+    ) -> Vec<String> {
+        let mut contexts = vec![self.add(
+            CONTEXT,
+            "simulated vehicles in one lane of a straight road; each goal names its domain",
+        )];
+        for domain in distinct_domains(claims) {
+            contexts.push(self.add(CONTEXT, domain));
+        }
+        for limit in &limits.assumptions {
+            let id = self.add(ASSUMPTION, limit.assumed);
+            self.update(&id, |element| {
+                element.url = Some("assessment.html#limits".to_owned())
+            });
+            contexts.push(id);
+        }
+        contexts
+    }
+
+    /// Adds a goal about some properties of the subject, with the claims about them; nothing without claims.
+    fn add_goal(&mut self, below: &str, subject: &str, goal: &Goal, claims: &[SubjectClaim<'_>]) {
+        let about: Vec<_> = claims
+            .iter()
+            .filter(|one| (goal.is_about)(&one.claim.property))
+            .collect();
+        if about.is_empty() {
+            return;
+        }
+        let text = format!(
+            "{subject} {}{}",
+            goal.statement,
+            describe_rate_domains(&about)
+        );
+        let id = self.add(GOAL, text);
+        self.add_support(below, id.clone());
+        let strategy = self.add(STRATEGY, goal.strategy);
+        self.add_support(&id, strategy.clone());
+        for stated in about {
+            self.add_claim(&strategy, stated);
+        }
+    }
+}
+
+fn distinct_domains(claims: &[SubjectClaim<'_>]) -> Vec<String> {
+    let mut domains: Vec<String> = Vec::new();
+    for one in claims {
+        let domain = format!("domain: {}", one.claim.domain.describe());
+        if !domains.contains(&domain) {
+            domains.push(domain);
+        }
+    }
+    domains
+}
+
 impl Argument {
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
         summary: &ClaimSummary,
         limits: &AssessmentLimits,
     ) -> Self {
-        let subject = plan
-            .subject()
-            .map_or("", |controller| controller.name.as_str());
-        let mut building = Self::default();
-        let all = summary.claims_about(plan.subject_index);
+        let subject = plan.subject_name();
+        let claims = summary.claims_about(plan.subject_index);
+        let mut argument = ArgumentBuilder {
+            elements: Vec::new(),
+        };
         let estimator = describe_estimator(plan.config.estimator);
         let goal =
             format!("{subject}, {estimator}, avoids collisions in the domains of this report");
-        let top = building.add(GOAL, goal);
-        let over = building.add(STRATEGY, "over collisions, failure rates and usefulness");
-        building.add_support(&top, over.clone());
-        let mut around = vec![building.add(
-            CONTEXT,
-            "simulated vehicles in one lane of a straight road; each goal names its domain",
-        )];
-        let mut domains: Vec<String> = Vec::new();
-        for domain in all
-            .iter()
-            .map(|one| format!("domain: {}", one.claim.domain.describe()))
-        {
-            if !domains.contains(&domain) {
-                around.push(building.add(CONTEXT, domain.clone()));
-                domains.push(domain);
-            }
+        let top = argument.add(GOAL, goal);
+        let over = argument.add(STRATEGY, "over collisions, failure rates and usefulness");
+        argument.add_support(&top, over.clone());
+        let contexts = argument.add_contexts(&claims, limits);
+        argument.update(&top, |element| element.in_context_of = contexts);
+        for goal in &GOALS {
+            argument.add_goal(&over, subject, goal, &claims);
         }
-        for limit in &limits.assumptions {
-            let id = building.add(ASSUMPTION, limit.assumed);
-            building.update(&id, |element| {
-                element.url = Some("assessment.html#limits".to_owned())
-            });
-            around.push(id);
+        argument.propagate_defeat();
+        Self {
+            elements: argument.elements,
         }
-        building.update(&top, |element| element.in_context_of = around);
-        for (says, by, is_about) in GOALS {
-            let about: Vec<_> = all
-                .iter()
-                .filter(|one| is_about(&one.claim.property))
-                .collect();
-            if about.is_empty() {
-                continue;
-            }
-            let goal = building.add(
-                GOAL,
-                format!("{subject} {says}{}", describe_rate_domains(&about)),
-            );
-            building.add_support(&over, goal.clone());
-            let strategy = building.add(STRATEGY, by);
-            building.add_support(&goal, strategy.clone());
-            about
-                .into_iter()
-                .for_each(|stated| building.add_claim(&strategy, stated));
-        }
-        building.propagate_defeat();
-        building
     }
 
     /// Returns the argument as YAML for GSN tools: one entry per element, under its identifier.

@@ -9,10 +9,11 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::Value;
 
-use self::fact::{Facts, read, read_facts};
+use self::fact::{Fact, Facts, read, read_facts};
+use crate::assessment::EVIDENCE_VERSION;
 use crate::assessment::document::ReportDocument;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentReport, EVIDENCE_VERSION, ReportPart};
 use crumple_core::digest::sha256;
 use crumple_core::text_file::{self, FileError};
 
@@ -101,61 +102,83 @@ impl EarlierAssessment {
     }
 }
 
+/// The kind of change of a result of this assessment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ChangeKind {
+    Better,
+    Worse,
+    /// Another result that is neither better nor worse.
+    Changed,
+    New,
+    Unchanged,
+}
+
+fn compare_fact(
+    (what, _): &(String, String),
+    before: Option<&Fact>,
+    now: &Fact,
+) -> (ChangeKind, AssessmentChange) {
+    let kind = match before {
+        None => ChangeKind::New,
+        Some(before) => match now.measure.compare(&before.measure) {
+            Some(Ordering::Greater) => ChangeKind::Better,
+            Some(Ordering::Less) => ChangeKind::Worse,
+            None if before.description != now.description => ChangeKind::Changed,
+            Some(Ordering::Equal) | None => ChangeKind::Unchanged,
+        },
+    };
+    (kind, AssessmentChange::new(what, before, Some(now)))
+}
+
+impl AssessmentChange {
+    fn new(what: &str, before: Option<&Fact>, now: Option<&Fact>) -> Self {
+        let describe = |fact: &Fact| fact.description.clone();
+        Self {
+            description: what.to_owned(),
+            before: before.map(describe),
+            now: now.map(describe),
+            is_failure: now.or(before).is_some_and(|fact| fact.is_failure),
+        }
+    }
+}
+
 impl AssessmentComparison {
-    /// Compares two assessments; `None` if the evidence of `now` cannot be read back, a defect of its format.
-    #[must_use]
-    pub fn new(earlier: &EarlierAssessment, now: &AssessmentReport) -> Option<Self> {
-        let text = now.to_json().ok()?;
-        let evidence: Value = serde_json::from_str(&text).ok()?;
-        let same_configuration = now.provenance.config_sha256 == earlier.config_sha256;
-        Some(Self {
-            same_configuration,
-            ..Self::from_facts(earlier, &read_facts(&evidence).ok()?)
-        })
+    /// Compares two assessments; `None` if `evidence`, that of this one, cannot be read back, a defect of its format.
+    pub(in crate::assessment) fn new(
+        earlier: &EarlierAssessment,
+        evidence: &impl Serialize,
+        config_sha256: &str,
+    ) -> Option<Self> {
+        // As text: numbers that are read from text compare equal to those of the earlier file.
+        let text = serde_json::to_string(evidence).ok()?;
+        let facts = read_facts(&serde_json::from_str(&text).ok()?).ok()?;
+        let same_configuration = config_sha256 == earlier.config_sha256;
+        Some(Self::from_facts(earlier, &facts, same_configuration))
     }
 
-    fn from_facts(earlier: &EarlierAssessment, facts: &Facts) -> Self {
-        let (mut better, mut worse, mut changed, mut new) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let mut unchanged = 0;
-        for (key @ (what, _), fact) in facts {
-            let before = earlier.facts.get(key);
-            let change = AssessmentChange {
-                description: what.clone(),
-                before: before.map(|before| before.description.clone()),
-                now: Some(fact.description.clone()),
-                is_failure: fact.is_failure,
-            };
-            let Some(before) = before else {
-                new.push(change);
-                continue;
-            };
-            match fact.measure.compare(&before.measure) {
-                Some(Ordering::Greater) => better.push(change),
-                Some(Ordering::Less) => worse.push(change),
-                None if before.description != fact.description => changed.push(change),
-                Some(Ordering::Equal) | None => unchanged += 1,
-            }
-        }
+    fn from_facts(earlier: &EarlierAssessment, facts: &Facts, same_configuration: bool) -> Self {
+        let present = facts
+            .iter()
+            .map(|(key, fact)| compare_fact(key, earlier.facts.get(key), fact));
+        let present: Vec<(ChangeKind, AssessmentChange)> = present.collect();
+        let of_kind = |kind: ChangeKind| -> Vec<AssessmentChange> {
+            let own = present.iter().filter(|(other, _)| *other == kind);
+            own.map(|(_, change)| change.clone()).collect()
+        };
         let gone = earlier
             .facts
             .iter()
-            .filter(|(key, _)| !facts.contains_key(*key));
-        let gone = gone.map(|((what, _), fact)| AssessmentChange {
-            description: what.clone(),
-            before: Some(fact.description.clone()),
-            now: None,
-            is_failure: fact.is_failure,
-        });
+            .filter(|(key, _)| !facts.contains_key(*key))
+            .map(|((what, _), fact)| AssessmentChange::new(what, Some(fact), None));
         Self {
             earlier_sha256: earlier.sha256.clone(),
-            same_configuration: true,
-            better,
-            worse,
-            changed,
-            new,
+            same_configuration,
+            better: of_kind(ChangeKind::Better),
+            worse: of_kind(ChangeKind::Worse),
+            changed: of_kind(ChangeKind::Changed),
+            new: of_kind(ChangeKind::New),
             gone: gone.collect(),
-            unchanged,
+            unchanged: of_kind(ChangeKind::Unchanged).len(),
         }
     }
 
@@ -220,10 +243,18 @@ impl AssessmentComparison {
 }
 
 impl ReportPart for AssessmentComparison {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Verdict,
+            anchor: "changes",
+            title: "Changes since the earlier assessment",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(&self.describe());
+        out.paragraph(self.describe());
         if !self.is_empty() {
-            out.table(&self.table());
+            out.table(self.table());
         }
     }
 }

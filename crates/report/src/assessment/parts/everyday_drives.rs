@@ -130,6 +130,7 @@ impl ControllerUsefulness {
         controller: &NamedController,
         drives: &[EverydayDrive],
         danger: &[RunSummary],
+        unnecessary_braking_rates: Vec<BrakingRate>,
         oscillation_gain: OscillationGain,
     ) -> Self {
         // A drive without an answer is no evidence about driving or keeping up.
@@ -174,7 +175,7 @@ impl ControllerUsefulness {
             ),
             unanswered: [in_traffic.unanswered, in_danger.unanswered],
             unnecessary_braking: needless,
-            unnecessary_braking_rates: Vec::new(),
+            unnecessary_braking_rates,
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),

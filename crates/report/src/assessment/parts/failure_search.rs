@@ -1,25 +1,26 @@
 //! The failure search of one controller in one scenario space.
 
-use maud::html;
 use serde::Serialize;
 use serde_json::json;
 
 use super::ScenarioCases;
 use super::distinct_failure::{DistinctFailure, MethodResult, involves_vehicle_under_test};
-use super::search_campaign::{run_campaign, simulate_failures};
+use super::search_campaign::{CounterexampleFiles, run_campaign, simulate_failures};
 use crate::assessment::case::largest;
 use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::rich_text::RichText;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, Rounded};
 use crumple_evidence::RateInterval;
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::Campaign;
+use crumple_search::falsify::campaign::{Campaign, CampaignSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_sim::engine::{FailedControllerRuns, NamedController};
+use crumple_sim::scenario::Scenario;
 
 /// Maximum number of shown failures of one search; a campaign of a few hundred runs finds fewer.
 const MAX_SHOWN: usize = 100;
@@ -50,6 +51,121 @@ pub struct FailureSearch {
     pub(super) drawn_cases: Vec<ScenarioCases>,
 }
 
+/// A search of a plan: one controller in one scenario space.
+struct PlannedSearch<'a> {
+    plan: &'a AssessmentPlan,
+    named: &'a NamedSpace,
+    /// Index of the controller in the plan.
+    index: usize,
+    controller: &'a NamedController,
+}
+
+impl PlannedSearch<'_> {
+    fn campaign(&self) -> Campaign {
+        let config = &self.plan.config;
+        Campaign {
+            estimator: config.estimator,
+            seed: config.seed,
+            ..Campaign::new(self.controller.clone(), self.named.space.clone())
+                .with_budget(config.search.budget)
+        }
+    }
+
+    fn run(
+        &self,
+        work: &GatherContext<'_>,
+    ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
+        let campaign = self.campaign();
+        let item = format!(
+            "search {} in {}",
+            self.controller.name,
+            self.named.space.name()
+        );
+        let inputs = json!([
+            self.plan.identity(self.controller),
+            self.named.text,
+            campaign.search.budget,
+            campaign.seed
+        ]);
+        run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)
+    }
+
+    /// Returns the folder of the search below `root`.
+    fn folder(&self, root: &str) -> String {
+        let space = file_stem(self.named.space.name());
+        format!("{root}/{space}/{}", self.plan.controller_slug(self.index))
+    }
+
+    /// Returns the failures of the controller, each with its file and its commands.
+    fn failures(
+        &self,
+        summary: &CampaignSummary,
+        texts: Vec<CounterexampleFiles>,
+        nominal: &Scenario,
+    ) -> Vec<DistinctFailure> {
+        let folder = self.folder("counterexamples");
+        let replay = |file: &str| self.replay_command(file);
+        summary
+            .counterexamples
+            .iter()
+            .zip(texts)
+            .filter(|(found, _)| is_own_failure(found, nominal))
+            .map(|(found, text)| {
+                DistinctFailure::from_counterexample(found, &folder, text, &replay)
+            })
+            .collect()
+    }
+
+    /// Returns the command that simulates a failure; `None` for an external controller.
+    fn replay_command(&self, file: &str) -> Option<CrumpleCommand> {
+        let controller = controller_arg(&*self.controller.source)?;
+        let simulate = CrumpleCommand::new(["simulate", file, "--controller", controller.as_str()])
+            .with_args(self.plan.estimator_args().iter().copied());
+        Some(simulate.with_args(["--expect", "collision"]))
+    }
+
+    /// Returns the command that repeats the search; `None` for an external controller.
+    fn command(&self) -> Option<CrumpleCommand> {
+        let controller = controller_arg(&*self.controller.source)?;
+        let config = &self.plan.config;
+        let falsify = CrumpleCommand::new(["falsify", "--controller", controller.as_str()])
+            .with_args(["--space".to_owned(), self.named.to_arg()])
+            .with_args(["--budget".to_owned(), config.search.budget.to_string()])
+            .with_args(["--seed".to_owned(), config.seed.to_string()])
+            .with_args(["--out".to_owned(), self.folder("searches")])
+            .with_args(self.plan.estimator_args().iter().copied());
+        Some(falsify)
+    }
+
+    /// True for the first controller, the subject and the learned ones.
+    fn is_main(&self) -> bool {
+        self.index == 0
+            || self.index == self.plan.subject_index
+            || self.controller.source.is_learned()
+    }
+}
+
+/// True if a vehicle under test collides.
+fn is_own_failure(found: &Counterexample, nominal: &Scenario) -> bool {
+    involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], nominal)
+}
+
+/// Counts failures by their class, without empty classes.
+fn count_classes(failures: &[&Counterexample]) -> Vec<(AvoidabilityClass, usize)> {
+    let classes = [
+        AvoidabilityClass::Avoidable,
+        AvoidabilityClass::Unavoidable,
+        AvoidabilityClass::Undecided,
+        AvoidabilityClass::NotAsked,
+    ];
+    let count = |class: AvoidabilityClass| {
+        let of_class = |one: &&&Counterexample| one.avoidability.class() == class;
+        (class, failures.iter().filter(of_class).count())
+    };
+    let counts = classes.into_iter().map(count);
+    counts.filter(|(_, count)| *count > 0).collect()
+}
+
 impl FailureSearch {
     pub(in crate::assessment) fn gather(
         named: &NamedSpace,
@@ -57,103 +173,32 @@ impl FailureSearch {
         work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let plan = work.plan;
-        let space = &named.space;
-        let campaign = Campaign {
-            estimator: plan.config.estimator,
-            seed: plan.config.seed,
-            ..Campaign::new(controller.clone(), space.clone())
-                .with_budget(plan.config.search.budget)
+        let search = PlannedSearch {
+            plan,
+            named,
+            index,
+            controller,
         };
-        let item = format!("search {} in {}", controller.name, space.name());
-        let inputs = json!([
-            plan.identity(controller),
-            named.text,
-            campaign.search.budget,
-            campaign.seed
-        ]);
-        let (summary, texts) = run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)?;
-        let place = format!(
-            "counterexamples/{}/{}",
-            file_stem(space.name()),
-            plan.controller_slug(index)
-        );
-        let word = controller_arg(&*controller.source);
-        let seeing = plan.estimator_args().iter().copied();
-        let replay = |file: &str| {
-            let simulate =
-                CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?])
-                    .with_args(seeing.clone());
-            Some(simulate.with_args(["--expect", "collision"]))
-        };
-        let nominal = space.scenario(&space.nominal())?;
-        let is_own = |found: &&Counterexample| {
-            involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal)
-        };
-        let found = summary
-            .counterexamples
-            .iter()
-            .zip(texts)
-            .filter(|(found, _)| is_own(found));
-        let failures: Vec<_> = found
-            .map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay))
-            .collect();
-        let classes = [
-            AvoidabilityClass::Avoidable,
-            AvoidabilityClass::Unavoidable,
-            AvoidabilityClass::Undecided,
-            AvoidabilityClass::NotAsked,
-        ];
-        let own: Vec<_> = summary.counterexamples.iter().filter(is_own).collect();
-        let count = |class| {
-            own.iter()
-                .filter(|one| one.avoidability.class() == class)
-                .count()
-        };
-        let [budget, seed] =
-            [campaign.search.budget, campaign.seed].map(|number| number.to_string());
-        let out = format!(
-            "searches/{}/{}",
-            file_stem(space.name()),
-            plan.controller_slug(index)
-        );
-        let command = word.as_deref().map(|word| {
-            let what = [
-                "falsify",
-                "--controller",
-                word,
-                "--space",
-                &named.to_arg(),
-                "--budget",
-                &budget,
-                "--seed",
-                &seed,
-            ];
-            CrumpleCommand::new(what)
-                .with_args(["--out", &out])
-                .with_args(seeing.clone())
-        });
-        let is_main = is_main_controller(plan, index, controller);
-        let drawn_cases = if is_main {
-            simulate_failures(plan, controller, &failures)?
-        } else {
-            Vec::new()
+        let (summary, texts) = search.run(work)?;
+        let nominal = named.space.scenario(&named.space.nominal())?;
+        let failures = search.failures(&summary, texts, &nominal);
+        let found = summary.counterexamples.iter();
+        let own: Vec<_> = found.filter(|one| is_own_failure(one, &nominal)).collect();
+        let methods = summary.methods.iter();
+        let drawn_cases = match search.is_main() {
+            true => simulate_failures(plan, controller, &failures)?,
+            false => Vec::new(),
         };
         Ok(Self {
             controller: controller.name.clone(),
-            command,
-            methods: summary
-                .methods
-                .iter()
+            command: search.command(),
+            methods: methods
                 .map(|method| MethodResult::new(method, &summary, &nominal))
                 .collect(),
-            distinct: classes
-                .map(|class| (class, count(class)))
-                .into_iter()
-                .filter(|(_, n)| *n > 0)
-                .collect(),
+            distinct: count_classes(&own),
             failures,
             collisions_of_others: summary.counterexamples.len() - own.len(),
-            is_main,
+            is_main: search.is_main(),
             drawn_cases,
         })
     }
@@ -318,33 +363,40 @@ impl FailureSearch {
     }
 }
 
-fn is_main_controller(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
-    index == 0 || index == plan.subject_index || controller.source.is_learned()
-}
-
 impl FailureSearch {
-    pub(super) fn write(&self, out: &mut ReportDocument) {
-        out.push_html(html! {
-            details {
-                summary { (self.controller) ": " (self.summary()) }
-                @let unlisted = self.distinct_count().saturating_sub(self.failures.len());
-                @if unlisted > 0 { p { (unlisted) " further distinct failures are not listed." } }
-                @if let Some(others) = self.describe_others() { p { (others) } }
-                @if !self.failures.is_empty() {
-                    (self.table().to_html())
-                    @let commands = self.failures.iter().flat_map(DistinctFailure::commands);
-                    ul { @for command in commands { li { code { (command) } } } }
-                }
-                @if let Some(command) = &self.command { p { "Search again: " code { (command) } } }
-                @if !self.drawn_cases.is_empty() {
-                    details {
-                        summary { "figures of the severest failures" }
-                        @for cases in &self.drawn_cases {
-                            @for case in &cases.cases { figure { (cases.figure(case)) } }
-                        }
-                    }
-                }
+    /// Writes all listed failures, folded behind a summary.
+    pub(super) fn write_details(&self, out: &mut ReportDocument) {
+        let mut details = ReportDocument::new();
+        let unlisted = self.distinct_count().saturating_sub(self.failures.len());
+        if unlisted > 0 {
+            details.paragraph(format!(
+                "{unlisted} further distinct failures are not listed."
+            ));
+        }
+        if let Some(others) = self.describe_others() {
+            details.paragraph(others);
+        }
+        if !self.failures.is_empty() {
+            details.table(self.table());
+            let commands = self.failures.iter().flat_map(DistinctFailure::commands);
+            details.list(commands.map(RichText::code));
+        }
+        if let Some(command) = &self.command {
+            details.paragraph(RichText::from("Search again: ").and_code(command));
+        }
+        if !self.drawn_cases.is_empty() {
+            details.collapsible("figures of the severest failures", self.figures());
+        }
+        out.collapsible(format!("{}: {}", self.controller, self.summary()), details);
+    }
+
+    fn figures(&self) -> ReportDocument {
+        let mut figures = ReportDocument::new();
+        for cases in &self.drawn_cases {
+            for case in &cases.cases {
+                figures.figure(cases.figure(case));
             }
-        });
+        }
+        figures
     }
 }

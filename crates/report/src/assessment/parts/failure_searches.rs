@@ -6,17 +6,21 @@ use serde::Serialize;
 use super::ScenarioCases;
 use super::distinct_failure::{DistinctFailure, MethodResult};
 use super::failure_search::FailureSearch;
+use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
+use crate::assessment::rich_text::RichText;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
-use crumple_core::markdown::{Inline, Markdown};
+use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+
+pub(super) const ANCHOR: &str = "search";
 
 /// The results of all failure searches.
 #[derive(Debug, Clone, Serialize)]
@@ -102,48 +106,6 @@ impl FailureSearches {
             .enumerate()
             .map(named)
             .collect()
-    }
-
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let all = self.spaces.iter().flat_map(|space| {
-            plan.claim_subjects()
-                .into_iter()
-                .zip(&space.controllers)
-                .map(move |pair| (space, pair))
-        });
-        let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
-            let (runs, unanswered) = (search.conclusive_evaluations(), search.unanswered());
-            let strength = match search.distinct_count() {
-                0 => Strength::from_counts(
-                    search.methods.iter().map(|reached| reached.failures).sum(),
-                    runs,
-                ),
-                // No collision was found, only failures to answer.
-                failures if failures == search.unanswered_failures().count() => {
-                    Strength::from_counts_with_unanswered(0, runs, unanswered.as_ref(), true)
-                }
-                failures => Strength::Falsified {
-                    failures,
-                    avoidable: search.count(AvoidabilityClass::Avoidable),
-                    reason: unanswered.map(|unanswered| unanswered.because),
-                },
-            };
-            let claim = AssuranceClaim {
-                subject,
-                property: Property::NoContact,
-                domain: space.domain(plan),
-            };
-            let source = EvidenceSource::from_part(
-                "search",
-                format!("{} simulations", search.evaluations()),
-            );
-            Evidence {
-                claim,
-                strength,
-                source,
-            }
-        };
-        all.map(of).collect()
     }
 
     pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &DistinctFailure> {
@@ -244,46 +206,31 @@ const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.
     lists no `files`, or if its program is in its own folder.";
 
 impl SpaceSearches {
-    /// Writes the severest failures of all controllers into one table; HTML has a table for each controller.
-    fn write_markdown(&self, out: &mut Markdown) {
-        let listed: Vec<&DistinctFailure> = self
-            .controllers
+    fn write(&self, out: &mut ReportDocument) {
+        out.heading(format!("Space {}", self.name));
+        out.table(self.table());
+        let mut details = ReportDocument::new();
+        for search in &self.controllers {
+            search.write_details(&mut details);
+        }
+        out.html_only(details);
+        out.markdown_only(self.severest_failures());
+    }
+
+    fn listed(&self) -> Vec<&DistinctFailure> {
+        self.controllers
             .iter()
             .flat_map(FailureSearch::listed)
-            .collect();
-        if !listed.is_empty() {
-            let table = ReportTable::from_items(
-                listed.iter().copied(),
-                &[
-                    ("controller and file", &|failure| {
-                        ReportCell::text(failure.name_with_folder())
-                    }),
-                    ("what happens", &|failure| {
-                        ReportCell::text(failure.describe())
-                    }),
-                    ("impact (m/s)", &|failure| {
-                        ReportCell::optional(failure.impact_speed_mps)
-                    }),
-                    ("gap of the escape (m)", &|failure| {
-                        ReportCell::text(failure.describe_escape())
-                    }),
-                    ("multi-body", &|failure| {
-                        ReportCell::text(failure.describe_multi_body())
-                    }),
-                    ("rank by likelihood", &|failure| {
-                        ReportCell::number(failure.likelihood_rank)
-                    }),
-                ],
-            );
-            table.write_markdown(out);
+            .collect()
+    }
+
+    /// Returns the severest failures of all controllers in one table, for Markdown.
+    fn severest_failures(&self) -> ReportDocument {
+        let mut out = ReportDocument::new();
+        if !self.listed().is_empty() {
+            out.table(self.listed_table());
         }
-        let unlisted = self.controllers.iter().filter_map(|search| {
-            let count = search
-                .distinct_count()
-                .saturating_sub(search.listed().len());
-            (count > 0).then(|| format!("{count} of {}", search.controller))
-        });
-        let unlisted: Vec<_> = unlisted.collect();
+        let unlisted = self.describe_unlisted();
         if !unlisted.is_empty() {
             out.paragraph(format!(
                 "Further failures, less severe, in assessment.html and in the folder `counterexamples`: {}.",
@@ -295,34 +242,135 @@ impl SpaceSearches {
                 out.paragraph(format!("{}: {others}", search.controller));
             }
         }
+        out.list(self.example_commands());
+        out
+    }
+
+    fn listed_table(&self) -> ReportTable {
+        ReportTable::from_items(
+            self.listed(),
+            &[
+                ("controller and file", &|failure| {
+                    ReportCell::text(failure.name_with_folder())
+                }),
+                ("what happens", &|failure| {
+                    ReportCell::text(failure.describe())
+                }),
+                ("impact (m/s)", &|failure| {
+                    ReportCell::optional(failure.impact_speed_mps)
+                }),
+                ("gap of the escape (m)", &|failure| {
+                    ReportCell::text(failure.describe_escape())
+                }),
+                ("multi-body", &|failure| {
+                    ReportCell::text(failure.describe_multi_body())
+                }),
+                ("rank by likelihood", &|failure| {
+                    ReportCell::number(failure.likelihood_rank)
+                }),
+            ],
+        )
+    }
+
+    /// Returns the number of failures of each controller that the table leaves out.
+    fn describe_unlisted(&self) -> Vec<String> {
+        let unlisted = |search: &FailureSearch| {
+            let count = search
+                .distinct_count()
+                .saturating_sub(search.listed().len());
+            (count > 0).then(|| format!("{count} of {}", search.controller))
+        };
+        self.controllers.iter().filter_map(unlisted).collect()
+    }
+
+    fn example_commands(&self) -> Vec<RichText> {
+        let listed = self.listed();
         let replay = listed.iter().find_map(|failure| failure.replay.as_ref());
         let search = self
             .controllers
             .iter()
             .find_map(|search| search.command.as_ref());
-        let examples = [
-            ("First counterexample: ", replay),
-            ("First search: ", search),
-        ];
-        out.list(
-            examples
-                .into_iter()
-                .filter_map(|(what, command)| Some(Inline::prose(what).and_code(command?))),
-        );
+        let replay =
+            replay.map(|command| RichText::from("First counterexample: ").and_code(command));
+        let search = search.map(|command| RichText::from("First search: ").and_code(command));
+        replay.into_iter().chain(search).collect()
     }
 }
 
 impl ReportPart for FailureSearches {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Searches,
+            anchor: ANCHOR,
+            title: "Counterexamples found by search",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(&format!("{INTRODUCTION} {COMMANDS_NOTE}"));
-        for space in &self.spaces {
-            out.heading(&format!("Space {}", space.name));
-            out.table(&space.table());
-            space
-                .controllers
-                .iter()
-                .for_each(|search| search.write(out));
-            space.write_markdown(out.markdown_mut());
+        out.paragraph(format!("{INTRODUCTION} {COMMANDS_NOTE}"));
+        self.spaces.iter().for_each(|space| space.write(out));
+    }
+
+    fn is_shown(&self) -> bool {
+        !self.spaces.is_empty()
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        self.spaces
+            .iter()
+            .flat_map(|space| space.evidence(plan))
+            .collect()
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let claim = |space: &SpaceSearches| {
+            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, space.domain(plan))
+        };
+        self.spaces.iter().map(claim).collect()
+    }
+
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        self.failures().flat_map(DistinctFailure::files).collect()
+    }
+}
+
+impl SpaceSearches {
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let subjects = plan.claim_subjects().into_iter();
+        let about = |(subject, search): (Subject, &FailureSearch)| Evidence {
+            claim: AssuranceClaim {
+                subject,
+                property: Property::NoContact,
+                domain: self.domain(plan),
+            },
+            strength: search.strength(),
+            source: EvidenceSource::from_part(
+                ANCHOR,
+                format!("{} simulations", search.evaluations()),
+            ),
+        };
+        subjects.zip(&self.controllers).map(about).collect()
+    }
+}
+
+impl FailureSearch {
+    fn strength(&self) -> Strength {
+        let runs = self.conclusive_evaluations();
+        let unanswered = self.unanswered();
+        match self.distinct_count() {
+            0 => Strength::from_counts(
+                self.methods.iter().map(|reached| reached.failures).sum(),
+                runs,
+            ),
+            // No collision was found, only failures to answer.
+            failures if failures == self.unanswered_failures().count() => {
+                Strength::from_counts_with_unanswered(0, runs, unanswered.as_ref(), true)
+            }
+            failures => Strength::Falsified {
+                failures,
+                avoidable: self.count(AvoidabilityClass::Avoidable),
+                reason: unanswered.map(|unanswered| unanswered.because),
+            },
         }
     }
 }

@@ -1,19 +1,20 @@
 //! Scenarios from files: recorded traffic, and others that the configuration names.
 
-use maud::html;
+use crumple_verify::Certificate;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION, RoundedAvoidance};
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
-use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::claim_draft::ClaimDraft;
+use crate::assessment::claims::{Evidence, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
-use crate::assessment::prose::prose_to_html;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand};
 use crumple_sim::engine::RunError;
 use crumple_sim::scenario::Scenario;
 
@@ -42,54 +43,20 @@ impl FileScenarios {
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
-        let run = |indices: &[usize],
-                   motion: MotionRetention|
-         -> Result<Vec<ScenarioCases>, RunError> {
-            let chosen: Vec<_> = indices
-                .iter()
-                .filter_map(|&index| plan.file_scenarios.get(index))
-                .collect();
-            let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
-            let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
-            let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
-                let replay = CrumpleCommand::new(["simulate".to_owned(), scenario_path(scenario)])
-                    .with_args(plan.estimator_args().iter().copied());
-                ScenarioCases::new(scenario, replay, cases)
-            });
-            Ok(named.collect())
-        };
-        let mut scenarios = run(
-            &(0..plan.file_scenarios.len()).collect::<Vec<_>>(),
-            MotionRetention::Drop,
-        )?;
+        let all: Vec<usize> = (0..plan.file_scenarios.len()).collect();
+        let mut scenarios = run_file_scenarios(plan, &all, MotionRetention::Drop)?;
         // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
-        work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
-        let best = |&index: &usize| {
-            CertifiedAvoidance::load_or_compute(&plan.file_scenarios[index].1, work)
-        };
-        let bests = closest_first
-            .par_iter()
-            .map(best)
-            .collect::<Result<Vec<_>, _>>()?;
-        let drawn = run(&closest_first, MotionRetention::Keep)?;
-        for ((&index, drawn), best) in closest_first.iter().zip(drawn).zip(bests) {
-            scenarios[index] = drawn.with_avoidance(best);
+        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
+        let detailed = run_detailed(&closest_first, work)?;
+        for (&index, detailed) in closest_first.iter().zip(detailed) {
+            scenarios[index] = detailed;
         }
-        let left_out = plan.left_out.iter().map(ToString::to_string).collect();
         Ok(Some(Self {
             scenarios,
-            left_out,
+            left_out: plan.left_out.iter().map(ToString::to_string).collect(),
             closest_first,
         }))
-    }
-
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
-    }
-
-    pub(in crate::assessment) fn domain(&self) -> Domain {
-        scenario_cases::domain(&self.scenarios, ANCHOR)
     }
 
     fn describe_left_out(&self) -> String {
@@ -131,6 +98,42 @@ impl FileScenarios {
         }
         table
     }
+}
+
+fn run_file_scenarios(
+    plan: &AssessmentPlan,
+    indices: &[usize],
+    motion: MotionRetention,
+) -> Result<Vec<ScenarioCases>, RunError> {
+    let chosen = indices
+        .iter()
+        .filter_map(|&index| plan.file_scenarios.get(index));
+    let scenarios: Vec<&Scenario> = chosen.map(|(_, scenario)| scenario).collect();
+    let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
+    let with_command = |(scenario, cases): (&&Scenario, Vec<CaseResult>)| {
+        let replay = CrumpleCommand::new(["simulate".to_owned(), scenario_path(scenario)])
+            .with_args(plan.estimator_args().iter().copied());
+        ScenarioCases::new(scenario, replay, cases)
+    };
+    Ok(scenarios.iter().zip(cases).map(with_command).collect())
+}
+
+/// Runs scenarios again with their motion, and computes their best escapes.
+fn run_detailed(
+    indices: &[usize],
+    work: &GatherContext<'_>,
+) -> Result<Vec<ScenarioCases>, AssessError> {
+    let files = &work.plan.file_scenarios;
+    let bests = indices
+        .par_iter()
+        .map(|&index| CertifiedAvoidance::load_or_compute(&files[index].1, work))
+        .collect::<Result<Vec<_>, _>>()?;
+    let drawn = run_file_scenarios(work.plan, indices, MotionRetention::Keep)?;
+    let detailed = drawn
+        .into_iter()
+        .zip(bests)
+        .map(|(cases, best)| cases.with_avoidance(best));
+    Ok(detailed.collect())
 }
 
 /// Returns the indices of the scenarios to show in detail: the smallest gaps first.
@@ -184,43 +187,96 @@ const INTRODUCTION: &str = "Each scenario of the configuration, and each braking
     every controller: the smallest gap ahead of or behind a vehicle under test, or the first collision. \"closing\" \
     marks a run that ended while two vehicles approached each other.";
 
+const ESCAPES_NOTE: &str = "Escapes are computed for the scenarios with details.";
+
 impl ReportPart for FileScenarios {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::StatedScenarios,
+            anchor: ANCHOR,
+            title: "Scenario files and recordings",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        let telling: Vec<_> = self
+        out.paragraph(INTRODUCTION);
+        let mut regret = ReportDocument::new();
+        regret.paragraph(format!("{REGRET_EXPLANATION} {ESCAPES_NOTE}"));
+        out.html_only(regret);
+        let mut regret = ReportDocument::new();
+        regret.paragraph(REGRET_EXPLANATION);
+        out.markdown_only(regret);
+        out.table(self.overview_table());
+        self.write_left_out(out);
+        out.html_only(self.details());
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let domain = scenario_cases::domain(&self.scenarios, ANCHOR);
+        vec![ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            Property::NoContact,
+            domain,
+        )]
+    }
+
+    fn certificates(&self) -> Vec<(&str, &Certificate)> {
+        self.scenarios
+            .iter()
+            .filter_map(ScenarioCases::named_certificate)
+            .collect()
+    }
+}
+
+impl FileScenarios {
+    fn write_left_out(&self, out: &mut ReportDocument) {
+        if self.left_out.is_empty() {
+            return;
+        }
+        let summary = self.describe_left_out();
+        let mut lead = ReportDocument::new();
+        lead.paragraph(format!("{summary}:"));
+        out.markdown_only(lead);
+        let mut parts = ReportDocument::new();
+        parts.list(&self.left_out);
+        out.collapsible(summary, parts);
+    }
+
+    /// Returns the scenarios with the smallest gaps, each with its tables and figures.
+    fn details(&self) -> ReportDocument {
+        let shown = self
             .closest_first
             .iter()
-            .filter_map(|&index| self.scenarios.get(index))
-            .collect();
-        out.paragraph(INTRODUCTION);
-        out.push_html(
-            html! { p { (prose_to_html(REGRET_EXPLANATION)) " Escapes are computed for the scenarios with details." } },
-        );
-        out.markdown_mut().paragraph(REGRET_EXPLANATION);
-        out.table(&self.overview_table());
-        if !self.left_out.is_empty() {
-            out.markdown_mut().paragraph(self.describe_left_out() + ":");
-            out.collapsible(&self.describe_left_out(), |out| out.list(&self.left_out));
-        }
-        let details = match telling.len() < self.scenarios.len() {
+            .filter_map(|&index| self.scenarios.get(index));
+        let shown: Vec<&ScenarioCases> = shown.collect();
+        let mut details = ReportDocument::new();
+        details.paragraph(match shown.len() < self.scenarios.len() {
             true => format!(
                 "Details of the {} of {} scenarios with the smallest gaps:",
-                telling.len(),
+                shown.len(),
                 self.scenarios.len()
             ),
             false => "Details, smallest gap first:".to_owned(),
-        };
-        out.push_html(html! {
-            p { (details) }
-            @for scenario in telling {
-                details {
-                    summary { (scenario.scenario) }
-                    p { (scenario.about) }
-                    p { (scenario.describe_avoidance()) }
-                    (scenario.table().to_html())
-                    details { summary { "further measures" } (scenario.further_measures().to_html()) }
-                    @for case in &scenario.cases { (scenario.collapsible_figure(case)) }
-                }
-            }
         });
+        for scenario in shown {
+            details.collapsible(&scenario.scenario, scenario_details(scenario));
+        }
+        details
     }
+}
+
+fn scenario_details(scenario: &ScenarioCases) -> ReportDocument {
+    let mut details = ReportDocument::new();
+    details.paragraph(&scenario.about);
+    details.paragraph(scenario.describe_avoidance());
+    scenario.write_tables(&mut details);
+    for case in &scenario.cases {
+        scenario.write_folded_figure(case, &mut details);
+    }
+    details
 }

@@ -1,7 +1,7 @@
 //! The glossary of the report.
 
-use crate::assessment::ReportPart;
 use crate::assessment::document::ReportDocument;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 
 /// The terms of the report.
@@ -103,8 +103,16 @@ const TERMS: [(&str, &str); 24] = [
 ];
 
 impl ReportPart for Glossary {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Appendix,
+            anchor: "glossary",
+            title: "Glossary",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.table(&ReportTable::from_items(
+        out.table(ReportTable::from_items(
             TERMS,
             &[
                 ("term", &|(word, _)| ReportCell::text(word)),

@@ -17,8 +17,9 @@ use crate::assessment::config::HarmConfig;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::{AssessError, ReportPart, Rounded};
+use crate::assessment::{AssessError, Rounded};
 use crumple_measure::harm;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_sim::engine::{
@@ -394,27 +395,51 @@ impl HarmGroup {
 }
 
 impl ReportPart for HarmReport {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::RandomScenarios,
+            anchor: "harm",
+            title: "Collisions ahead avoided, collisions behind caused, and harm",
+        }
+    }
+
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        vec![("runs.csv".to_owned(), self.runs_csv.clone().into_bytes())]
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(&format!(
+        out.paragraph(self.introduction());
+        for group in &self.groups {
+            out.heading(format!(
+                "{}, follower: {}",
+                group.space.name, group.follower
+            ));
+            out.paragraph(group.describe());
+            out.table(group.table(self.emergencies_per_hour));
+        }
+    }
+}
+
+impl HarmReport {
+    fn introduction(&self) -> String {
+        format!(
             "Harm is the expected number of seriously injured drivers (MAIS3+ of Wang 2022, DOT HS 813 219, for light \
              vehicles; also used for lorries). An activation is braking above {ACTIVATION_MPS2} m/s² before any \
              collision. Avoided and caused are relative to the first controller in the same drive. Intervals are at 95 \
              %: exact for shares, normal for harm. Rates per hour assume {} emergencies per hour. `runs.csv` has every \
              run.",
             self.emergencies_per_hour
-        ));
-        for group in &self.groups {
-            let [avoidable, unavoidable, examined] = group.avoidable;
-            out.heading(&format!(
-                "{}, follower: {}",
-                group.space.name, group.follower
-            ));
-            out.paragraph(&format!(
-                "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and \
-                 {unavoidable} are proved to have none (`crumple avoid`).",
-                group.drives
-            ));
-            out.table(&group.table(self.emergencies_per_hour));
-        }
+        )
+    }
+}
+
+impl HarmGroup {
+    fn describe(&self) -> String {
+        let [avoidable, unavoidable, examined] = self.avoidable;
+        format!(
+            "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and {unavoidable} \
+             are proved to have none (`crumple avoid`).",
+            self.drives
+        )
     }
 }

@@ -1,13 +1,13 @@
 //! The limits of the assessment.
 
 use crumple_verify::Statement;
-use maud::html;
 use serde::Serialize;
 
+use crate::assessment::AssessmentPlan;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::plan::GivenCertificate;
-use crate::assessment::{AssessmentPlan, ReportPart};
-use crumple_core::markdown::Inline;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
+use crate::assessment::rich_text::RichText;
 use crumple_sim::observation::EstimatorKind;
 
 /// Assumptions and limits of an assessment.
@@ -100,13 +100,18 @@ impl AssessmentLimits {
 }
 
 impl ReportPart for AssessmentLimits {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Limits,
+            anchor: "limits",
+            title: "Limits",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.push_html(
-            html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },
-        );
         let line = |limit: &LimitingAssumption| {
-            Inline::strong(&format!("{}.", limit.assumed)).and_prose(&format!(" {}", limit.meaning))
+            RichText::strong(format!("{}.", limit.assumed)).and_prose(format!(" {}", limit.meaning))
         };
-        out.markdown_mut().list(self.assumptions.iter().map(line));
+        out.list(self.assumptions.iter().map(line));
     }
 }

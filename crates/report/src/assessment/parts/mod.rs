@@ -27,6 +27,7 @@ mod suites;
 mod summary;
 mod usefulness;
 
+pub(super) use answer::FirstPageSection;
 pub use answer::{FirstPage, SafetyAnswer};
 pub use argument::Argument;
 pub use certificates::{CertificateStatus, CertificateSubject, CheckedCertificate};

@@ -1,6 +1,6 @@
 //! The paper's three scenarios.
 
-use maud::html;
+use crumple_verify::Certificate;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -8,11 +8,13 @@ use super::scenario_cases::FURTHER_MEASURES_NOTE;
 use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
 use crate::assessment::case::{CaseResult, MotionRetention, run_cases};
-use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::claim_draft::ClaimDraft;
+use crate::assessment::claims::{Evidence, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
-use crate::draw::Svg;
+use crate::assessment::report_block::ReportBlock;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand};
 use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 
 /// Every controller in the paper's three scenarios.
@@ -86,24 +88,6 @@ impl PaperScenarios {
         }))
     }
 
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
-    }
-
-    pub(in crate::assessment) fn domain(&self) -> Domain {
-        scenario_cases::domain(&self.scenarios, ANCHOR)
-    }
-
-    pub(in crate::assessment) fn figure_files(&self) -> impl Iterator<Item = (String, Svg)> {
-        self.scenarios.iter().map(|scenario| {
-            let (beside, _) = self.split_cases(scenario);
-            (
-                format!("figures/{}.svg", scenario.scenario),
-                scenario.combined_figure(&beside),
-            )
-        })
-    }
-
     /// Returns the cases of the combined figure, and the others.
     fn split_cases<'a>(
         &self,
@@ -124,23 +108,74 @@ const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s². The vehicles 
     until the first collision; the pile-up is simulated further. The glossary explains the measures.";
 
 impl ReportPart for PaperScenarios {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::StatedScenarios,
+            anchor: ANCHOR,
+            title: "The paper's scenarios",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
         [INTRODUCTION, REGRET_EXPLANATION, FURTHER_MEASURES_NOTE]
             .iter()
-            .for_each(|words| out.paragraph(words));
-        for scenario in &self.scenarios {
-            let (beside, others) = self.split_cases(scenario);
-            out.heading(&scenario.scenario);
-            out.paragraph(&scenario.about);
-            out.figure(scenario.figures_side_by_side(&beside));
-            out.push_html(
-                html! { p.replay { @for case in &beside { (scenario.replay_html(case)) } } },
-            );
-            out.paragraph(&scenario.describe_avoidance());
-            scenario.write_tables(out);
-            others
-                .iter()
-                .for_each(|case| out.push_html(scenario.collapsible_figure(case)));
+            .for_each(|&words| out.paragraph(words));
+        self.scenarios
+            .iter()
+            .for_each(|scenario| self.write_scenario(scenario, out));
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let domain = scenario_cases::domain(&self.scenarios, ANCHOR);
+        vec![ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            Property::NoContact,
+            domain,
+        )]
+    }
+
+    fn certificates(&self) -> Vec<(&str, &Certificate)> {
+        self.scenarios
+            .iter()
+            .filter_map(ScenarioCases::named_certificate)
+            .collect()
+    }
+
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        self.scenarios
+            .iter()
+            .map(|scenario| self.figure_file(scenario))
+            .collect()
+    }
+}
+
+impl PaperScenarios {
+    fn write_scenario(&self, scenario: &ScenarioCases, out: &mut ReportDocument) {
+        let (beside, others) = self.split_cases(scenario);
+        out.heading(&scenario.scenario);
+        out.paragraph(&scenario.about);
+        out.figure(scenario.figures_side_by_side(&beside));
+        out.push(ReportBlock::Commands(scenario.replay_commands(&beside)));
+        out.paragraph(scenario.describe_avoidance());
+        scenario.write_tables(out);
+        let mut figures = ReportDocument::new();
+        for case in others {
+            scenario.write_folded_figure(case, &mut figures);
         }
+        out.html_only(figures);
+    }
+
+    fn figure_file(&self, scenario: &ScenarioCases) -> (String, Vec<u8>) {
+        let (beside, _) = self.split_cases(scenario);
+        let figure = scenario.combined_figure(&beside).document();
+        (
+            format!("figures/{}.svg", scenario.scenario),
+            figure.into_bytes(),
+        )
     }
 }

@@ -1,18 +1,26 @@
 //! Proved claims and their assumptions.
 
 use crumple_verify::Assumption;
-use maud::html;
 use serde::Serialize;
 
-use super::ScenarioCases;
-use super::certificates::{self, CertificateStatus, CertificateSubject, CheckedCertificate};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, Strength};
+use super::certificates::{
+    self, CertificateStatus, CertificateSubject, CheckedCertificate, describe_estimator,
+    kernel_domain, shield_kernels,
+};
+use super::failure_searches;
+use crate::assessment::claim_draft::ClaimDraft;
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, Property, Strength};
 use crate::assessment::commands::CHECK_ARGUMENTS;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::report_block::ReportBlock;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
+use crate::assessment::rich_text::RichText;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
-use crumple_core::markdown::Inline;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, Rounded};
+use crumple_sim::engine::NamedController;
+
+pub(super) const ANCHOR: &str = "proofs";
 
 /// Certificates, each checked in this run.
 #[derive(Debug, Clone, Serialize)]
@@ -33,23 +41,20 @@ const CONDITIONS: [&str; 4] = [
 ];
 
 impl Proofs {
-    pub(in crate::assessment) fn gather<'a>(
+    /// Checks all certificates, with those that `parts` found.
+    pub(in crate::assessment) fn gather(
         work: &GatherContext<'_>,
-        scenarios: impl Iterator<Item = &'a ScenarioCases>,
+        parts: &[&dyn ReportPart],
     ) -> Result<Self, AssessError> {
-        let scenes = scenarios.filter_map(ScenarioCases::named_certificate);
+        let scenes = parts.iter().flat_map(|part| part.certificates());
         Ok(Self {
             certificates: certificates::gather_certificates(work, scenes)?,
             conditions: CONDITIONS,
         })
     }
 
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        certificates::evidence(plan, &self.certificates)
-    }
-
     /// Returns the claims of certificates about boxes of initial states, each domain once.
-    pub(super) fn reach_claims(&self) -> Vec<&AssuranceClaim> {
+    fn reach_claims(&self) -> Vec<&AssuranceClaim> {
         let mut boxes: Vec<&AssuranceClaim> = Vec::new();
         for proof in &self.certificates {
             if let CertificateSubject::Claim(claim) = &proof.subject
@@ -166,18 +171,99 @@ const INTRODUCTION: &str = "The checker read each certificate in this run; it us
     inverse.";
 
 impl ReportPart for Proofs {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Proofs,
+            anchor: ANCHOR,
+            title: "Proofs",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
-        out.table(&self.table());
-        out.paragraph(&format!(
+        out.table(self.table());
+        out.paragraph(format!(
             "Repeat the checks in the folder of this report: `crumple {CHECK_ARGUMENTS}`"
         ));
         if let Some(command) = self.recount_command() {
-            out.push_html(html! { p { "Repeat the counts: " code { (command) } } });
-            out.markdown_mut()
-                .paragraph(Inline::prose("Repeat the counts: ").and_code(command));
+            out.paragraph(RichText::from("Repeat the counts: ").and_code(command));
         }
-        out.push_html(html! { h3 { "Assumptions of the proofs" } });
-        out.list(&self.assumptions());
+        out.html_only(ReportBlock::Heading("Assumptions of the proofs".to_owned()));
+        out.list(self.assumptions());
     }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        certificates::evidence(plan, &self.certificates)
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let mut claims = whole_space_claims(plan);
+        claims.extend(
+            self.reach_claims()
+                .into_iter()
+                .map(|claim| reach_claim(plan, claim)),
+        );
+        claims.extend(shield_claims(plan));
+        claims
+    }
+
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        let file = |proof: &CheckedCertificate| {
+            Some((proof.file.clone()?, proof.text.clone().into_bytes()))
+        };
+        self.certificates.iter().filter_map(file).collect()
+    }
+}
+
+/// For a whole space only a proof could support the claim; one failure refutes it.
+fn whole_space_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+    let sampled = plan.rate_spaces.iter().filter(|_| plan.config.draws > 0);
+    let mut spaces: Vec<&ContentId> = Vec::new();
+    for named in sampled.chain(&plan.search_spaces) {
+        if !spaces.contains(&&named.content_id) {
+            spaces.push(&named.content_id);
+        }
+    }
+    let claim = |space: &ContentId| {
+        let domain = Domain::Space {
+            space: space.clone(),
+        };
+        ClaimDraft::about_all(plan, failure_searches::ANCHOR, Property::NoContact, domain)
+    };
+    spaces.into_iter().map(claim).collect()
+}
+
+fn reach_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> ClaimDraft {
+    let estimator = claim.subject.estimator;
+    let words = format!("{}, {}", claim.describe(), describe_estimator(estimator));
+    let property = claim.property.clone();
+    ClaimDraft::with_estimator(plan, estimator, ANCHOR, property, claim.domain.clone())
+        .with_words(words)
+}
+
+/// Claims for each shield that its kernels avoid the leader. Shields with other limits prove other claims.
+fn shield_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+    let shielded = plan.controllers.iter().filter_map(shield_domain);
+    shielded.map(|domain| shield_claim(plan, &domain)).collect()
+}
+
+fn shield_claim(plan: &AssessmentPlan, domain: &Domain) -> ClaimDraft {
+    let claim = |(index, controller): (usize, &NamedController)| {
+        shield_domain(controller).filter(|own| own == domain)?;
+        Some(AssuranceClaim {
+            subject: plan.claim_subject(index, plan.config.estimator)?,
+            property: Property::NoContactAhead,
+            domain: domain.clone(),
+        })
+    };
+    ClaimDraft::new(
+        ANCHOR,
+        plan.controllers.iter().enumerate().map(claim).collect(),
+    )
+}
+
+/// Returns the domain of a shield's claims; `None` without a shield.
+fn shield_domain(controller: &NamedController) -> Option<Domain> {
+    controller.source.as_shield()?;
+    Some(kernel_domain(&shield_kernels(controller)))
 }

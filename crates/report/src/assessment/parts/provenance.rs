@@ -1,14 +1,14 @@
 //! The provenance of the evidence.
 
-use maud::html;
 use serde::Serialize;
 
 use crate::assessment::document::ReportDocument;
+use crate::assessment::report_block::{ParagraphStyle, ReportBlock};
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash, ReportPart};
+use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash};
 use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
-use crumple_core::markdown::Inline;
 
 /// The time, program and machine of an assessment. No evidence depends on them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -75,6 +75,14 @@ impl AssessmentProvenance {
         }
     }
 
+    /// Adds the time, program and machine of the assessment.
+    pub(in crate::assessment) fn with_run_info(self, run_info: RunInfo) -> Self {
+        Self {
+            run_info: Some(run_info),
+            ..self
+        }
+    }
+
     fn hash_table(&self) -> ReportTable {
         ReportTable::from_items(
             &self.evidence,
@@ -90,7 +98,7 @@ impl AssessmentProvenance {
         )
     }
 
-    fn lines(&self) -> Vec<(&'static str, String)> {
+    fn inputs(&self) -> Vec<(String, String)> {
         let config = &self.config;
         let (spaces, runs, confidence) = (
             config.search_spaces().join(", "),
@@ -131,6 +139,7 @@ impl AssessmentProvenance {
         lines
             .into_iter()
             .filter(|(_, value)| !value.is_empty())
+            .map(|(name, value)| (name.to_owned(), value))
             .collect()
     }
 }
@@ -154,19 +163,30 @@ const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which th
     checked in this run. `--fresh` gathers all evidence again.";
 
 impl ReportPart for AssessmentProvenance {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Appendix,
+            anchor: "provenance",
+            title: "Provenance",
+        }
+    }
+
+    /// HTML begins with the inputs, and folds the hashes. Markdown ends with the inputs, and has no hashes.
     fn write(&self, out: &mut ReportDocument) {
-        out.push_html(html! {
-            @if let Some(made) = &self.run_info { p #made { "Run of " (made.describe()) "." } }
-            dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
-        });
+        let run = self.run_info.as_ref().map(RunInfo::describe);
+        let mut inputs = ReportDocument::new();
+        if let Some(run) = &run {
+            let text = format!("Run of {run}.").into();
+            inputs.push(ReportBlock::Paragraph(text, ParagraphStyle::Id("made")));
+        }
+        inputs.push(ReportBlock::Definitions(self.inputs()));
+        out.html_only(inputs);
         out.paragraph(CACHE_NOTE);
-        out.push_html(html! { details { summary { "hashes of the evidence" } (self.hash_table().to_html()) } });
-        let lines = self
-            .run_info
-            .iter()
-            .map(|made| ("made", made.describe()))
-            .chain(self.lines());
-        out.markdown_mut()
-            .list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
+        let mut hashes = ReportDocument::new();
+        hashes.collapsible("hashes of the evidence", self.hash_table());
+        out.html_only(hashes);
+        let run = run.map(|run| ("made".to_owned(), run));
+        let rows = run.into_iter().chain(self.inputs()).collect();
+        out.markdown_only(ReportBlock::Definitions(rows));
     }
 }

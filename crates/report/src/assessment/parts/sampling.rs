@@ -6,18 +6,21 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::proofs;
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
 use crate::assessment::case::{CaseVerdict, smallest};
+use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::run_ends::{RunEnds, note_unanswered};
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crate::draw::{Ink, Marker, Svg};
 use crumple_sim::engine::{
     NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
@@ -26,6 +29,9 @@ use crumple_sim::scenario::{InvalidField, Scenario};
 use crumple_spaces::ScenarioSpace;
 
 const BATCH_SIZE: u64 = 4096;
+
+/// Largest failure rate that counts as rare, in percent.
+const RARE_PERCENT: f64 = 1.0;
 
 /// Every controller on the same random scenarios of each space.
 #[derive(Debug, Clone, Serialize)]
@@ -138,71 +144,119 @@ impl SpaceSamples {
         })
     }
 
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let mut all = Vec::new();
-        for drawn in self
-            .spaces
+    fn simulated(&self) -> impl Iterator<Item = &SpaceSample> {
+        self.spaces
             .iter()
             .filter(|drawn| drawn.random_scenarios > 0)
-        {
-            let space = || drawn.space.clone();
-            let draws = || Domain::Draws {
-                space: space(),
-                seed: drawn.seed,
-                draws: drawn.random_scenarios,
-            };
-            let made = format!(
-                "{} random scenarios, seed {}",
-                drawn.random_scenarios, drawn.seed
-            );
-            let first = plan
-                .claim_subject(0, plan.config.estimator)
-                .zip(drawn.controllers.first());
-            for (subject, sampled) in plan.claim_subjects().into_iter().zip(&drawn.controllers) {
-                let mut add = |property, domain, strength| {
-                    let claim = AssuranceClaim {
-                        subject: subject.clone(),
-                        property,
-                        domain,
-                    };
-                    all.push(Evidence {
-                        claim,
-                        strength,
-                        source: EvidenceSource::from_part(ANCHOR, made.as_str()),
-                    });
-                };
-                add(
-                    Property::NoContact,
-                    draws(),
-                    sampled.ends.strength(drawn.random_scenarios),
-                );
-                let others =
-                    Strength::from_counts(sampled.ends.ended_by_others, drawn.random_scenarios);
-                add(Property::OthersKeepClear, draws(), others);
-                add(
-                    Property::FailureRate,
-                    Domain::Space { space: space() },
-                    sampled.rate_strength(drawn),
-                );
-                if let Some((first, of_first)) =
-                    first.as_ref().filter(|(first, _)| *first != subject)
-                {
-                    let than = Property::FailsLessOften {
-                        than: first.controller.clone(),
-                    };
-                    add(
-                        than,
-                        draws(),
-                        sampled.strength_against(of_first, drawn.random_scenarios),
-                    );
-                }
-            }
-        }
-        all
     }
 }
 
 impl SpaceSample {
+    fn draws_domain(&self) -> Domain {
+        Domain::Draws {
+            space: self.space.clone(),
+            seed: self.seed,
+            draws: self.random_scenarios,
+        }
+    }
+
+    fn space_domain(&self) -> Domain {
+        Domain::Space {
+            space: self.space.clone(),
+        }
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let subjects = plan.claim_subjects();
+        let first = subjects.first().zip(self.controllers.first());
+        let mut all = Vec::new();
+        for (subject, sampled) in subjects.iter().zip(&self.controllers) {
+            all.extend(self.evidence_about(subject, sampled));
+            if let Some((first, of_first)) = first.filter(|(first, _)| *first != subject) {
+                let than = Property::FailsLessOften {
+                    than: first.controller.clone(),
+                };
+                let strength = sampled.strength_against(of_first, self.random_scenarios);
+                all.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
+            }
+        }
+        all
+    }
+
+    fn evidence_about(&self, subject: &Subject, sampled: &ControllerSample) -> [Evidence; 3] {
+        let runs = self.random_scenarios;
+        let piece = |property, domain, strength| {
+            self.piece_of_evidence(subject, property, domain, strength)
+        };
+        let no_contact = sampled.ends.strength(runs);
+        let others_clear = Strength::from_counts(sampled.ends.ended_by_others, runs);
+        let rate = sampled.rate_strength(self);
+        [
+            piece(Property::NoContact, self.draws_domain(), no_contact),
+            piece(Property::OthersKeepClear, self.draws_domain(), others_clear),
+            piece(Property::FailureRate, self.space_domain(), rate),
+        ]
+    }
+
+    fn piece_of_evidence(
+        &self,
+        subject: &Subject,
+        property: Property,
+        domain: Domain,
+        strength: Strength,
+    ) -> Evidence {
+        let what = format!(
+            "{} random scenarios, seed {}",
+            self.random_scenarios, self.seed
+        );
+        Evidence {
+            claim: AssuranceClaim {
+                subject: subject.clone(),
+                property,
+                domain,
+            },
+            strength,
+            source: EvidenceSource::from_part(ANCHOR, what),
+        }
+    }
+
+    fn claims(&self, plan: &AssessmentPlan, named: &NamedSpace) -> Vec<ClaimDraft> {
+        let draft = |part, property, domain| ClaimDraft::about_all(plan, part, property, domain);
+        let rare = Property::RateAtMost {
+            percent: Rounded::new(RARE_PERCENT),
+        };
+        let mut claims = vec![draft(ANCHOR, Property::NoContact, self.draws_domain())];
+        if named.can_others_collide() {
+            claims.push(draft(
+                ANCHOR,
+                Property::OthersKeepClear,
+                self.draws_domain(),
+            ));
+        }
+        claims.push(draft(ANCHOR, rare, self.space_domain()));
+        if let Some(first) = plan.claim_subject(0, plan.config.estimator) {
+            let fewer = Property::FailsLessOften {
+                than: first.controller,
+            };
+            // The first controller cannot fail less often than itself.
+            claims.push(draft(ANCHOR, fewer.clone(), self.draws_domain()).without_first());
+            claims.push(draft(proofs::ANCHOR, fewer, self.space_domain()).without_first());
+        }
+        claims
+    }
+
+    fn unanswered_notes(&self) -> Vec<String> {
+        let note = |one: &ControllerSample| {
+            let unanswered = one.ends.unanswered.as_ref()?;
+            Some(note_unanswered(
+                &one.controller,
+                unanswered,
+                self.random_scenarios,
+            ))
+        };
+        self.controllers.iter().filter_map(note).collect()
+    }
+
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerSample> {
         self.controllers
             .iter()
@@ -491,21 +545,40 @@ impl SampleTally {
 const ANCHOR: &str = "distribution";
 
 impl ReportPart for SpaceSamples {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::RandomScenarios,
+            anchor: ANCHOR,
+            title: "Collision rates",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
         for drawn in &self.spaces {
-            out.paragraph(&drawn.introduction());
-            out.table(&drawn.table());
-            for one in &drawn.controllers {
-                let unanswered = one.ends.unanswered.iter();
-                unanswered.for_each(|of| {
-                    out.paragraph(&note_unanswered(
-                        &one.controller,
-                        of,
-                        drawn.random_scenarios,
-                    ))
-                });
+            out.paragraph(drawn.introduction());
+            out.table(drawn.table());
+            for note in drawn.unanswered_notes() {
+                out.paragraph(note);
             }
             out.figure(drawn.figure());
         }
+    }
+
+    fn is_shown(&self) -> bool {
+        !self.spaces.is_empty()
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        self.simulated()
+            .flat_map(|drawn| drawn.evidence(plan))
+            .collect()
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let spaces = self.spaces.iter().zip(&plan.rate_spaces);
+        spaces
+            .filter(|(drawn, _)| drawn.random_scenarios > 0)
+            .flat_map(|(drawn, named)| drawn.claims(plan, named))
+            .collect()
     }
 }

@@ -10,6 +10,7 @@ use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Subject, UncomparedText,
 };
 use crate::assessment::document::ReportDocument;
+use crate::assessment::report_block::{CaptionedDrawing, ReportBlock};
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, CrumpleCommand, RoundedAvoidance};
@@ -126,7 +127,8 @@ impl ScenarioCases {
         for case in &mut self.cases {
             case.regret_m = avoidance.regret_m(case);
         }
-        (self.avoidance, self.certificate) = (Some(avoidance), certificate);
+        self.avoidance = Some(avoidance);
+        self.certificate = certificate;
         self
     }
 
@@ -216,8 +218,10 @@ impl ScenarioCases {
 
     /// Writes both tables into HTML, and into Markdown only the first.
     pub(in crate::assessment) fn write_tables(&self, out: &mut ReportDocument) {
-        out.table(&self.table());
-        out.push_html(html! { details { summary { "further measures" } (self.further_measures().to_html()) } });
+        out.table(self.table());
+        let mut further = ReportDocument::new();
+        further.collapsible("further measures", self.further_measures());
+        out.html_only(further);
     }
 
     pub(in crate::assessment) fn replay_command(
@@ -231,8 +235,20 @@ impl ScenarioCases {
         )
     }
 
-    pub(in crate::assessment) fn replay_html(&self, case: &CaseResult) -> Markup {
-        html! { @if let Some(command) = self.replay_command(case) { code { (command) } " " } }
+    /// Returns the commands that repeat these cases, as far as their controllers have command-line arguments.
+    pub(in crate::assessment) fn replay_commands(&self, cases: &[&CaseResult]) -> Vec<String> {
+        let commands = cases.iter().filter_map(|case| self.replay_command(case));
+        commands.map(|command| command.to_string()).collect()
+    }
+
+    /// Returns the drawing of each case with its outcome.
+    pub(super) fn captioned_drawings(&self) -> Vec<CaptionedDrawing> {
+        let captioned = |case: &CaseResult| CaptionedDrawing {
+            drawing: self.figure(case),
+            caption: case.verdict.describe(),
+            command: self.replay_command(case).map(|command| command.to_string()),
+        };
+        self.cases.iter().map(captioned).collect()
     }
 
     pub(in crate::assessment) fn figure(&self, case: &CaseResult) -> Markup {
@@ -292,14 +308,16 @@ impl ScenarioCases {
         draw(&figures.collect::<Vec<_>>())
     }
 
-    /// Draws the figure of one case, folded behind its outcome.
-    pub(in crate::assessment) fn collapsible_figure(&self, case: &CaseResult) -> Markup {
-        html! {
-            details {
-                summary { (case.controller) ": " (case.verdict.describe()) }
-                (self.figure(case))
-                p.replay { (self.replay_html(case)) }
-            }
-        }
+    /// Writes the figure of one case, folded behind its outcome.
+    pub(in crate::assessment) fn write_folded_figure(
+        &self,
+        case: &CaseResult,
+        out: &mut ReportDocument,
+    ) {
+        let mut figure = ReportDocument::new();
+        figure.push(ReportBlock::Drawing(self.figure(case)));
+        figure.push(ReportBlock::Commands(self.replay_commands(&[case])));
+        let summary = format!("{}: {}", case.controller, case.verdict.describe());
+        out.collapsible(summary, figure);
     }
 }

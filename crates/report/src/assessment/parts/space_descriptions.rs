@@ -1,13 +1,12 @@
 //! Descriptions of the scenario spaces of an assessment.
 
-use maud::html;
 use serde::Serialize;
 
+use crate::assessment::AssessmentPlan;
 use crate::assessment::document::ReportDocument;
-use crate::assessment::prose::prose_to_html;
+use crate::assessment::report_block::ReportBlock;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, ReportPart};
-use crumple_core::markdown::Inline;
 use crumple_spaces::{ScenarioSpace, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.
@@ -108,16 +107,20 @@ const INTRODUCTION: &str = "Random scenarios follow the distribution; a search c
     of a rate contains its whole space.";
 
 impl ReportPart for SpaceDescriptions {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Appendix,
+            anchor: "domain",
+            title: "Scenario spaces",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         for space in &self.spaces {
-            out.push_html(
-                html! { h3 { "Space " (space.name) } p { (prose_to_html(&space.describe())) } },
-            );
-            let words = Inline::strong(&format!("Space {}.", space.name))
-                .and_prose(&format!(" {}", space.describe()));
-            out.markdown_mut().paragraph(words);
-            out.table(&space.table());
+            let title = format!("Space {}", space.name);
+            out.push(ReportBlock::Entry(title, space.describe().into()));
+            out.table(space.table());
         }
     }
 }

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use maud::html;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::distinct_failure::EscapeFile;
+use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
 };
@@ -14,9 +14,11 @@ use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::planned_suite::PlannedSuite;
+use crate::assessment::report_block::ReportBlock;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::run_ends::note_unanswered;
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand};
 use crate::suite::{
     describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
 };
@@ -166,93 +168,18 @@ impl Suites {
         if plan.suites.is_empty() {
             return Ok(None);
         }
-        let mut all = Self {
-            statement: DISCLAIMER,
-            suites: Vec::new(),
-            files: BTreeMap::new(),
-        };
+        let mut suites = Vec::new();
+        let mut files = BTreeMap::new();
         for planned in &plan.suites {
-            let SuiteCacheEntry {
-                findings: found,
-                files,
-            } = gather_suite(planned, work)?;
-            all.suites.push(found);
-            all.files.extend(files);
+            let gathered = gather_suite(planned, work)?;
+            suites.push(gathered.findings);
+            files.extend(gathered.files);
         }
-        Ok(Some(all))
-    }
-
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let each = plan.suites.iter().zip(&self.suites);
-        let of = |(planned, found): (&PlannedSuite, &SuiteFindings)| {
-            let claims = claims(plan, planned);
-            let of_tested =
-                planned
-                    .controller_indices
-                    .iter()
-                    .enumerate()
-                    .filter_map(|(column, &place)| {
-                        let claim = claims.get(place)?.clone()?;
-                        let outcomes = || {
-                            found
-                                .tests
-                                .iter()
-                                .filter_map(|test| test.outcomes.get(column))
-                        };
-                        let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
-                        let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
-                        let points = failed + sum(|one| one.points_passed);
-                        let unanswered =
-                            |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
-                                let mut all = None;
-                                outcomes().for_each(|one| {
-                                    FailedControllerRuns::merge(&mut all, of(one).clone())
-                                });
-                                all
-                            };
-                        // A point without an answer is a failure of the controller, but no collision.
-                        let strength =
-                            |failed: u64, points: u64, unanswered: Option<FailedControllerRuns>| {
-                                let touching = failed.saturating_sub(
-                                    unanswered.as_ref().map_or(0, |unanswered| unanswered.runs),
-                                );
-                                Strength::from_counts_with_unanswered(
-                                    touching,
-                                    points,
-                                    unanswered.as_ref(),
-                                    true,
-                                )
-                            };
-                        // A search concentrates on failures, so its failure count is no evidence about the tests.
-                        let of_tests = strength(failed, points, unanswered(|one| &one.unanswered));
-                        let (strength, made) = match of_tests.is_refutation() {
-                            true => (of_tests, format!("{points} points of the tests")),
-                            false => {
-                                let failures = sum(|one| one.failures);
-                                let strength = strength(
-                                    failures,
-                                    runs,
-                                    unanswered(|one| &one.unanswered_in_tolerance),
-                                );
-                                (strength, format!("{runs} points of tests and search"))
-                            }
-                        };
-                        Some(Evidence {
-                            claim,
-                            strength,
-                            source: EvidenceSource::from_part(ANCHOR, made),
-                        })
-                    });
-            of_tested.collect::<Vec<_>>()
-        };
-        each.flat_map(of).collect()
-    }
-
-    /// Returns one claim per suite and controller; `None` for controllers that the suite does not test.
-    pub(in crate::assessment) fn claims(
-        plan: &AssessmentPlan,
-    ) -> impl Iterator<Item = Vec<Option<AssuranceClaim>>> {
-        plan.suites.iter().map(|planned| claims(plan, planned))
+        Ok(Some(Self {
+            statement: DISCLAIMER,
+            suites,
+            files,
+        }))
     }
 
     /// Returns the outcomes of a controller in the suite with that index in the plan.
@@ -269,12 +196,6 @@ impl Suites {
                 .iter()
                 .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
         })
-    }
-
-    pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
-        self.files
-            .iter()
-            .map(|(name, text)| (name.clone(), text.clone().into_bytes()))
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -563,25 +484,138 @@ const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no v
     gives the passed scenarios and the fastest impact. Other requirements of the documents are outside the model.";
 
 impl ReportPart for Suites {
-    fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(&format!("{INTRODUCTION} {}", self.statement));
-        for found in &self.suites {
-            out.heading(&found.suite.name);
-            out.paragraph(&found.describe());
-            out.table(&found.matrix());
-            found
-                .unanswered_notes()
-                .iter()
-                .for_each(|line| out.paragraph(line));
-            out.collapsible(
-                "verdicts, margins and worst points within tolerances",
-                |out| out.table(&found.details_table()),
-            );
-            out.markdown_mut().paragraph("Not modelled, or omitted:");
-            out.collapsible("not modelled, or omitted", |out| {
-                out.list(&[&found.outside[..], &found.left_out].concat())
-            });
-            out.push_html(html! { p.replay { @for command in found.replay_commands() { code { (command) } " " } } });
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::StatedScenarios,
+            anchor: ANCHOR,
+            title: "Tests modelled on regulations",
         }
     }
+
+    fn write(&self, out: &mut ReportDocument) {
+        out.paragraph(format!("{INTRODUCTION} {}", self.statement));
+        self.suites.iter().for_each(|found| found.write(out));
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let suites = plan.suites.iter().zip(&self.suites);
+        suites
+            .flat_map(|(planned, found)| found.evidence(plan, planned))
+            .collect()
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        plan.suites
+            .iter()
+            .map(|planned| ClaimDraft::new(ANCHOR, claims(plan, planned)))
+            .collect()
+    }
+
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        self.files
+            .iter()
+            .map(|(name, text)| (name.clone(), text.clone().into_bytes()))
+            .collect()
+    }
+}
+
+impl SuiteFindings {
+    fn write(&self, out: &mut ReportDocument) {
+        out.heading(&self.suite.name);
+        out.paragraph(self.describe());
+        out.table(self.matrix());
+        for note in self.unanswered_notes() {
+            out.paragraph(note);
+        }
+        out.collapsible(
+            "verdicts, margins and worst points within tolerances",
+            self.details_table(),
+        );
+        let mut lead = ReportDocument::new();
+        lead.paragraph("Not modelled, or omitted:");
+        out.markdown_only(lead);
+        let mut omissions = ReportDocument::new();
+        omissions.list(self.outside.iter().chain(&self.left_out));
+        out.collapsible("not modelled, or omitted", omissions);
+        let commands = self.replay_commands().map(ToString::to_string);
+        out.push(ReportBlock::Commands(commands.collect()));
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Evidence> {
+        let claims = claims(plan, planned);
+        let columns = planned.controller_indices.iter().enumerate();
+        let about = |(column, &place): (usize, &usize)| {
+            let claim = claims.get(place)?.clone()?;
+            Some(self.evidence_for(claim, &self.counts(column)))
+        };
+        columns.filter_map(about).collect()
+    }
+
+    /// Adds up the outcomes of all tests for one controller.
+    fn counts(&self, column: usize) -> SuiteCounts {
+        let mut counts = SuiteCounts::default();
+        for test in &self.tests {
+            if let Some(outcome) = test.outcomes.get(column) {
+                counts.add(outcome);
+            }
+        }
+        counts
+    }
+
+    /// A search concentrates on failures, so its failures count only if the tests themselves refute nothing.
+    fn evidence_for(&self, claim: AssuranceClaim, counts: &SuiteCounts) -> Evidence {
+        let of_tests = counts.strength_of_tests();
+        let (strength, what) = match of_tests.is_refutation() {
+            true => (of_tests, format!("{} points of the tests", counts.points)),
+            false => (
+                counts.strength_with_search(),
+                format!("{} points of tests and search", counts.runs),
+            ),
+        };
+        Evidence {
+            claim,
+            strength,
+            source: EvidenceSource::from_part(ANCHOR, what),
+        }
+    }
+}
+
+/// The outcomes of all tests of a suite for one controller.
+#[derive(Debug, Default)]
+struct SuiteCounts {
+    points: u64,
+    points_failed: u64,
+    /// Failed points without an answer of the controller.
+    unanswered: Option<FailedControllerRuns>,
+    runs: u64,
+    failures: u64,
+    /// Failed points of the search without an answer of the controller.
+    unanswered_in_tolerance: Option<FailedControllerRuns>,
+}
+
+impl SuiteCounts {
+    fn add(&mut self, outcome: &SuiteOutcome) {
+        self.points += outcome.points_failed + outcome.points_passed;
+        self.points_failed += outcome.points_failed;
+        self.runs += outcome.runs;
+        self.failures += outcome.failures;
+        FailedControllerRuns::merge(&mut self.unanswered, outcome.unanswered.clone());
+        let in_tolerance = outcome.unanswered_in_tolerance.clone();
+        FailedControllerRuns::merge(&mut self.unanswered_in_tolerance, in_tolerance);
+    }
+
+    fn strength_of_tests(&self) -> Strength {
+        point_strength(self.points_failed, self.points, self.unanswered.as_ref())
+    }
+
+    fn strength_with_search(&self) -> Strength {
+        let unanswered = self.unanswered_in_tolerance.as_ref();
+        point_strength(self.failures, self.runs, unanswered)
+    }
+}
+
+/// A point without an answer is a failure of the controller, but no collision.
+fn point_strength(failed: u64, points: u64, unanswered: Option<&FailedControllerRuns>) -> Strength {
+    let collisions = failed.saturating_sub(unanswered.map_or(0, |unanswered| unanswered.runs));
+    Strength::from_counts_with_unanswered(collisions, points, unanswered, true)
 }

@@ -1,22 +1,20 @@
 //! The verdict: claims about each controller, and the strength of their evidence.
 
-use maud::html;
 use serde::Serialize;
 
-use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
-use super::{OscillationGain, Suites};
+use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Property,
+    AssuranceClaim, ClaimStatus, Domain, InferenceRule, Ledger, Property,
 };
 use crate::assessment::document::ReportDocument;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart, Rounded};
+use crate::assessment::{AssessmentPlan, GateResult};
 use crumple_sim::engine::NamedController;
-use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space_summary;
 
 /// Every claim about every controller.
-#[derive(Debug, Clone, Default, Serialize)]
+#[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimSummary {
     /// Controller that the question is about.
@@ -68,34 +66,19 @@ pub(super) struct SubjectClaim<'a> {
     pub(super) status: &'a ClaimStatus,
 }
 
-/// Largest failure rate that counts as rare, in percent.
-const RARE_PERCENT: f64 = 1.0;
-
 impl ClaimSummary {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &AssessmentReport) -> Self {
-        let controllers: Vec<_> = plan
-            .controllers
-            .iter()
-            .map(|controller| controller.name.clone())
-            .collect();
-        let claims = claim_rows(plan, found);
-        let subject = plan.subject().map(|subject| subject.name.clone());
-        let is_asked = |&index: &usize| {
-            index == 0
-                || index == plan.subject_index
-                || plan
-                    .controllers
-                    .get(index)
-                    .is_some_and(|one| one.source.is_learned())
-        };
-        let main_columns = (0..controllers.len()).filter(is_asked).collect();
+    pub(in crate::assessment) fn new(
+        plan: &AssessmentPlan,
+        claims: Vec<ClaimRow>,
+        gates: Vec<GateResult>,
+    ) -> Self {
         Self {
-            subject,
-            controllers,
+            subject: plan.subject().map(|subject| subject.name.clone()),
+            controllers: plan.controller_names(),
             named: explain_names(plan),
             claims,
-            gates: Vec::new(),
-            main_columns,
+            gates,
+            main_columns: main_columns(plan),
         }
     }
 
@@ -119,8 +102,18 @@ impl ClaimSummary {
         self.table_of(&[main, others].concat(), |_| true)
     }
 
+    /// Returns the index of the subject among the controllers.
+    fn subject_index(&self) -> usize {
+        let subject = self.subject.as_deref();
+        self.controllers
+            .iter()
+            .position(|name| Some(name.as_str()) == subject)
+            .unwrap_or_default()
+    }
+
     /// Returns the measured claims about the first controller and the subject.
-    pub(super) fn comparison_table(&self, subject_index: usize) -> ReportTable {
+    pub(super) fn comparison_table(&self) -> ReportTable {
+        let subject_index = self.subject_index();
         let is_measured = |claim: &AssuranceClaim| match (&claim.property, &claim.domain) {
             (Property::FailsLessOften { .. }, _) => false,
             (Property::RateAtMost { .. }, _) => true,
@@ -179,6 +172,38 @@ impl ClaimSummary {
         table
     }
 
+    /// Returns the gates and their results, as text for a terminal; empty without gates.
+    #[must_use]
+    pub fn gates_to_plain_text(&self) -> String {
+        let lines: String = self.gates.iter().map(GateResult::to_plain_text).collect();
+        if lines.is_empty() {
+            lines
+        } else {
+            format!("gates:\n{lines}{}\n", self.describe_gates())
+        }
+    }
+
+    pub(super) fn describe_gates(&self) -> String {
+        let holding = self.gates.iter().filter(|gate| gate.holds).count();
+        match (holding, self.gates.len()) {
+            (1, 1) => "The gate holds.".to_owned(),
+            (all, of) if all == of => format!("All {of} gates hold."),
+            (holding, of) => format!("{holding} of {of} gates hold."),
+        }
+    }
+
+    pub(super) fn gate_table(&self) -> ReportTable {
+        ReportTable::from_items(
+            &self.gates,
+            &[
+                ("gate", &|gate| ReportCell::text(&gate.gate)),
+                ("result", &|gate| {
+                    ReportCell::with_verdict(&gate.reason, gate.holds)
+                }),
+            ],
+        )
+    }
+
     fn name_table(&self) -> ReportTable {
         ReportTable::from_items(
             &self.named,
@@ -188,6 +213,18 @@ impl ClaimSummary {
             ],
         )
     }
+}
+
+fn main_columns(plan: &AssessmentPlan) -> Vec<usize> {
+    let is_asked = |index: usize, controller: &NamedController| {
+        index == 0 || index == plan.subject_index || controller.source.is_learned()
+    };
+    plan.controllers
+        .iter()
+        .enumerate()
+        .filter(|(index, controller)| is_asked(*index, controller))
+        .map(|(index, _)| index)
+        .collect()
 }
 
 fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
@@ -219,223 +256,66 @@ fn first_clause(text: &str) -> &str {
     end.and_then(|end| text.get(..end)).unwrap_or(text)
 }
 
-fn claim_rows(plan: &AssessmentPlan, found: &AssessmentReport) -> Vec<ClaimRow> {
-    let mut rows = Vec::new();
-    let mut add = |part, words: Option<String>, claims: Vec<Option<AssuranceClaim>>| {
-        let Some(first) = claims.iter().flatten().next() else {
-            return;
-        };
-        if rows.iter().any(|known: &ClaimRow| known.claims == claims) {
-            return;
-        }
-        let claim = words.unwrap_or_else(|| first.describe());
-        let status = |claim: &Option<AssuranceClaim>| {
-            claim
-                .as_ref()
-                .map_or_else(ClaimStatus::default, |one| found.evidence.claim_status(one))
-        };
-        let statuses = claims.iter().map(status).collect();
-        rows.push(ClaimRow {
-            claim,
-            part,
-            claims,
-            statuses,
-        });
-    };
-    let of_all = |property: Property,
-                  domain: Domain,
-                  estimator: EstimatorKind|
-     -> Vec<Option<AssuranceClaim>> {
-        let claim = |index| {
-            let subject = plan.claim_subject(index, estimator)?;
-            Some(AssuranceClaim {
-                subject,
-                property: property.clone(),
-                domain: domain.clone(),
-            })
-        };
-        (0..plan.controllers.len()).map(claim).collect()
-    };
-    let own = plan.config.estimator;
-    if let Some(paper) = &found.paper_scenarios {
-        add(
-            "paper",
-            None,
-            of_all(Property::NoContact, paper.domain(), own),
-        );
-    }
-    if let Some(traffic) = &found.file_scenarios {
-        add(
-            "traffic",
-            None,
-            of_all(Property::NoContact, traffic.domain(), own),
-        );
-    }
-    for claims in Suites::claims(plan) {
-        add("suites", None, claims);
-    }
-    let drawn_from = found.rate_spaces.spaces.iter().zip(&plan.rate_spaces);
-    for (drawn, named) in drawn_from.filter(|(drawn, _)| drawn.random_scenarios > 0) {
-        let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.random_scenarios);
-        let in_draws = || Domain::Draws {
-            space: space(),
-            seed,
-            draws,
-        };
-        add(
-            "distribution",
-            None,
-            of_all(Property::NoContact, in_draws(), own),
-        );
-        if named.can_others_collide() {
-            add(
-                "distribution",
-                None,
-                of_all(Property::OthersKeepClear, in_draws(), own),
-            );
-        }
-        let rare = Property::RateAtMost {
-            percent: Rounded::new(RARE_PERCENT),
-        };
-        add(
-            "distribution",
-            None,
-            of_all(rare, Domain::Space { space: space() }, own),
-        );
-        if let Some(first) = plan.claim_subject(0, own) {
-            let fewer = Property::FailsLessOften {
-                than: first.controller,
-            };
-            for (part, domain) in [
-                ("distribution", in_draws()),
-                ("proofs", Domain::Space { space: space() }),
-            ] {
-                let mut claims = of_all(fewer.clone(), domain, own);
-                // The first controller cannot fail less often than itself.
-                claims[0] = None;
-                add(part, None, claims);
+impl ClaimRow {
+    /// Looks up the evidence of each claim. Drops claims about no controller, and repeated ones.
+    pub(in crate::assessment) fn from_drafts(
+        drafts: Vec<ClaimDraft>,
+        evidence: &Ledger,
+    ) -> Vec<Self> {
+        let mut rows: Vec<Self> = Vec::new();
+        for draft in drafts {
+            let is_known = rows.iter().any(|known| known.claims == draft.claims);
+            if !is_known {
+                rows.extend(Self::from_draft(draft, evidence));
             }
         }
+        rows
     }
-    for searched in &found.searches.spaces {
-        add(
-            "search",
-            None,
-            of_all(Property::NoContact, searched.domain(plan), own),
-        );
-    }
-    if let Some(usefulness) = &found.usefulness {
-        let [traffic, danger] = usefulness.domains();
-        add(
-            "usefulness",
-            None,
-            of_all(Property::NoUnnecessaryBraking, traffic.clone(), own),
-        );
-        add(
-            "usefulness",
-            None,
-            of_all(Property::KeepsUp, traffic.clone(), own),
-        );
-        add(
-            "usefulness",
-            None,
-            of_all(
-                Property::NoGrowingOscillation,
-                OscillationGain::domain(),
-                EstimatorKind::Truth,
-            ),
-        );
-        add(
-            "usefulness",
-            None,
-            of_all(Property::NoContact, traffic, own),
-        );
-        add("usefulness", None, of_all(Property::NoContact, danger, own));
-    }
-    // For a whole space only a proof could support the claim; one failure refutes it.
-    let mut spaces: Vec<&ContentId> = Vec::new();
-    let drawn = found
-        .rate_spaces
-        .spaces
-        .iter()
-        .filter(|drawn| drawn.random_scenarios > 0)
-        .map(|drawn| &drawn.space);
-    for space in drawn.chain(
-        found
-            .searches
-            .spaces
+
+    fn from_draft(draft: ClaimDraft, evidence: &Ledger) -> Option<Self> {
+        let first = draft.claims.iter().flatten().next()?;
+        let claim = draft.words.unwrap_or_else(|| first.describe());
+        let statuses = draft
+            .claims
             .iter()
-            .map(|searched| &searched.content_id),
-    ) {
-        if !spaces.contains(&space) {
-            spaces.push(space);
-            add(
-                "search",
-                None,
-                of_all(
-                    Property::NoContact,
-                    Domain::Space {
-                        space: space.clone(),
-                    },
-                    own,
-                ),
-            );
-        }
+            .map(|claim| claim_status(claim.as_ref(), evidence))
+            .collect();
+        Some(Self {
+            claim,
+            part: draft.part,
+            claims: draft.claims,
+            statuses,
+        })
     }
-    for claim in found.proofs.reach_claims() {
-        let words = format!(
-            "{}, {}",
-            claim.describe(),
-            describe_estimator(claim.subject.estimator)
-        );
-        add(
-            "proofs",
-            Some(words),
-            of_all(
-                claim.property.clone(),
-                claim.domain.clone(),
-                claim.subject.estimator,
-            ),
-        );
-    }
-    let shielded = |controller: &NamedController| controller.source.as_shield().is_some();
-    let domain = |controller: &NamedController| kernel_domain(&shield_kernels(controller));
-    for one in plan.controllers.iter().filter(|one| shielded(one)) {
-        // Shields with other limits prove other claims.
-        let claim = |(index, other): (usize, &NamedController)| {
-            let is_same = shielded(other) && domain(other) == domain(one);
-            let subject = plan.claim_subject(index, own).filter(|_| is_same)?;
-            Some(AssuranceClaim {
-                subject,
-                property: Property::NoContactAhead,
-                domain: domain(one),
-            })
-        };
-        add(
-            "proofs",
-            None,
-            plan.controllers.iter().enumerate().map(claim).collect(),
-        );
-    }
-    rows
+}
+
+/// Returns the status of a claim; [`Strength::Untried`](crate::assessment::Strength::Untried) without a claim.
+fn claim_status(claim: Option<&AssuranceClaim>, evidence: &Ledger) -> ClaimStatus {
+    claim.map_or_else(ClaimStatus::default, |claim| evidence.claim_status(claim))
 }
 
 impl ReportPart for ClaimSummary {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::Verdict,
+            anchor: "verdict",
+            title: "Claims",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.collapsible("names of controllers and spaces", |out| {
-            out.table(&self.name_table())
-        });
+        out.collapsible("names of controllers and spaces", self.name_table());
         out.paragraph(LEGEND);
-        out.table(&self.table());
-        out.push_html(html! {
-            details {
-                summary { "rules from evidence to claims" }
-                ul {
-                    li { (InferenceRule::Direct.describe()) }
-                    @for rule in InferenceRule::DERIVED { li { (rule.describe()) } }
-                }
-            }
-        });
+        out.table(self.table());
+        let mut rules = ReportDocument::new();
+        rules.list(
+            std::iter::once(InferenceRule::Direct)
+                .chain(InferenceRule::DERIVED)
+                .map(InferenceRule::describe),
+        );
+        let mut explanation = ReportDocument::new();
+        explanation.collapsible("rules from evidence to claims", rules);
+        out.html_only(explanation);
     }
 }
 

@@ -7,20 +7,23 @@ use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, run_samples, simulate_each};
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
+use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::rounded::or_dash;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crate::draw::{Ink, Marker, Svg};
 use crumple_measure::{GainSurvey, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
 use crumple_sim::engine::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
 use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 
 const ANCHOR: &str = "usefulness";
@@ -143,26 +146,10 @@ impl UsefulnessReport {
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
         let followers = [&traffic, &high_risk]
             .map(|scenarios| follower_drivers(scenarios).into_iter().collect());
-        let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
-            let options =
-                RunOptions::new(controller.source.clone()).with_estimator(plan.config.estimator);
-            let drives = simulate_each(
-                &traffic,
-                &options,
-                RecordingLevel::Trace,
-                EverydayDrive::new,
-            )?;
-            let danger = run_samples(&high_risk, controller, plan)?;
-            let gain = OscillationGain::new(&GainSurvey::new(&controller.source)?);
-            let mut useful = ControllerUsefulness::new(controller, &drives, &danger, gain);
-            useful.unnecessary_braking_rates = braking_rates(&traffic, &drives, &options)?;
-            work.add_runs(2 * count)?;
-            Ok(useful)
-        };
         let controllers = plan
             .controllers
             .iter()
-            .map(useful)
+            .map(|controller| ControllerUsefulness::run(controller, &traffic, &high_risk, work))
             .collect::<Result<_, _>>()?;
         Ok(Some(Self {
             spaces,
@@ -195,69 +182,6 @@ impl UsefulnessReport {
     ) -> Option<(u64, RunEnds)> {
         let place = EVERYDAY_SPACES.iter().position(|known| *known == space)?;
         Some((self.random_scenarios, self.find(controller)?.ends(place)))
-    }
-
-    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        let [traffic, danger] = self.domains();
-        let made = format!("{} drives, seed {}", self.random_scenarios, self.seed);
-        let mut all = Vec::new();
-        for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
-            let gain = &useful.oscillation_gain;
-            let claim = AssuranceClaim {
-                subject: Subject {
-                    estimator: EstimatorKind::Truth,
-                    ..subject.clone()
-                },
-                property: Property::NoGrowingOscillation,
-                domain: OscillationGain::domain(),
-            };
-            let source =
-                EvidenceSource::from_part(ANCHOR, format!("{} operating points", gain.points));
-            all.push(Evidence {
-                claim,
-                strength: gain.strength(),
-                source,
-            });
-            let mut add = |property, domain: &Domain, strength, made: &str| {
-                let claim = AssuranceClaim {
-                    subject: subject.clone(),
-                    property,
-                    domain: domain.clone(),
-                };
-                all.push(Evidence {
-                    claim,
-                    strength,
-                    source: EvidenceSource::from_part(ANCHOR, made),
-                });
-            };
-            let (runs, [in_traffic, in_danger]) = (
-                self.random_scenarios,
-                [0, 1].map(|place| useful.ends(place)),
-            );
-            add(
-                Property::NoContact,
-                &traffic,
-                in_traffic.strength(runs),
-                &made,
-            );
-            let driving = [
-                (Property::NoUnnecessaryBraking, useful.unnecessary_braking),
-                (Property::KeepsUp, useful.left_behind),
-            ];
-            for (property, failures) in driving {
-                let unanswered = in_traffic.unanswered.as_ref();
-                let strength =
-                    Strength::from_counts_with_unanswered(failures, runs, unanswered, false);
-                add(property, &traffic, strength, &made);
-            }
-            add(
-                Property::NoContact,
-                &danger,
-                in_danger.strength(runs),
-                &made,
-            );
-        }
-        all
     }
 
     fn introduction(&self) -> String {
@@ -479,6 +403,22 @@ impl UsefulnessReport {
 }
 
 impl ControllerUsefulness {
+    fn run(
+        controller: &NamedController,
+        traffic: &[Scenario],
+        high_risk: &[Scenario],
+        work: &GatherContext<'_>,
+    ) -> Result<Self, AssessError> {
+        let options =
+            RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
+        let drives = simulate_each(traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
+        let danger = run_samples(high_risk, controller, work.plan)?;
+        let gain = OscillationGain::new(&GainSurvey::new(&controller.source)?);
+        let rates = braking_rates(traffic, &drives, &options)?;
+        work.add_runs((traffic.len() + high_risk.len()) as u64)?;
+        Ok(Self::new(controller, &drives, &danger, rates, gain))
+    }
+
     /// Returns the number of everyday drives and of dangerous scenarios in which the controller gave no answer.
     #[must_use]
     pub fn unanswered_runs(&self) -> [u64; 2] {
@@ -504,19 +444,117 @@ const SENSOR_CONDITIONS: &str = "Unnecessary braking per hour of `traffic`, with
     standing object per drive, reported 20 m ahead for 0.5 s. A dash: the controller refuses sensor faults.";
 
 impl ReportPart for UsefulnessReport {
+    fn heading(&self) -> PartHeading {
+        PartHeading {
+            chapter: Chapter::EverydayTraffic,
+            anchor: ANCHOR,
+            title: "Comfort and unnecessary braking",
+        }
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(&self.introduction());
-        out.table(&self.table());
+        out.paragraph(self.introduction());
+        out.table(self.table());
         out.paragraph(SENSOR_CONDITIONS);
-        out.table(&self.braking_rate_table());
-        out.table(&self.failure_table());
-        self.unanswered_notes()
-            .iter()
-            .for_each(|line| out.paragraph(line));
+        out.table(self.braking_rate_table());
+        out.table(self.failure_table());
+        for note in self.unanswered_notes() {
+            out.paragraph(note);
+        }
         out.figure(self.figure(ANCHOR));
-        out.paragraph(&gain_introduction());
-        out.table(&gain_table(&self.controllers));
+        out.paragraph(gain_introduction());
+        out.table(gain_table(&self.controllers));
         out.figure(draw_gains("gains", &self.controllers));
+    }
+
+    fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let subjects = plan.claim_subjects().into_iter();
+        subjects
+            .zip(&self.controllers)
+            .flat_map(|(subject, useful)| self.evidence_about(subject, useful))
+            .collect()
+    }
+
+    fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let [traffic, danger] = self.domains();
+        let draft = |property, domain| ClaimDraft::about_all(plan, ANCHOR, property, domain);
+        vec![
+            draft(Property::NoUnnecessaryBraking, traffic.clone()),
+            draft(Property::KeepsUp, traffic.clone()),
+            ClaimDraft::with_estimator(
+                plan,
+                EstimatorKind::Truth,
+                ANCHOR,
+                Property::NoGrowingOscillation,
+                OscillationGain::domain(),
+            ),
+            draft(Property::NoContact, traffic),
+            draft(Property::NoContact, danger),
+        ]
+    }
+}
+
+impl UsefulnessReport {
+    fn evidence_about(&self, subject: Subject, useful: &ControllerUsefulness) -> [Evidence; 5] {
+        let runs = self.random_scenarios;
+        let [traffic, danger] = self.domains();
+        let in_traffic = useful.ends(0);
+        let driving = |failures| {
+            let unanswered = in_traffic.unanswered.as_ref();
+            Strength::from_counts_with_unanswered(failures, runs, unanswered, false)
+        };
+        let piece = |property, domain: &Domain, strength| {
+            self.piece_of_evidence(&subject, property, domain, strength)
+        };
+        [
+            useful.oscillation_gain.evidence_about(&subject),
+            piece(Property::NoContact, &traffic, in_traffic.strength(runs)),
+            piece(
+                Property::NoUnnecessaryBraking,
+                &traffic,
+                driving(useful.unnecessary_braking),
+            ),
+            piece(Property::KeepsUp, &traffic, driving(useful.left_behind)),
+            piece(Property::NoContact, &danger, useful.ends(1).strength(runs)),
+        ]
+    }
+
+    fn piece_of_evidence(
+        &self,
+        subject: &Subject,
+        property: Property,
+        domain: &Domain,
+        strength: Strength,
+    ) -> Evidence {
+        let what = format!("{} drives, seed {}", self.random_scenarios, self.seed);
+        Evidence {
+            claim: AssuranceClaim {
+                subject: subject.clone(),
+                property,
+                domain: domain.clone(),
+            },
+            strength,
+            source: EvidenceSource::from_part(ANCHOR, what),
+        }
+    }
+}
+
+impl OscillationGain {
+    fn evidence_about(&self, subject: &Subject) -> Evidence {
+        let claim = AssuranceClaim {
+            subject: Subject {
+                estimator: EstimatorKind::Truth,
+                ..subject.clone()
+            },
+            property: Property::NoGrowingOscillation,
+            domain: Self::domain(),
+        };
+        let what = format!("{} operating points", self.points);
+        Evidence {
+            claim,
+            strength: self.strength(),
+            source: EvidenceSource::from_part(ANCHOR, what),
+        }
     }
 }
 

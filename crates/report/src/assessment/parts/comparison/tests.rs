@@ -60,7 +60,7 @@ fn everything_falls_into_one_place() {
         ("f", found(11, 9)),
         ("g", found(10, 9)),
     ]);
-    let found = AssessmentComparison::from_facts(&before, &now);
+    let found = AssessmentComparison::from_facts(&before, &now, true);
     let names = |changes: &[AssessmentChange]| {
         changes
             .iter()

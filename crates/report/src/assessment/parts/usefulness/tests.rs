@@ -55,8 +55,10 @@ fn both_measures_are_reported_for_every_controller() {
         serde_json::to_string(&serde_json::from_str::<UsefulnessReport>(&json).unwrap()).unwrap(),
         json
     );
+    let mut document = ReportDocument::new();
+    found.write(&mut document);
     assert!(
-        found.to_markdown().into_string().contains("| idm |")
-            && found.to_html().into_string().contains("<svg")
+        document.to_markdown().into_string().contains("| idm |")
+            && document.to_html().into_string().contains("<svg")
     );
 }

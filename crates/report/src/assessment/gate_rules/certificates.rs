@@ -1,0 +1,37 @@
+//! Gates on certificates.
+
+use super::{GateInputs, GateRule, GateVerdict};
+use crate::assessment::{AssessConfig, CertificateStatus, CheckedCertificate};
+
+pub(super) fn accepted(_config: &AssessConfig) -> GateRule<'static> {
+    GateRule::new(
+        "the checker accepts every certificate".to_owned(),
+        None,
+        check_certificates,
+    )
+}
+
+fn check_certificates(found: &GateInputs<'_>) -> GateVerdict {
+    let claims_to_prove =
+        |one: &&CheckedCertificate| !matches!(one.status, CertificateStatus::NothingShown { .. });
+    let certificates: Vec<_> = found
+        .results
+        .proofs
+        .certificates
+        .iter()
+        .filter(claims_to_prove)
+        .collect();
+    let all = certificates.len();
+    let rejected: Vec<_> = certificates
+        .iter()
+        .filter(|one| !one.is_accepted())
+        .collect();
+    match rejected.first() {
+        None => GateVerdict::new(all > 0, format!("{all} of {all} certificates are accepted")),
+        Some(first) => GateVerdict::fails(format!(
+            "{} of {all} are rejected; first: {}",
+            rejected.len(),
+            first.name
+        )),
+    }
+}

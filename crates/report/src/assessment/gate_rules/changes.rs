@@ -1,0 +1,39 @@
+//! Gates on changes since an earlier assessment.
+
+use super::{GateRule, GateVerdict};
+use crate::assessment::{AssessConfig, AssessmentChange, AssessmentComparison};
+
+pub(super) fn nothing_worse(_config: &AssessConfig) -> GateRule<'static> {
+    GateRule::new(
+        "no result is worse than in the earlier assessment".to_owned(),
+        None,
+        |found| check_nothing_worse(found.comparison),
+    )
+}
+
+fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> GateVerdict {
+    let Some(comparison) = comparison else {
+        return GateVerdict::fails("there is no earlier assessment; name one with --against");
+    };
+    if comparison.has_no_overlap() {
+        return GateVerdict::fails("the earlier assessment has no result in common with this one");
+    }
+    match regressions(comparison).as_slice() {
+        [] => GateVerdict::holds(format!(
+            "no result is worse{}",
+            comparison.describe_changed()
+        )),
+        [first, others @ ..] => GateVerdict::fails(format!(
+            "{} results are worse, new failures, or missing; first: {}",
+            1 + others.len(),
+            first.description
+        )),
+    }
+}
+
+/// Returns the worse results. A new failure, and a result other than a failure that is gone, count as worse.
+fn regressions(comparison: &AssessmentComparison) -> Vec<&AssessmentChange> {
+    let new = comparison.new.iter().filter(|change| change.is_failure);
+    let gone = comparison.gone.iter().filter(|change| !change.is_failure);
+    comparison.worse.iter().chain(new).chain(gone).collect()
+}

@@ -1,0 +1,160 @@
+//! Gates on collisions in scenarios of the paper, of files, and of a space.
+
+use super::{ConfigProblem, GateInputs, GateRule, GateVerdict, require};
+use crate::assessment::case::CaseVerdict;
+use crate::assessment::parts::EVERYDAY_SPACES;
+use crate::assessment::{AssessConfig, RunEnds, ScenarioCases};
+
+pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {
+    GateRule::new(
+        format!("{controller}: no collision in the paper's scenarios"),
+        require(config.paper, "`paper = true`"),
+        |found| {
+            let paper = found.results.paper_scenarios.as_ref();
+            check_no_collision(paper.map_or(&[], |paper| &paper.scenarios), controller)
+        },
+    )
+}
+
+pub(super) fn in_scenario_files<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {
+    let has_files = !config.scenarios.is_empty() || !config.recordings.is_empty();
+    GateRule::new(
+        format!("{controller}: no collision in scenario files and recordings"),
+        require(has_files, "`scenarios` or `recordings`"),
+        |found| {
+            let files = found.results.file_scenarios.as_ref();
+            check_no_collision(files.map_or(&[], |files| &files.scenarios), controller)
+        },
+    )
+}
+
+fn check_no_collision(scenarios: &[ScenarioCases], controller: &str) -> GateVerdict {
+    let runs = conclusive_runs(scenarios, controller);
+    let ends = RunEnds::from_verdicts(runs.iter().map(|run| run.verdict));
+    if let Some(unanswered) = ends.unanswered {
+        let first = runs.iter().find(|run| run.verdict.unanswered().is_some());
+        return GateVerdict::fails(format!(
+            "it {} (first in {})",
+            unanswered.describe(runs.len() as u64),
+            first.map_or("", |run| run.scenario)
+        ));
+    }
+    let failing: Vec<_> = runs
+        .iter()
+        .filter(|run| run.verdict.is_failure())
+        .map(|run| run.scenario)
+        .collect();
+    match (failing.is_empty(), runs.len()) {
+        (false, _) => GateVerdict::fails(format!("it collides in {}", failing.join(", "))),
+        (true, 0) => GateVerdict::fails("it has no run"),
+        (true, passing) => GateVerdict::holds(format!("0 of {passing} runs collide")),
+    }
+}
+
+/// A run that is evidence about the controller.
+struct ConclusiveRun<'a> {
+    scenario: &'a str,
+    verdict: &'a CaseVerdict,
+}
+
+fn conclusive_runs<'a>(scenarios: &'a [ScenarioCases], controller: &str) -> Vec<ConclusiveRun<'a>> {
+    let mut runs = Vec::new();
+    for scenario in scenarios {
+        let own = scenario
+            .cases
+            .iter()
+            .filter(|case| case.controller == controller && case.verdict.is_conclusive());
+        runs.extend(own.map(|case| ConclusiveRun {
+            scenario: &scenario.scenario,
+            verdict: &case.verdict,
+        }));
+    }
+    runs
+}
+
+pub(super) fn in_space<'a>(
+    config: &AssessConfig,
+    controller: &'a str,
+    space: &'a str,
+) -> GateRule<'a> {
+    GateRule::new(
+        format!("{controller}: no collision in random scenarios of `{space}`"),
+        simulated_space_problem(space, config),
+        |found| check_no_collision_in_space(found, controller, space),
+    )
+}
+
+/// Evaluates the random scenarios of `distributions`, or the drives in `traffic` or `high-risk`. Both use the same
+/// seed: the larger sample contains the smaller one.
+fn check_no_collision_in_space(
+    found: &GateInputs<'_>,
+    controller: &str,
+    space: &str,
+) -> GateVerdict {
+    let usefulness = found.results.usefulness.as_ref();
+    let everyday = usefulness.and_then(|all| all.space_ends(controller, space));
+    let all = found
+        .sampled_ends(controller, space)
+        .into_iter()
+        .chain(everyday)
+        .max_by_key(|(scenarios, _)| *scenarios);
+    match all {
+        Some((scenarios @ 1.., ends)) => GateVerdict::new(
+            ends.failures() + ends.ended_by_others == 0,
+            describe_ends(&ends, scenarios),
+        ),
+        _ => GateVerdict::fails("no random scenario of the space was simulated"),
+    }
+}
+
+impl GateInputs<'_> {
+    /// Returns the number and the ends of the random scenarios of one of `distributions`.
+    fn sampled_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
+        let mut spaces = self.plan.rate_spaces.iter();
+        let index = spaces.position(|named| named.name == space)?;
+        let drawn = self.results.rate_spaces.spaces.get(index)?;
+        Some((drawn.random_scenarios, drawn.find(controller)?.ends.clone()))
+    }
+}
+
+fn describe_ends(ends: &RunEnds, scenarios: u64) -> String {
+    let mut reason = format!(
+        "{} of {scenarios} random scenarios collide",
+        ends.collisions
+    );
+    if ends.unanswered_runs() > 0 {
+        reason += &format!(
+            ", and the controller gives no answer in {}",
+            ends.unanswered_runs()
+        );
+    }
+    if ends.ended_by_others > 0 {
+        reason += &format!(
+            ", and {} end early with a collision of other vehicles",
+            ends.ended_by_others
+        );
+    }
+    reason
+}
+
+fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
+    let is_drawn = config.rate_spaces().iter().any(|known| known == space);
+    let is_driven = EVERYDAY_SPACES.contains(&space);
+    match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
+        true => None,
+        false if is_drawn => Some(("require", "needs `draws` above 0".to_owned())),
+        false if is_driven => Some((
+            "require",
+            format!("needs `everyday_draws` above 0, or `{space}` in `distributions`"),
+        )),
+        false => {
+            let [traffic, high_risk] = EVERYDAY_SPACES;
+            Some((
+                "space",
+                format!(
+                    "`{space}` is neither among `distributions` nor `{traffic}` or `{high_risk}`"
+                ),
+            ))
+        }
+    }
+}

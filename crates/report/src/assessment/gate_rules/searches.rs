@@ -1,0 +1,53 @@
+//! Gates on searches for failures.
+
+use super::{ConfigProblem, GateInputs, GateRule, GateVerdict};
+use crate::assessment::{AssessConfig, FailureSearch};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+
+pub(super) fn no_avoidable_failure<'a>(
+    config: &AssessConfig,
+    controller: &'a str,
+    space: &'a str,
+) -> GateRule<'a> {
+    GateRule::new(
+        format!("{controller}: the search of `{space}` finds no avoidable failure"),
+        searched_space_problem(space, config),
+        |found| check_no_avoidable_failure(found, controller, space),
+    )
+}
+
+fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
+    let is_searched = config.search_spaces().iter().any(|known| known == space);
+    (!is_searched).then(|| ("space", format!("`{space}` is not among `search.spaces`")))
+}
+
+fn check_no_avoidable_failure(
+    found: &GateInputs<'_>,
+    controller: &str,
+    space: &str,
+) -> GateVerdict {
+    let mut spaces = found.results.searches.spaces.iter();
+    let searched = spaces.find(|searched| searched.name == space);
+    match searched.and_then(|searched| searched.find(controller)) {
+        Some(search) => check_search(search),
+        None => GateVerdict::fails("there is no search for it"),
+    }
+}
+
+fn check_search(search: &FailureSearch) -> GateVerdict {
+    if let Some(words) = search.describe_unanswered() {
+        return GateVerdict::fails(format!("it {words}"));
+    }
+    let not_asked = search.count(AvoidabilityClass::NotAsked);
+    let avoidable = search.count(AvoidabilityClass::Avoidable);
+    let undecided = search.count(AvoidabilityClass::Undecided);
+    match avoidable + undecided {
+        0 if not_asked > 0 => GateVerdict::fails(format!(
+            "the avoidability of {not_asked} failures was not examined"
+        )),
+        0 => GateVerdict::holds(format!("none in {} simulations", search.evaluations())),
+        _ => GateVerdict::fails(format!(
+            "{avoidable} avoidable and {undecided} undecided failures"
+        )),
+    }
+}

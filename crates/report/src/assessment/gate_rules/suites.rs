@@ -1,0 +1,82 @@
+//! Gates on suites of tests.
+
+use super::{ConfigProblem, GateInputs, GateRule, GateVerdict};
+use crate::assessment::{AssessConfig, SuiteOutcome, SuiteTest};
+use crumple_sim::engine::FailedControllerRuns;
+
+pub(super) fn passed<'a>(
+    config: &AssessConfig,
+    controller: &'a str,
+    suite: &'a str,
+) -> GateRule<'a> {
+    GateRule::new(
+        format!("{controller}: passes every test of suite `{suite}` that can be run"),
+        suite_problem(config, controller, suite),
+        |found| check_suite_passed(found, controller, suite),
+    )
+}
+
+fn suite_problem(config: &AssessConfig, controller: &str, suite: &str) -> Option<ConfigProblem> {
+    let Some(named) = config.suites.iter().find(|named| named.suite == suite) else {
+        return Some(("suite", format!("`{suite}` is not among `suites`")));
+    };
+    let is_tested = named
+        .controllers
+        .as_ref()
+        .is_none_or(|tested| tested.iter().any(|name| name == controller));
+    (!is_tested).then(|| {
+        (
+            "controller",
+            format!("`{controller}` is not tested by suite `{suite}`"),
+        )
+    })
+}
+
+/// Ignores tests that cannot be run, but requires at least one test.
+fn check_suite_passed(found: &GateInputs<'_>, controller: &str, suite: &str) -> GateVerdict {
+    let run: Vec<_> = found
+        .suite_outcomes(controller, suite)
+        .into_iter()
+        .filter(|(_, outcome)| outcome.points > 0)
+        .collect();
+    let missed: Vec<_> = run
+        .iter()
+        .filter(|(_, outcome)| outcome.passed != Some(true))
+        .map(|(test, _)| test.test.as_str())
+        .collect();
+    match (run.len(), missed.as_slice()) {
+        (0, _) => GateVerdict::fails("no test could be run"),
+        (all, []) => GateVerdict::holds(format!("{all} of {all} tests pass")),
+        (_, missed) => GateVerdict::fails(format!(
+            "these tests do not pass: {}{}",
+            missed.join(", "),
+            note_unanswered_runs(&run)
+        )),
+    }
+}
+
+impl GateInputs<'_> {
+    fn suite_outcomes<'s>(
+        &'s self,
+        controller: &'s str,
+        suite: &str,
+    ) -> Vec<(&'s SuiteTest, &'s SuiteOutcome)> {
+        let mut planned = self.plan.suites.iter();
+        let index = planned.position(|planned| planned.config_name == suite);
+        match (index, &self.results.suites) {
+            (Some(index), Some(suites)) => suites.controller_outcomes(index, controller).collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+fn note_unanswered_runs(outcomes: &[(&SuiteTest, &SuiteOutcome)]) -> String {
+    let mut unanswered = None;
+    for (_, outcome) in outcomes {
+        FailedControllerRuns::merge(&mut unanswered, outcome.total_unanswered());
+    }
+    let runs = outcomes.iter().map(|(_, outcome)| outcome.runs).sum();
+    unanswered.map_or(String::new(), |failed| {
+        format!("; it {}", failed.describe(runs))
+    })
+}
