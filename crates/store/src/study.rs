@@ -170,10 +170,10 @@ impl<'a, S: Study> StudyFolder<'a, S> {
                 progress: FolderProgress::Finished,
             });
         }
+        let state = study.load(&run_folder)?;
         if let Some(text) = study.configuration_file()? {
             run_folder.write(S::CONFIGURATION_FILE, text)?;
         }
-        let state = study.load(&run_folder)?;
         Ok(Self {
             study,
             run_folder,
