@@ -17,12 +17,13 @@ use super::{CliError, args, interrupt, output, progress};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    EvaluationSet, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent,
-    TrainingFolder, TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map,
-    read_finished_trainings, seed_folder,
+    EvaluationSet, SeedResult, SeedTraining, SeedTrainingState, TrainingConfig,
+    TrainingConfigError, TrainingError, TrainingEvent, TrainingSpace, UNSEEN_DRAWS, learning_curve,
+    parallel_map, read_finished_trainings, seed_folder,
 };
 use crumple_store::disk;
 use crumple_store::run_folder;
+use crumple_store::study::StudyFolder;
 
 /// Train a driving policy by reinforcement learning, imitation, or both
 #[derive(Args)]
@@ -124,8 +125,9 @@ impl Train {
             )));
         }
         disk::make_folder(&self.out)?;
+        let held_out = EvaluationSet::from_config(&config)?;
         // Fail before training if existing results conflict.
-        read_finished_trainings(&self.out, &config)?;
+        read_finished_trainings(&self.out, &config, &held_out)?;
         let check = || results_folder(&self.out)?.check(&RESULT_FILES);
         // Another training with the same --out may be writing them.
         check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
@@ -138,10 +140,14 @@ impl Train {
         {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
         }
-        let held_out = EvaluationSet::from_config(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
         let trained = parallel_map(&seeds, rayon::current_num_threads(), |seed| {
-            let result = self.train(&config, *seed, &held_out, &bar);
+            let training = SeedTraining {
+                config: &config,
+                seed: *seed,
+                held_out: &held_out,
+            };
+            let result = self.train(&training, &bar);
             if let (Err(failure), true) = (&result, seeds.len() > 1) {
                 bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
             }
@@ -158,7 +164,9 @@ impl Train {
         }
         let mut printed = Ok(());
         if !done.is_empty() {
-            run_folder::with_folder_lock(&self.out, || write_results(&self.out, &config, quiet))?;
+            run_folder::with_folder_lock(&self.out, || {
+                write_results(&self.out, &config, &held_out, quiet)
+            })?;
             printed = output::print_result(self.format, &done, || {
                 format_table(&done, config.evaluation.ranking_draws)
             });
@@ -209,22 +217,24 @@ impl Train {
 
     fn train(
         &self,
-        config: &TrainingConfig,
-        seed: u64,
-        held_out: &EvaluationSet,
+        training: &SeedTraining<'_>,
         bar: &ProgressBar,
     ) -> Result<SeedResult, CliError> {
-        let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
-        bar.inc(training.episode());
-        let shown = Mutex::new(SeedProgress::new(seed, bar));
+        let folder = seed_folder(&self.out, training.seed);
+        let study = StudyFolder::open(training, &folder, self.resume)?;
+        let earlier_episodes = study.state().map(SeedTrainingState::episode);
+        bar.inc(earlier_episodes.unwrap_or(0));
+        let shown = Mutex::new(SeedProgress::new(training.seed, bar));
         let show = |event: &TrainingEvent| {
             shown
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .update(event)
         };
-        let result = training.train(held_out, &Listener(show))?;
-        bar.inc(config.episodes.saturating_sub(result.episodes));
+        let result = study.run(&Listener(show))?;
+        // A finished training shows no episodes.
+        let shown_episodes = earlier_episodes.map_or(0, |_| result.episodes);
+        bar.inc(training.config.episodes.saturating_sub(shown_episodes));
         Ok(result)
     }
 }
@@ -247,9 +257,15 @@ fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
 }
 
 /// Writes the results of all seeds in the folder, including those of earlier commands.
-fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), CliError> {
-    let (results, logs): (Vec<_>, Vec<_>) =
-        read_finished_trainings(out, config)?.into_iter().unzip();
+fn write_results(
+    out: &Path,
+    config: &TrainingConfig,
+    held_out: &EvaluationSet,
+    quiet: bool,
+) -> Result<(), CliError> {
+    let (results, logs): (Vec<_>, Vec<_>) = read_finished_trainings(out, config, held_out)?
+        .into_iter()
+        .unzip();
     let all = TrainingResult {
         version: env!("CARGO_PKG_VERSION"),
         config,

@@ -12,7 +12,7 @@ use crumple_core::observer::Listener;
 use crumple_evidence::rare::{RarePlan, RareProgress, SplittingConfig};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSettings};
-use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFolder};
+use crumple_learn::rl::{EvaluationSet, SeedTraining, TrainingConfig, TrainingEvent, seed_folder};
 use crumple_measure::Specification;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
@@ -89,13 +89,16 @@ fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
     )
     .unwrap();
     config.episodes = 33;
-    let error = |error: crumple_learn::rl::TrainingError| error.to_string();
-    let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
-    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
+    let training = SeedTraining {
+        config: &config,
+        seed,
+        held_out: &EvaluationSet::new(&config.evaluation, &config.environment),
+    };
+    let observer = Listener(|_: &TrainingEvent| tick());
     training
-        .train(&held_out, &Listener(|_: &TrainingEvent| tick()))
+        .run(&seed_folder(folder, seed), true, &observer)
         .map(|_| ())
-        .map_err(error)
+        .map_err(|error| error.to_string())
 }
 
 fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {

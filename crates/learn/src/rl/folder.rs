@@ -9,14 +9,15 @@ use serde::{Deserialize, Serialize};
 use super::config::TrainingConfig;
 use super::curve::{parse_episode, parse_evaluation};
 use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
-use super::runner::{TrainingEvent, TrainingRecorder, train_with_recorder};
+use super::runner::{TrainingEvent, TrainingRecorder, end_training, start_training, train_episode};
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
 use crumple_store::disk::DiskError;
-use crumple_store::run_folder::{MANIFEST_FILE, RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::run_folder::{FolderTransaction, MANIFEST_FILE, RunFolder, RunFolderError};
+use crumple_store::study::{self, Study, StudyStep};
 
 /// Configuration of the training: a file for `--preset`.
-pub(super) const CONFIGURATION: &str = "training.toml";
+const CONFIGURATION: &str = "training.toml";
 const LOG: &str = "log.jsonl";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const POLICY: &str = "policy.safetensors";
@@ -48,13 +49,38 @@ impl SeedResult {
     }
 }
 
-/// Training of one seed in its folder.
+/// Training of one seed: a study in the seed's folder. A finished one may be continued with more episodes.
+#[derive(Debug, Clone, Copy)]
+pub struct SeedTraining<'a> {
+    /// Configuration of the training.
+    pub config: &'a TrainingConfig,
+    /// The seed.
+    pub seed: u64,
+    /// Scenarios that evaluate checkpoints, of the configuration.
+    pub held_out: &'a EvaluationSet,
+}
+
+/// State of a training between two episodes.
 #[derive(Debug)]
-pub struct TrainingFolder<'a> {
-    run_folder: RunFolder,
-    config: &'a TrainingConfig,
-    pub(super) trainer: Trainer,
+pub struct SeedTrainingState {
+    trainer: Trainer,
     log: String,
+    /// True after the imitation and the evaluation before the first episode.
+    is_started: bool,
+}
+
+impl SeedTrainingState {
+    /// Returns the number of completed episodes.
+    #[must_use]
+    pub fn episode(&self) -> u64 {
+        self.trainer.episode()
+    }
+
+    /// True if the policy is better than the untrained network.
+    fn has_learned(&self) -> bool {
+        self.trainer.config.imitation.is_some()
+            || self.trainer.best().is_some_and(|best| best.episode > 0)
+    }
 }
 
 /// Returns the folder of a seed in `out`.
@@ -63,141 +89,182 @@ pub fn seed_folder(out: &Path, seed: u64) -> PathBuf {
     out.join(format!("seed-{seed}"))
 }
 
-impl<'a> TrainingFolder<'a> {
-    /// Starts the training of a seed in its folder in `out`, or continues it if `resume` is set.
-    ///
-    /// # Errors
-    /// [`TrainingError`] if the folder is in use, damaged, or holds another training or one of another build.
-    pub fn open(
-        out: &Path,
-        config: &'a TrainingConfig,
-        seed: u64,
-        resume: bool,
-    ) -> Result<Self, TrainingError> {
-        let work = open_run_folder(out, config, seed, resume)?;
-        let (checkpoint, path, source) = (
-            work.read(CHECKPOINT)?,
-            work.path(CHECKPOINT),
-            config.scenario_source()?,
-        );
-        let trainer = match checkpoint {
-            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(
-                |error| match error {
-                    TrainingError::Checkpoint(problem) => {
-                        RunFolderError::damaged(&path, problem).into()
-                    }
-                    other => other,
-                },
-            )?,
-            None => Trainer::with_source(config, seed, source),
-        };
-        let before = work.read(LOG)?.unwrap_or_default();
-        let is_done =
-            |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
-        // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
-        // the same episode.
-        let is_of_the_end = |line: &&str| {
-            parse_evaluation(line)
-                .is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
-        };
-        // Drop log entries after the checkpoint; their episodes are repeated.
+/// The first step is the imitation, and the evaluation before the first episode. Each further step is an episode.
+impl Study for SeedTraining<'_> {
+    const KIND: &'static str = "training";
+    const CONFIGURATION_FILE: &'static str = CONFIGURATION;
+    const OUTPUTS: &'static [&'static str] = &[CONFIGURATION, LOG, CHECKPOINT, POLICY, RESULT];
+
+    type State = SeedTrainingState;
+    type Progress = TrainingEvent;
+    type Report = SeedResult;
+    type Error = TrainingError;
+
+    /// Returns everything that determines a training, except the number of episodes, which may grow.
+    fn configuration(&self) -> Result<String, TrainingError> {
+        let config = config_toml(&TrainingConfig {
+            episodes: 0,
+            ..self.config.clone()
+        })?;
+        Ok(format!("seed = {}\n{config}", self.seed))
+    }
+
+    fn configuration_file(&self) -> Result<Option<String>, TrainingError> {
+        config_toml(self.config).map(Some)
+    }
+
+    fn is_finished(&self, folder: &RunFolder) -> Result<bool, TrainingError> {
+        let asked = config_toml(self.config)?.into_bytes();
+        Ok(folder.is_complete() && folder.read(CONFIGURATION)? == Some(asked))
+    }
+
+    fn load(&self, folder: &RunFolder) -> Result<SeedTrainingState, TrainingError> {
+        let trainer = self.load_trainer(folder)?;
         let log = match trainer.episode() {
             0 => String::new(),
             _ => {
-                let before = String::from_utf8_lossy(&before);
-                before
-                    .split_inclusive('\n')
-                    .take_while(is_done)
-                    .filter(|line| !is_of_the_end(line))
-                    .collect()
+                let bytes = folder.read(LOG)?.unwrap_or_default();
+                log_until_checkpoint(&String::from_utf8_lossy(&bytes), &trainer)
             }
         };
-        Ok(Self {
-            run_folder: work,
-            config,
+        Ok(SeedTrainingState {
+            is_started: trainer.episode() > 0,
             trainer,
             log,
         })
     }
 
-    /// Returns the number of completed episodes.
-    #[must_use]
-    pub fn episode(&self) -> u64 {
-        self.trainer.episode()
+    fn step(
+        &self,
+        state: &mut SeedTrainingState,
+        folder: &RunFolder,
+        observer: &dyn Observer<TrainingEvent>,
+    ) -> Result<StudyStep, TrainingError> {
+        let result = self.train_next(state, folder, observer);
+        if matches!(result, Err(TrainingError::Diverged { .. })) && !state.has_learned() {
+            // An untrained network is no result of a training.
+            folder.transaction().remove(POLICY).commit()?;
+        }
+        result
     }
 
-    /// Trains to the end. If `observer` stops the training, the folder keeps the last checkpoint.
-    ///
-    /// # Errors
-    /// [`TrainingError`] if the training diverges, a file cannot be written, or `observer` stops the training.
-    pub fn train(
-        mut self,
-        held_out: &EvaluationSet,
+    fn finish(
+        &self,
+        mut state: SeedTrainingState,
+        folder: &RunFolder,
+        results: &mut FolderTransaction<'_>,
         observer: &dyn Observer<TrainingEvent>,
     ) -> Result<SeedResult, TrainingError> {
-        let configuration = config_toml(self.config)?;
-        let known = if self.run_folder.is_complete() {
-            self.run_folder.read(CONFIGURATION)?
-        } else {
-            None
-        };
-        if known.is_some_and(|known| known == configuration.as_bytes()) {
-            return read_result(&self.run_folder);
-        }
-        self.run_folder.write(CONFIGURATION, configuration)?;
-        let mut keeper = FolderRecorder {
-            run_folder: &self.run_folder,
-            log: self.log,
+        let mut recorder = FolderRecorder {
+            run_folder: folder,
+            log: &mut state.log,
             observer,
         };
-        let trained =
-            train_with_recorder::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
-        let log = keeper.log;
-        let has_learned = self.config.imitation.is_some()
-            || self.trainer.best().is_some_and(|best| best.episode > 0);
-        if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
-            // An untrained network is no result of a training.
-            self.run_folder.transaction().remove(POLICY).commit()?;
-        }
-        trained?;
-        let policy = Arc::new(self.trainer.policy()?);
+        end_training(&mut state.trainer, self.held_out, &mut recorder)?;
+        let has_learned = state.has_learned();
+        let policy = Arc::new(state.trainer.policy()?);
+        let best = state.trainer.best();
         let result = SeedResult {
-            seed: self.trainer.seed(),
-            episodes: self.trainer.episode(),
-            best_episode: self.trainer.best().map(|best| best.episode),
-            evaluation: self.trainer.best().map(|best| best.evaluation),
+            seed: self.seed,
+            episodes: state.episode(),
+            best_episode: best.map(|best| best.episode),
+            evaluation: best.map(|best| best.evaluation),
             unseen_contacts: count_unseen_contacts(&policy, self.config.environment.estimator)?,
             policy_sha256: has_learned.then(|| policy.digest()),
         };
         // The checkpoint precedes a final evaluation that is not due otherwise.
-        let mut changes = self.run_folder.transaction();
-        changes
-            .write(LOG, log)
-            .write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
+        results.write(LOG, state.log).write_json(RESULT, &result)?;
         if has_learned {
-            changes.write(POLICY, policy.to_bytes()?);
+            results.write(POLICY, policy.to_bytes()?);
+        } else {
+            results.remove(POLICY);
         }
-        changes.commit()?;
-        self.run_folder.finish()?;
         Ok(result)
     }
+
+    fn read(
+        &self,
+        folder: &RunFolder,
+        _: &dyn Observer<TrainingEvent>,
+    ) -> Result<SeedResult, TrainingError> {
+        Ok(folder.read_required_json(RESULT)?)
+    }
+}
+
+impl SeedTraining<'_> {
+    /// Returns the trainer at the last checkpoint, or at the start.
+    fn load_trainer(&self, folder: &RunFolder) -> Result<Trainer, TrainingError> {
+        let source = self.config.scenario_source()?;
+        let Some(bytes) = folder.read(CHECKPOINT)? else {
+            return Ok(Trainer::with_source(self.config, self.seed, source));
+        };
+        match Trainer::from_checkpoint(&bytes, self.config, self.seed, source) {
+            Err(TrainingError::Checkpoint(problem)) => {
+                Err(RunFolderError::damaged(&folder.path(CHECKPOINT), problem).into())
+            }
+            trainer => trainer,
+        }
+    }
+
+    fn train_next(
+        &self,
+        state: &mut SeedTrainingState,
+        folder: &RunFolder,
+        observer: &dyn Observer<TrainingEvent>,
+    ) -> Result<StudyStep, TrainingError> {
+        let mut recorder = FolderRecorder {
+            run_folder: folder,
+            log: &mut state.log,
+            observer,
+        };
+        if !state.is_started {
+            start_training(&mut state.trainer, self.held_out, &mut recorder)?;
+            state.is_started = true;
+        } else if !state.trainer.is_done() {
+            train_episode(&mut state.trainer, self.held_out, &mut recorder)?;
+        }
+        if state.trainer.is_done() {
+            Ok(StudyStep::Done)
+        } else {
+            Ok(StudyStep::Continue)
+        }
+    }
+}
+
+/// Returns the log up to the checkpoint of the trainer. The episodes after it are repeated.
+fn log_until_checkpoint(log: &str, trainer: &Trainer) -> String {
+    let is_done =
+        |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
+    // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
+    // the same episode.
+    let is_of_the_end = |line: &&str| {
+        parse_evaluation(line)
+            .is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
+    };
+    log.split_inclusive('\n')
+        .take_while(is_done)
+        .filter(|line| !is_of_the_end(line))
+        .collect()
 }
 
 struct FolderRecorder<'a> {
     run_folder: &'a RunFolder,
-    log: String,
+    log: &'a mut String,
     observer: &'a dyn Observer<TrainingEvent>,
 }
 
 impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
     fn record(&mut self, event: &TrainingEvent) -> Result<(), TrainingError> {
-        self.log += &serde_json::to_string(event)?;
+        let line =
+            serde_json::to_string(event).map_err(|error| RunFolderError::encoding(LOG, error))?;
+        self.log.push_str(&line);
         self.log.push('\n');
         Ok(self.observer.notify(event)?)
     }
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
-        let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
+        let policy = trainer.policy()?.to_bytes()?;
+        let checkpoint = trainer.to_checkpoint()?;
         let mut changes = self.run_folder.transaction();
         changes
             .write(LOG, self.log.as_str())
@@ -214,7 +281,22 @@ impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
 pub fn read_finished_trainings(
     out: &Path,
     config: &TrainingConfig,
+    held_out: &EvaluationSet,
 ) -> Result<Vec<(SeedResult, String)>, TrainingError> {
+    let mut finished = Vec::new();
+    for seed in find_seeds(out)? {
+        let training = SeedTraining {
+            config,
+            seed,
+            held_out,
+        };
+        finished.extend(read_if_finished(&training, &seed_folder(out, seed))?);
+    }
+    Ok(finished)
+}
+
+/// Returns the seeds that have a folder in `out`, in order.
+fn find_seeds(out: &Path) -> Result<Vec<u64>, DiskError> {
     let mut seeds = Vec::new();
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
@@ -227,75 +309,35 @@ pub fn read_finished_trainings(
         );
     }
     seeds.sort_unstable();
-    let mut finished = Vec::new();
-    for seed in seeds {
-        let (folder, manifest) = (
-            seed_folder(out, seed),
-            seed_folder(out, seed).join(MANIFEST_FILE),
-        );
-        if !manifest.exists() {
-            if [POLICY, CHECKPOINT]
-                .iter()
-                .any(|name| folder.join(name).exists())
-            {
-                return Err(RunFolderError::missing(&manifest).into());
-            }
+    Ok(seeds)
+}
+
+/// Reads the result and the log of a training; `None` if it is not finished.
+fn read_if_finished(
+    training: &SeedTraining<'_>,
+    folder: &Path,
+) -> Result<Option<(SeedResult, String)>, TrainingError> {
+    let manifest = folder.join(MANIFEST_FILE);
+    if !manifest.exists() {
+        return match [POLICY, CHECKPOINT].map(|name| folder.join(name).exists()) {
             // Another process may be about to start there.
-            continue;
-        }
-        let work = match open_run_folder(out, config, seed, true) {
-            Err(TrainingError::RunFolder(
-                RunFolderError::InUse { .. } | RunFolderError::OtherBuild { .. },
-            )) => continue,
-            work => work?,
+            [false, false] => Ok(None),
+            _ => Err(RunFolderError::missing(&manifest).into()),
         };
-        if work.is_complete() {
-            let log = String::from_utf8_lossy(&work.read_required(LOG)?).into_owned();
-            finished.push((read_result(&work)?, log));
-        }
     }
-    Ok(finished)
-}
-
-/// Opens the run folder of a seed.
-fn open_run_folder(
-    out: &Path,
-    config: &TrainingConfig,
-    seed: u64,
-    resume: bool,
-) -> Result<RunFolder, TrainingError> {
-    let folder = seed_folder(out, seed);
-    let configuration = training_identity(config, seed)?;
-    let asked = RunFolderOptions {
-        kind: "training",
-        configuration: &configuration,
-        configuration_file: CONFIGURATION,
-        resume,
-        outputs: &[CONFIGURATION, LOG, CHECKPOINT, POLICY, RESULT],
+    let run_folder = match study::open_run_folder(training, folder, true) {
+        Err(TrainingError::RunFolder(
+            RunFolderError::InUse { .. } | RunFolderError::OtherBuild { .. },
+        )) => return Ok(None),
+        run_folder => run_folder?,
     };
-    Ok(RunFolder::open(&folder, asked)?)
+    if !run_folder.is_complete() {
+        return Ok(None);
+    }
+    let log = String::from_utf8_lossy(&run_folder.read_required(LOG)?).into_owned();
+    Ok(Some((run_folder.read_required_json(RESULT)?, log)))
 }
 
-/// Returns everything that determines a training, except the number of episodes, which may grow.
-pub(super) fn training_identity(
-    config: &TrainingConfig,
-    seed: u64,
-) -> Result<String, TrainingError> {
-    Ok(format!(
-        "seed = {seed}\n{}",
-        config_toml(&TrainingConfig {
-            episodes: 0,
-            ..config.clone()
-        })?
-    ))
-}
-
-pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {
-    toml::to_string(config).map_err(TrainingError::ConfigEncoding)
-}
-
-fn read_result(work: &RunFolder) -> Result<SeedResult, TrainingError> {
-    let bytes = work.read_required(RESULT)?;
-    let found = serde_json::from_slice(&bytes);
-    Ok(found.map_err(|error| RunFolderError::damaged(&work.path(RESULT), error.to_string()))?)
+fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {
+    Ok(toml::to_string(config).map_err(|error| RunFolderError::encoding(CONFIGURATION, error))?)
 }

@@ -45,7 +45,9 @@ pub use environment::{
     EpisodeConstants, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds,
 };
 pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_contacts};
-pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
+pub use folder::{
+    SeedResult, SeedTraining, SeedTrainingState, read_finished_trainings, seed_folder,
+};
 pub use imitation::{ImitationConfig, ImitationLoss, ImitationRound};
 pub use learner::{Learner, Losses, TrainableNetwork};
 pub use observation::{InputScaling, ObservationConfig, ObservationInputs};

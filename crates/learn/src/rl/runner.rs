@@ -57,7 +57,7 @@ impl TrainingRecorder<TrainingError> for &dyn Observer<TrainingEvent> {
     }
 }
 
-/// Trains until the last episode. [`TrainingFolder`](super::TrainingFolder) adds checkpoints.
+/// Trains until the last episode. [`SeedTraining`](super::SeedTraining) adds checkpoints.
 ///
 /// # Errors
 /// [`TrainingError`] if the training diverges, a scenario cannot be run, or `observer` stops it.
@@ -89,22 +89,49 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     held_out: &EvaluationSet,
     recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
-    // Evaluate the policy before reinforcement learning, as the reference for its improvement.
     if trainer.episode() == 0 {
-        trainer.imitate(|round| recorder.record(&TrainingEvent::Imitation(*round)))?;
-        evaluate_and_record(trainer, held_out, recorder)?;
+        start_training(trainer, held_out, recorder)?;
     }
     while !trainer.is_done() {
-        let record = trainer.run_episode()?;
-        recorder.record(&TrainingEvent::Episode(record))?;
-        if trainer.is_evaluation_episode(trainer.episode()) {
-            evaluate_and_record(trainer, held_out, recorder)?;
-        }
-        let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
-        if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
-            recorder.checkpoint(trainer)?;
-        }
+        train_episode(trainer, held_out, recorder)?;
     }
+    end_training(trainer, held_out, recorder)
+}
+
+/// Imitates, and evaluates the policy before reinforcement learning, as the reference for its improvement.
+pub(super) fn start_training<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    recorder: &mut impl TrainingRecorder<E>,
+) -> Result<(), E> {
+    trainer.imitate(|round| recorder.record(&TrainingEvent::Imitation(*round)))?;
+    evaluate_and_record(trainer, held_out, recorder)
+}
+
+/// Trains one episode. Evaluates the actor and passes a checkpoint if they are due.
+pub(super) fn train_episode<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    recorder: &mut impl TrainingRecorder<E>,
+) -> Result<(), E> {
+    let record = trainer.run_episode()?;
+    recorder.record(&TrainingEvent::Episode(record))?;
+    if trainer.is_evaluation_episode(trainer.episode()) {
+        evaluate_and_record(trainer, held_out, recorder)?;
+    }
+    let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
+    if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
+        recorder.checkpoint(trainer)?;
+    }
+    Ok(())
+}
+
+/// Passes the last checkpoint, and makes the last evaluation.
+pub(super) fn end_training<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    recorder: &mut impl TrainingRecorder<E>,
+) -> Result<(), E> {
     recorder.checkpoint(trainer)?;
     // This evaluation takes place only because the training ends. It comes after the checkpoint, so that a longer
     // training can resume without it.

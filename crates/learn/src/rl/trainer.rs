@@ -80,9 +80,6 @@ pub enum TrainingError {
     /// The identity of the scenario source cannot be encoded.
     #[error("the scenarios of the training cannot be written: {0}")]
     SourceEncoding(#[from] serde_json::Error),
-    /// The configuration cannot be encoded.
-    #[error("the configuration cannot be written as TOML: {0}")]
-    ConfigEncoding(toml::ser::Error),
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
