@@ -24,6 +24,7 @@ use crumple_learn::retrain::{
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::falsify::Method;
 use crumple_sim::engine::NamedController;
+use crumple_store::study::Study;
 
 const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 

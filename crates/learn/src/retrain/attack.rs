@@ -15,14 +15,18 @@ use crumple_search::worst_case::{AttackError, AttackObjective, Envelope, attack}
 use crumple_sim::control::{ControllerSource, IntoSource};
 use crumple_sim::engine::RunOptions;
 use crumple_sim::scenario::{Scenario, file};
+use crumple_store::run_folder::RunFolderError;
 
 /// Objectives of the attacks: a collision that is easy to avoid, and one that is not.
 const OBJECTIVES: [AttackObjective; 2] = [AttackObjective::Mildest, AttackObjective::Severest];
 
+/// Folder of the scenarios in which attacks succeeded.
+const ATTACKS: &str = "attacks";
+
 impl RoundContext<'_> {
     /// Adds the avoidable collisions in the plan's scenarios, and writes them beside the folder of the searches.
     pub(super) fn attack_scenarios(&self, found: &mut RoundFindings) -> Result<(), RetrainError> {
-        let controller = Arc::clone(&self.policy).into_source();
+        let controller = Arc::clone(self.policy).into_source();
         let attacked = self
             .plan
             .attacked
@@ -45,8 +49,9 @@ impl RoundContext<'_> {
         for (number, (scenario, (class, _))) in (1..).zip(collided.iter().zip(classified)) {
             found.count(class);
             if class == AvoidabilityClass::Avoidable {
-                let name = format!("attacks/{number}.toml");
-                let text = file::to_toml(scenario).map_err(RetrainError::encoding)?;
+                let name = format!("{ATTACKS}/{number}.toml");
+                let text = file::to_toml(scenario)
+                    .map_err(|error| RunFolderError::encoding(ATTACKS, error))?;
                 self.run_folder.write(&self.path(&name), text)?;
                 found.counterexamples.push(format!("../{name}"));
             }

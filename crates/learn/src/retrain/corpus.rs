@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::RetrainError;
 use super::SearchedSpaces;
-use super::files::{read_json, scenarios_sha256, write_json};
+use super::files::scenarios_sha256;
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use crate::rl::ScenarioSource;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
@@ -141,7 +141,7 @@ impl Corpus {
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::empty(space, seed)?;
-        if let Some(found) = read_json::<Self>(work, name)? {
+        if let Some(found) = work.read_json::<Self>(name)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
                 let problem = "the scenarios belong to another space or seed";
                 return Err(RunFolderError::damaged(&work.path(name), problem).into());
@@ -159,7 +159,7 @@ impl Corpus {
             } else {
                 corpus.seal(space)?;
             }
-            write_json(work, name, &corpus)?;
+            work.write_json(name, &corpus)?;
         }
         Ok(corpus)
     }

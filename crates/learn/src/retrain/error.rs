@@ -7,6 +7,7 @@ use crumple_search::worst_case::AttackError;
 use crumple_sim::engine::RunError;
 use crumple_sim::policy::PolicyError;
 use crumple_sim::scenario::InvalidField;
+use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 
@@ -20,9 +21,9 @@ pub enum RetrainError {
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// The folder holds another retraining.
-    #[error("{0}")]
-    Folder(String),
+    /// A counterexample cannot be read.
+    #[error(transparent)]
+    Counterexample(#[from] ScenarioFileError),
     /// Too few scenarios of the space are avoidable.
     #[error(
         "only {avoidable} collisions are avoidable in the first {draws} random scenarios of the space `{space}`, and \
@@ -77,13 +78,4 @@ pub enum RetrainError {
     /// The observer stopped the retraining.
     #[error("the retraining was {0}")]
     Stopped(#[from] Stopped),
-    /// A file cannot be encoded.
-    #[error("cannot encode a file of the retraining: {0}")]
-    Encoding(String),
-}
-
-impl RetrainError {
-    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
-        Self::Encoding(error.to_string())
-    }
 }

@@ -1,6 +1,6 @@
 //! Retraining of a policy in rounds: search, training on avoidable counterexamples, and acceptance without regressions.
 //!
-//! A round of [`RetrainingPlan::run`]:
+//! A round of the [`Study`](crumple_store::study::Study) of a [`RetrainingPlan`]:
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a fixed budget searches the present policy
 //!    for counterexamples; random scenarios of the space are simulated too, and given scenarios as they are and with
@@ -44,9 +44,9 @@ mod regression_results;
 mod regression_spaces;
 mod report;
 mod round;
-mod run;
 mod search;
 mod spaces;
+mod study;
 mod test_set;
 mod training;
 
@@ -62,4 +62,5 @@ pub use report::{FileHash, RetrainingEnding, RetrainingReport};
 pub use round::{Checkpoint, Round, RoundTraining};
 pub use search::RoundFindings;
 pub use spaces::SearchedSpaces;
+pub use study::RetrainingState;
 pub use test_set::{ControllerTally, PairedOutcomes, TestSetResults};

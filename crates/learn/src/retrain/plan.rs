@@ -5,12 +5,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{
-    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES,
-    VALIDATION_SET, scenarios_sha256, space_sha256,
-};
+use super::files::{PLAN, scenarios_sha256, space_sha256};
 use super::{RetrainError, SearchedSpaces};
-use crumple_store::run_folder::{RunFolder, RunFolderOptions};
+use crumple_store::run_folder::RunFolderError;
 
 use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
 use crumple_core::text_file::is_default;
@@ -131,6 +128,19 @@ struct SpaceHash<'a> {
     sha256: String,
 }
 
+impl<'a> SpaceHash<'a> {
+    fn all(spaces: &'a [ScenarioSpace]) -> Result<Vec<Self>, RunFolderError> {
+        let mut hashes = Vec::new();
+        for space in spaces {
+            hashes.push(Self {
+                space: space.name(),
+                sha256: space_sha256(space)?,
+            });
+        }
+        Ok(hashes)
+    }
+}
+
 /// Seeds of the sets that are equal for all retrainings in a space, so that results can be compared.
 pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
 pub(super) const VALIDATION_SET_SEED: u64 = 0x006b_6570_7461_7364;
@@ -188,20 +198,20 @@ impl RetrainingPlan {
     /// Returns the text of `retrain.toml`.
     ///
     /// # Errors
-    /// [`RetrainError::Encoding`] in principle, if the writer fails.
+    /// [`RunFolderError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
-        fn named(spaces: &[ScenarioSpace]) -> Result<Vec<SpaceHash<'_>>, RetrainError> {
-            spaces
-                .iter()
-                .map(|space| {
-                    Ok(SpaceHash {
-                        space: space.name(),
-                        sha256: space_sha256(space)?,
-                    })
-                })
-                .collect()
-        }
-        let spaces = self.spaces.as_slice();
+        let only_space = match self.spaces.as_slice() {
+            [space] => Some(space),
+            _ => None,
+        };
+        let several_spaces = match self.spaces.as_slice() {
+            [_] => &[],
+            spaces => spaces,
+        };
+        let attacked_sha256 = match self.attacked.as_slice() {
+            [] => None,
+            attacked => Some(scenarios_sha256(attacked)?),
+        };
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
@@ -211,22 +221,12 @@ impl RetrainingPlan {
             seed: self.seed,
             settings: self.settings,
             training: &self.training_until(self.training.episodes),
-            space: if let [space] = spaces {
-                Some(space.spec())
-            } else {
-                None
-            },
-            spaces: if spaces.len() > 1 {
-                named(spaces)?
-            } else {
-                Vec::new()
-            },
-            attacked_sha256: (!self.attacked.is_empty())
-                .then(|| scenarios_sha256(&self.attacked))
-                .transpose()?,
-            regression: named(&self.regression_spaces)?,
+            space: only_space.map(ScenarioSpace::spec),
+            spaces: SpaceHash::all(several_spaces)?,
+            attacked_sha256,
+            regression: SpaceHash::all(&self.regression_spaces)?,
         };
-        toml::to_string(&file).map_err(RetrainError::encoding)
+        Ok(toml::to_string(&file).map_err(|error| RunFolderError::encoding(PLAN, error))?)
     }
 
     /// Checks that the preset and the policy agree on observation, action and decision interval.
@@ -247,32 +247,5 @@ impl RetrainingPlan {
             preset: self.training.name.clone(),
             what,
         })
-    }
-
-    /// Opens the folder if it is empty or belongs to this plan; otherwise the error lists the differences.
-    pub(super) fn open_run_folder(
-        &self,
-        folder: &Path,
-        resume: bool,
-    ) -> Result<RunFolder, RetrainError> {
-        let configuration = self.to_toml()?;
-        let asked = RunFolderOptions {
-            kind: "retraining",
-            configuration: &configuration,
-            configuration_file: PLAN,
-            resume,
-            outputs: &[
-                PLAN,
-                POLICY,
-                TRAINING_CASES,
-                SELECTION_SET,
-                VALIDATION_SET,
-                TEST_SET,
-                REPORT_JSON,
-                REPORT_MARKDOWN,
-                "rounds/",
-            ],
-        };
-        Ok(RunFolder::open(folder, asked)?)
     }
 }

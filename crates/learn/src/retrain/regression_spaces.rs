@@ -38,6 +38,7 @@ pub struct RegressionSpaceResult {
 }
 
 /// Everything apart from the paper's scenarios and the validation set that a round must not make worse.
+#[derive(Debug)]
 pub(super) struct RegressionSet {
     spaces: Vec<RegressionSpace>,
     /// Everyday traffic, if the preset selects checkpoints by usefulness.
@@ -80,6 +81,7 @@ impl RegressionSet {
 }
 
 /// Random scenarios of a regression space.
+#[derive(Debug)]
 struct RegressionSpace {
     name: String,
     draws: Vec<Scenario>,

@@ -1,13 +1,10 @@
-//! Report of a retraining as JSON, Markdown and SVG.
+//! Report of a retraining as JSON and Markdown.
 
 mod markdown;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{
-    POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
-    to_json,
-};
+use super::files::{POLICY, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::round::Round;
 use super::search::RoundFindings;
@@ -142,14 +139,6 @@ impl RetrainingReport {
         self.rounds
             .iter()
             .any(|round| round.acceptance.is_accepted())
-    }
-
-    pub(super) fn write_files(&self, work: &RunFolder) -> Result<(), RetrainError> {
-        let mut changes = work.transaction();
-        changes
-            .write(REPORT_MARKDOWN, self.to_markdown())
-            .write(REPORT_JSON, to_json(self)?);
-        Ok(changes.commit()?)
     }
 
     /// Returns a lower bound of the factor by which the collision rate decreased: the lower end of the initial policy's

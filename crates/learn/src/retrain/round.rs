@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
 use super::cases::Cases;
 use super::corpus::{Corpus, colliding_indices};
-use super::files::{LEARNER, ROUND_RECORD, write_json};
+use super::files::{LEARNER, ROUND_RECORD};
 use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::regression_spaces::RegressionSet;
@@ -16,9 +16,10 @@ use super::test_set::witnesses;
 use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
 use crumple_sim::control::IntoSource;
-use crumple_sim::engine::NamedController;
+use crumple_sim::engine::{NamedController, RunError};
 use crumple_sim::policy::Policy;
-use crumple_store::run_folder::{RunFolder, RunFolderError};
+use crumple_sim::scenario::Scenario;
+use crumple_store::run_folder::{RunFolder, RunFolderError, encode_json};
 
 /// Record of the training of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,13 +86,16 @@ pub(super) struct RoundContext<'a> {
     pub(super) validation_set: &'a Corpus,
     pub(super) selection_set: &'a Corpus,
     pub(super) regression: &'a RegressionSet,
-    pub(super) policy: Arc<Policy>,
+    pub(super) policy: &'a Arc<Policy>,
     /// Results of the initial policy.
     pub(super) initial_results: &'a RegressionResults,
-    pub(super) results: RegressionResults,
-    pub(super) cases: Cases,
+    pub(super) results: &'a RegressionResults,
+    pub(super) cases: &'a Cases,
     pub(super) previous_round: Option<&'a Round>,
 }
+
+/// The policy that a training gave, or the description of its divergence.
+type Candidate = Result<Arc<Policy>, String>;
 
 const CANDIDATE: &str = "candidate.safetensors";
 
@@ -124,88 +128,111 @@ impl RoundContext<'_> {
     /// Trains and evaluates the candidate, decides on it, and writes the record of the round.
     pub(super) fn finish(
         &self,
-        found: RoundFindings,
+        findings: RoundFindings,
         cases: &Cases,
-        watch: &RetrainingObserver<'_>,
+        observer: &RetrainingObserver<'_>,
     ) -> Result<Round, RetrainError> {
         let scenarios = cases.scenarios(&self.plan.spaces)?;
-        let (trained, candidate, problem) = match self.train(cases, watch) {
-            Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
-            Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
-                self.run_folder
-                    .transaction()
-                    .remove(&self.path(LEARNER))
-                    .commit()?;
-                let (seed, from_episode) = self.learner_start();
-                let trained = RoundTraining {
-                    seed,
-                    from_episode,
-                    to_episode: 0,
-                    best_episode: 0,
-                    checkpoints: Vec::new(),
-                };
-                (trained, None, Some(diverged.to_string()))
-            }
-            Err(other) => return Err(other),
-        };
-        watch.notify(&RetrainingProgress::Evaluating {
-            round: self.round_number(),
-        })?;
+        let (training, candidate) = self.train_candidate(cases, observer)?;
+        let number = self.round_number();
+        observer.notify(&RetrainingProgress::Evaluating { round: number })?;
         let after = match &candidate {
-            Some(candidate) => RegressionResults::evaluate(
-                candidate,
-                self.plan,
-                self.validation_set,
-                self.regression,
-            )?,
-            None => self.results.clone(),
+            Ok(candidate) => self.evaluate(candidate)?,
+            Err(_) => self.results.clone(),
         };
-        let is_new = candidate
-            .as_ref()
-            .is_some_and(|candidate| candidate.network() != self.policy.network());
-        let collided = |policy: &Arc<Policy>| {
-            colliding_indices(
-                &scenarios,
-                &Arc::clone(policy).into_source(),
-                self.plan.estimator(),
-            )
-        };
+        let new_policy = candidate.as_ref().unwrap_or(self.policy);
         let in_cases = FailureChange::between(
-            &collided(&self.policy)?,
-            &collided(candidate.as_ref().unwrap_or(&self.policy))?,
+            &self.colliding_indices(&scenarios, self.policy)?,
+            &self.colliding_indices(&scenarios, new_policy)?,
         );
-        let acceptance = match problem {
-            Some(problem) => Acceptance::Rejected {
-                objections: vec![RejectionReason::Diverged { problem }],
-            },
-            None if !is_new => Acceptance::Rejected {
-                objections: vec![RejectionReason::Unchanged],
-            },
-            None => decide_acceptance(self.initial_results, &self.results, &after, &in_cases),
-        };
+        let before = self.results;
         let round = Round {
-            round: self.round_number(),
+            round: number,
             before_sha256: self.policy.digest(),
-            findings: found,
+            findings,
             cases: scenarios.len(),
-            training: trained,
-            candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
-            in_cases,
+            training,
+            candidate_sha256: candidate.as_ref().ok().map(|policy| policy.digest()),
             in_validation_set: FailureChange::between(
-                &self.results.validation_set,
+                &before.validation_set,
                 &after.validation_set,
             ),
-            in_paper: FailureChange::between(&self.results.paper, &after.paper),
-            in_nominal: FailureChange::between(&self.results.nominal, &after.nominal),
-            acceptance,
+            in_paper: FailureChange::between(&before.paper, &after.paper),
+            in_nominal: FailureChange::between(&before.nominal, &after.nominal),
+            acceptance: self.decide(&candidate, &after, &in_cases),
+            in_cases,
             after,
         };
-        if let Some(candidate) = &candidate {
+        self.write(&round, candidate.ok().as_deref())?;
+        Ok(round)
+    }
+
+    /// Trains the candidate.
+    fn train_candidate(
+        &self,
+        cases: &Cases,
+        observer: &RetrainingObserver<'_>,
+    ) -> Result<(RoundTraining, Candidate), RetrainError> {
+        let diverged = match self.train(cases, observer) {
+            Ok((training, policy)) => return Ok((training, Ok(Arc::new(policy)))),
+            Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => diverged,
+            Err(other) => return Err(other),
+        };
+        self.run_folder
+            .transaction()
+            .remove(&self.path(LEARNER))
+            .commit()?;
+        let (seed, from_episode) = self.learner_start();
+        let training = RoundTraining {
+            seed,
+            from_episode,
+            to_episode: 0,
+            best_episode: 0,
+            checkpoints: Vec::new(),
+        };
+        Ok((training, Err(diverged.to_string())))
+    }
+
+    fn evaluate(&self, policy: &Arc<Policy>) -> Result<RegressionResults, RetrainError> {
+        RegressionResults::evaluate(policy, self.plan, self.validation_set, self.regression)
+    }
+
+    fn colliding_indices(
+        &self,
+        scenarios: &[Scenario],
+        policy: &Arc<Policy>,
+    ) -> Result<Vec<usize>, RunError> {
+        let controller = Arc::clone(policy).into_source();
+        colliding_indices(scenarios, &controller, self.plan.estimator())
+    }
+
+    fn decide(
+        &self,
+        candidate: &Candidate,
+        after: &RegressionResults,
+        in_cases: &FailureChange,
+    ) -> Acceptance {
+        let objection = match candidate {
+            Err(problem) => RejectionReason::Diverged {
+                problem: problem.clone(),
+            },
+            Ok(candidate) if candidate.network() == self.policy.network() => {
+                RejectionReason::Unchanged
+            }
+            Ok(_) => return decide_acceptance(self.initial_results, self.results, after, in_cases),
+        };
+        Acceptance::Rejected {
+            objections: vec![objection],
+        }
+    }
+
+    fn write(&self, round: &Round, candidate: Option<&Policy>) -> Result<(), RetrainError> {
+        if let Some(candidate) = candidate {
             self.run_folder
                 .write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
         }
-        write_json(self.run_folder, &self.path(ROUND_RECORD), &round)?;
-        Ok(round)
+        let record = encode_json(ROUND_RECORD, round)?;
+        Ok(self.run_folder.write(&self.path(ROUND_RECORD), record)?)
     }
 }
 

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::cases::{Cases, CollidingDraws};
 use super::corpus::{classify_scenarios, colliding_indices};
-use super::files::{read_json, write_json};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{RoundContext, named_policy};
 use super::test_set::witnesses;
@@ -16,6 +15,7 @@ use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::control::IntoSource;
 use crumple_sim::scenario::{Scenario, file};
+use crumple_store::run_folder::encode_json;
 use crumple_store::study::Study;
 
 const FINDINGS: &str = "found.json";
@@ -48,6 +48,11 @@ pub struct RoundFindings {
 }
 
 impl RoundFindings {
+    /// Returns true if nothing that was found is avoidable.
+    pub(super) fn is_empty(&self) -> bool {
+        self.avoidable == 0 && self.avoidable_draws.indices.is_empty()
+    }
+
     pub(super) fn count(&mut self, class: AvoidabilityClass) {
         match class {
             AvoidabilityClass::Avoidable => self.avoidable += 1,
@@ -64,7 +69,7 @@ impl RoundContext<'_> {
         &self,
         watch: &RetrainingObserver<'_>,
     ) -> Result<RoundFindings, RetrainError> {
-        if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
+        if let Some(found) = self.run_folder.read_json(&self.path(FINDINGS))? {
             return Ok(found);
         }
         self.run_folder
@@ -89,7 +94,7 @@ impl RoundContext<'_> {
             };
             let path = self.path(&format!("{SEARCH}/{folder}"));
             let path = path.trim_end_matches('/');
-            let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
+            let controller = named_policy(&format!("../../{up}before.safetensors"), self.policy);
             let campaign = Campaign {
                 estimator: plan.estimator(),
                 seed: plan.search_seed(round),
@@ -137,7 +142,8 @@ impl RoundContext<'_> {
             scenarios: plan.attacked.len(),
         })?;
         self.attack_scenarios(&mut found)?;
-        write_json(self.run_folder, &self.path(FINDINGS), &found)?;
+        self.run_folder
+            .write(&self.path(FINDINGS), encode_json(FINDINGS, &found)?)?;
         Ok(found)
     }
 
@@ -155,7 +161,7 @@ impl RoundContext<'_> {
             .collect::<Result<Vec<_>, _>>()?;
         let indices = colliding_indices(
             &all,
-            &Arc::clone(&self.policy).into_source(),
+            &Arc::clone(self.policy).into_source(),
             plan.estimator(),
         )?;
         let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();
@@ -185,9 +191,7 @@ impl RoundContext<'_> {
             .counterexamples
             .iter()
             .map(read)
-            .collect::<Result<_, _>>();
-        let counterexamples =
-            counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
+            .collect::<Result<_, _>>()?;
         self.cases.clone().with_round(
             &self.plan.spaces,
             found.avoidable_draws.clone(),

@@ -1,12 +1,13 @@
 //! Scenario spaces of a retraining.
 
-use super::RetrainError;
+use super::files::space_json;
 use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
 use crumple_sim::control::ControllerSource;
 use crumple_sim::scenario::{DriverProblem, NoDriverFiles, OpenDriver};
 use crumple_sim::scenario::{InvalidField, Scenario};
 use crumple_spaces::ScenarioSpace;
+use crumple_store::run_folder::RunFolderError;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -43,14 +44,9 @@ impl SearchedSpaces {
     }
 
     /// Returns the SHA-256 of all spaces as JSON.
-    pub(super) fn sha256(&self) -> Result<String, RetrainError> {
-        let each = self
-            .0
-            .iter()
-            .map(|space| serde_json::to_string(space.spec()));
-        each.collect::<Result<String, _>>()
-            .map(sha256)
-            .map_err(RetrainError::encoding)
+    pub(super) fn sha256(&self) -> Result<String, RunFolderError> {
+        let each = self.0.iter().map(space_json);
+        Ok(sha256(each.collect::<Result<String, _>>()?))
     }
 
     /// Returns the number of random scenarios that contain `of_each` of every space.

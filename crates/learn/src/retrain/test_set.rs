@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::corpus::Corpus;
-use super::files::{read_json, write_json};
 use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use crumple_controllers::find_built_in;
@@ -85,7 +84,7 @@ impl TestSetResults {
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let (space, wanted) = (&plan.spaces, plan.spaces.total(plan.settings.test_draws));
-        let mut evaluated = match read_json(work, name)? {
+        let mut evaluated = match work.read_json(name)? {
             Some(evaluated) => evaluated,
             None => Self {
                 corpus: Corpus::empty(space, TEST_SET_SEED)?,
@@ -116,7 +115,7 @@ impl TestSetResults {
             } else {
                 corpus.seal(space)?;
             }
-            write_json(work, name, &evaluated)?;
+            work.write_json(name, &evaluated)?;
         }
         Ok(evaluated)
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::RetrainError;
 use super::cases::Cases;
-use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
+use super::files::{CHECKPOINTS, LEARNER};
 use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
@@ -13,7 +13,7 @@ use crate::rl::{
     TrainingEvent, TrainingRecorder, train_with_recorder,
 };
 use crumple_sim::policy::Policy;
-use crumple_store::run_folder::RunFolderError;
+use crumple_store::run_folder::{RunFolderError, encode_json};
 
 impl RoundContext<'_> {
     /// Returns the seed of the learner and its episodes so far. A new learner follows one that diverged.
@@ -64,7 +64,7 @@ impl RoundContext<'_> {
         }
         let Some(last) = self.previous_round.filter(|_| from_episode > 0) else {
             return Ok((
-                Trainer::with_source(&config, seed, source).with_initial_policy(&self.policy),
+                Trainer::with_source(&config, seed, source).with_initial_policy(self.policy),
                 from_episode,
             ));
         };
@@ -72,7 +72,7 @@ impl RoundContext<'_> {
         let mut trainer = taken_up(
             &name,
             &self.run_folder.read_required(&name)?,
-            self.scenario_source(&self.cases)?,
+            self.scenario_source(self.cases)?,
         )?;
         if trainer.episode() != from_episode {
             let problem = format!(
@@ -93,8 +93,10 @@ impl RoundContext<'_> {
         let (mut trainer, from_episode) = self.load_learner(cases)?;
         let selection = self.selection_set.scenarios(&self.plan.spaces)?;
         let held_out = EvaluationSet::from_config(&self.plan.training)?.with_ranking(selection);
-        let mut checkpoints: Vec<Checkpoint> =
-            read_json(self.run_folder, &self.path(CHECKPOINTS))?.unwrap_or_default();
+        let mut checkpoints: Vec<Checkpoint> = self
+            .run_folder
+            .read_json(&self.path(CHECKPOINTS))?
+            .unwrap_or_default();
         checkpoints.retain(|checkpoint| {
             checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode
         });
@@ -164,8 +166,12 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
         }
         // Written together; list entries after the checkpoint are dropped on resume.
         let mut changes = self.context.run_folder.transaction();
-        changes.write(&self.context.path(CHECKPOINTS), to_json(&self.checkpoints)?);
-        changes.write(&self.context.path(LEARNER), trainer.to_checkpoint()?);
+        changes
+            .write(
+                &self.context.path(CHECKPOINTS),
+                encode_json(CHECKPOINTS, &self.checkpoints)?,
+            )
+            .write(&self.context.path(LEARNER), trainer.to_checkpoint()?);
         Ok(changes.commit()?)
     }
 }
