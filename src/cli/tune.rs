@@ -9,11 +9,12 @@ use super::output_format::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_learn::tune::{
-    SettingRequest, SettingSearch, TuneError, TuningObjective, TuningPlan, TuningProgress,
-    TuningSpace,
+    SettingRequest, SettingSearch, TuneError, TuningConfig, TuningObjective, TuningPlan,
+    TuningProgress, TuningSpace,
 };
 use crumple_search::falsify::Method;
 use crumple_sim::observation::EstimatorKind;
+use crumple_store::study::Study;
 
 /// Fit the settings of a built-in controller to scenario spaces and everyday traffic
 #[derive(Args)]
@@ -153,16 +154,18 @@ impl Tune {
         let plan = TuningPlan {
             search,
             spaces,
-            objective: self.objective,
-            method: match self.method {
-                TuningMethod::CmaEs => Method::CmaEs,
-                TuningMethod::CrossEntropy => Method::CrossEntropy,
+            config: TuningConfig {
+                objective: self.objective,
+                method: match self.method {
+                    TuningMethod::CmaEs => Method::CmaEs,
+                    TuningMethod::CrossEntropy => Method::CrossEntropy,
+                },
+                seed: self.seed,
+                evaluations: self.evaluations,
+                runs: self.runs,
+                test_runs: self.test_runs,
+                estimator: self.estimator,
             },
-            seed: self.seed,
-            evaluations: self.evaluations,
-            runs: self.runs,
-            test_runs: self.test_runs,
-            estimator: self.estimator,
         };
         let out = self.out.display();
         interrupt::set_resume_message("the candidates so far are in", &self.out, quiet);

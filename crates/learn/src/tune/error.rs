@@ -63,15 +63,6 @@ pub enum TuneError {
         /// Problem of the points.
         problem: InvalidPoints,
     },
-    /// A file cannot be encoded.
-    #[error("cannot encode a file of the tuning: {0}")]
-    Encoding(String),
-}
-
-impl TuneError {
-    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
-        Self::Encoding(error.to_string())
-    }
 }
 
 /// Returns the names of the built-in controllers with settings.

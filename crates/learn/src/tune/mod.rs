@@ -1,7 +1,8 @@
 //! Tuning of the settings of a built-in controller on the closed loop.
 //!
-//! [`TuningPlan::run`] minimises one number, the objective ([`TuningObjective`]), over typical ranges of the settings
-//! ([`SettingSearch`]) with a search method of [`crumple_search::falsify`].
+//! The [`Study`](crumple_store::study::Study) of a [`TuningPlan`] minimises one number, the objective
+//! ([`TuningObjective`]), over typical ranges of the settings ([`SettingSearch`]) with a search method of
+//! [`crumple_search::falsify`].
 //!
 //! 1. **Search.** Every candidate is simulated in the same random scenarios, the tuning set. Candidate 0 has the
 //!    initial settings: the defaults, and the settings that the user fixed.
@@ -19,18 +20,19 @@
 //! | `report.md`, `report.json` | settings, and results in the test set |
 //! | `work.json` | manifest ([`crumple_store::run_folder`]) |
 
+mod candidates;
 mod error;
 mod objective;
 mod plan;
 mod report;
-mod run;
 mod settings;
+mod study;
 #[cfg(test)]
 mod tests;
 
 pub use error::TuneError;
 pub use objective::{ControllerScore, TuningObjective, TuningSpace};
-pub use plan::TuningPlan;
+pub use plan::{TuningConfig, TuningPlan};
 pub use report::{TunedSetting, TuningFinalist, TuningReport};
-pub use run::TuningProgress;
 pub use settings::{SearchedSetting, SettingRequest, SettingSearch};
+pub use study::{TuningProgress, TuningState};

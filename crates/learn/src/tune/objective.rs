@@ -49,6 +49,7 @@ pub struct ControllerScore {
 }
 
 /// A set of random scenarios, equal for all controllers.
+#[derive(Debug)]
 pub(super) struct ScoringSet {
     objective: TuningObjective,
     estimator: EstimatorKind,

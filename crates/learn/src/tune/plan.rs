@@ -1,7 +1,5 @@
 //! Plan of a tuning: everything that determines its results, as a file.
 
-use std::path::Path;
-
 use serde::Serialize;
 
 use super::objective::ScoringSet;
@@ -10,7 +8,7 @@ use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::random::derived_seed;
-use crumple_store::run_folder::{RunFolder, RunFolderOptions};
+use crumple_store::run_folder::RunFolderError;
 
 /// Version of the files `tune.toml` and `report.json`.
 pub(super) const TUNE_VERSION: u32 = 1;
@@ -22,6 +20,13 @@ pub struct TuningPlan {
     pub search: SettingSearch,
     /// Spaces in which collisions count, with distinct names; at least one.
     pub spaces: Vec<TuningSpace>,
+    /// Settings of the search, and sizes of the sets of scenarios.
+    pub config: TuningConfig,
+}
+
+/// Settings of the search, and sizes of the sets of scenarios.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TuningConfig {
     /// Number to minimise.
     pub objective: TuningObjective,
     /// Search method.
@@ -43,13 +48,8 @@ struct TuningFile<'a> {
     version: u32,
     crumple: &'a str,
     controller: String,
-    objective: TuningObjective,
-    method: &'a str,
-    seed: u64,
-    evaluations: u64,
-    runs: u64,
-    test_runs: u64,
-    estimator: EstimatorKind,
+    #[serde(flatten)]
+    config: &'a TuningConfig,
     settings: Vec<SettingRecord>,
     spaces: Vec<SpaceRecord<'a>>,
 }
@@ -91,30 +91,33 @@ pub(super) const REPORT_MARKDOWN: &str = "report.md";
 
 impl TuningPlan {
     pub(super) fn search_seed(&self) -> u64 {
-        derived_seed(self.seed, SEED_BASE)
+        derived_seed(self.config.seed, SEED_BASE)
     }
 
     /// Samples a set of scenarios. The test set always measures both sides.
     pub(super) fn scoring_set(&self, kind: SetKind) -> Result<ScoringSet, TuneError> {
-        let runs = if kind == SetKind::Test {
-            self.test_runs
+        let config = &self.config;
+        let is_test = kind == SetKind::Test;
+        let runs = if is_test {
+            config.test_runs
         } else {
-            self.runs
+            config.runs
         };
-        let seed = derived_seed(self.seed, SEED_BASE + kind as u64);
-        let with_traffic = kind == SetKind::Test || self.objective == TuningObjective::Both;
+        let seed = derived_seed(config.seed, SEED_BASE + kind as u64);
+        let with_traffic = is_test || config.objective == TuningObjective::Both;
         ScoringSet::new(
-            (self.objective, &self.spaces),
+            (config.objective, &self.spaces),
             (seed, runs),
-            self.estimator,
+            config.estimator,
             with_traffic,
         )
     }
 
     /// Returns the number of simulations that one candidate needs.
     pub(super) fn runs_per_candidate(&self) -> u64 {
-        let traffic = u64::from(self.objective == TuningObjective::Both);
-        self.runs.saturating_mul(self.spaces.len() as u64 + traffic)
+        let traffic = u64::from(self.config.objective == TuningObjective::Both);
+        let spaces = self.spaces.len() as u64 + traffic;
+        self.config.runs.saturating_mul(spaces)
     }
 
     /// Checks everything that would fail later, before any file is written.
@@ -153,63 +156,41 @@ impl TuningPlan {
     /// Returns the text of `tune.toml`.
     ///
     /// # Errors
-    /// [`TuneError::Encoding`] in principle, if the writer fails.
+    /// [`RunFolderError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, TuneError> {
-        let space = |TuningSpace { space, weight }: &'_ TuningSpace| {
-            serde_json::to_string(space.spec())
-                .map(|json| (sha256(json), *weight))
-                .map_err(TuneError::encoding)
-        };
-        let hashes = self
-            .spaces
-            .iter()
-            .map(space)
-            .collect::<Result<Vec<_>, _>>()?;
-        let names = self.spaces.iter().map(|one| one.space.name());
         let searched = self.search.searched().iter();
         let file = TuningFile {
             version: TUNE_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
             controller: self.search.initial().to_arg(),
-            objective: self.objective,
-            method: self.method.name(),
-            seed: self.seed,
-            evaluations: self.evaluations,
-            runs: self.runs,
-            test_runs: self.test_runs,
-            estimator: self.estimator,
+            config: &self.config,
             settings: searched
                 .map(|one| SettingRecord {
                     name: one.field.name,
                     range: one.range,
                 })
                 .collect(),
-            spaces: names
-                .zip(hashes)
-                .map(|(space, (sha256, weight))| SpaceRecord {
-                    space,
-                    weight,
-                    sha256,
-                })
-                .collect(),
+            spaces: self
+                .spaces
+                .iter()
+                .map(SpaceRecord::new)
+                .collect::<Result<_, _>>()?,
         };
-        toml::to_string(&file).map_err(TuneError::encoding)
+        Ok(toml::to_string(&file).map_err(encoding_error)?)
     }
+}
 
-    /// Opens the folder if it is empty or belongs to this plan; otherwise the error names the first difference.
-    pub(super) fn open_run_folder(
-        &self,
-        folder: &Path,
-        resume: bool,
-    ) -> Result<RunFolder, TuneError> {
-        let configuration = self.to_toml()?;
-        let options = RunFolderOptions {
-            kind: "tuning",
-            configuration: &configuration,
-            configuration_file: PLAN,
-            resume,
-            outputs: &[PLAN, CANDIDATES, REPORT_JSON, REPORT_MARKDOWN],
-        };
-        Ok(RunFolder::open(folder, options)?)
+impl<'a> SpaceRecord<'a> {
+    fn new(TuningSpace { space, weight }: &'a TuningSpace) -> Result<Self, RunFolderError> {
+        let json = serde_json::to_string(space.spec()).map_err(encoding_error)?;
+        Ok(Self {
+            space: space.name(),
+            weight: *weight,
+            sha256: sha256(json),
+        })
     }
+}
+
+fn encoding_error(problem: impl std::fmt::Display) -> RunFolderError {
+    RunFolderError::encoding(PLAN, problem)
 }

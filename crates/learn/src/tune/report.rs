@@ -126,13 +126,13 @@ impl TuningReport {
             plan_sha256: sha256(plan.to_toml()?),
             initial: plan.search.initial().to_arg(),
             tuned: tuned.to_arg(),
-            objective: plan.objective,
-            method: plan.method.name().to_owned(),
-            seed: plan.seed,
-            estimator: plan.estimator.name().to_owned(),
-            evaluations: plan.evaluations,
-            runs: plan.runs,
-            test_runs: plan.test_runs,
+            objective: plan.config.objective,
+            method: plan.config.method.name().to_owned(),
+            seed: plan.config.seed,
+            estimator: plan.config.estimator.name().to_owned(),
+            evaluations: plan.config.evaluations,
+            runs: plan.config.runs,
+            test_runs: plan.config.test_runs,
             spaces: plan
                 .spaces
                 .iter()

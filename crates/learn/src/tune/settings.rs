@@ -168,8 +168,9 @@ impl SettingSearch {
         &self.searched
     }
 
-    pub(super) fn cube(&self) -> Result<UnitCube, EmptyBlock> {
+    pub(super) fn cube(&self) -> Result<UnitCube, TuneError> {
         UnitCube::new(self.searched.iter().map(|_| 1))
+            .map_err(|EmptyBlock| TuneError::AllFixed(self.initial.to_arg()))
     }
 
     /// Returns the controller at a point of the cube.

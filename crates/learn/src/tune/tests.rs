@@ -11,6 +11,7 @@ use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::built_in_space;
+use crumple_store::study::Study;
 
 fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
     let request = |name: &&str| SettingRequest {
@@ -25,13 +26,15 @@ fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
     TuningPlan {
         search: SettingSearch::parse(controller, &requests).unwrap(),
         spaces: [("high-risk", 2.0), ("paper", 1.0)].map(space).into(),
-        objective: TuningObjective::Both,
-        method,
-        seed: 5,
-        evaluations: 11,
-        runs: 5,
-        test_runs: 6,
-        estimator: EstimatorKind::Kalman,
+        config: TuningConfig {
+            objective: TuningObjective::Both,
+            method,
+            seed: 5,
+            evaluations: 11,
+            runs: 5,
+            test_runs: 6,
+            estimator: EstimatorKind::Kalman,
+        },
     }
 }
 
@@ -78,7 +81,7 @@ fn interruptions_and_threads_change_no_byte() {
             done => break done.unwrap(),
         }
     };
-    assert!(stops > plan.evaluations, "{stops}");
+    assert!(stops > plan.config.evaluations, "{stops}");
     assert_eq!(report, expected);
     assert_eq!(
         plan.run(parts.path(), true, &Quiet).unwrap(),
@@ -96,10 +99,8 @@ fn interruptions_and_threads_change_no_byte() {
     ];
     assert!(files.keys().eq(names.iter()), "{:?}", files.keys());
     assert!(files == read_files(parts.path()), "the files are the same");
-    let other = TuningPlan {
-        seed: 6,
-        ..plan.clone()
-    };
+    let mut other = plan.clone();
+    other.config.seed = 6;
     let refused = other
         .run(parts.path(), true, &Quiet)
         .unwrap_err()
@@ -124,9 +125,11 @@ fn a_late_emergency_brake_is_tuned_to_brake_earlier() {
                 space: built_in_space("standing").unwrap(),
                 weight: 1.0,
             }],
-            objective: TuningObjective::Safety,
-            runs: 20,
-            ..plan("baseline", &[], method)
+            config: TuningConfig {
+                objective: TuningObjective::Safety,
+                runs: 20,
+                ..plan("baseline", &[], method).config
+            },
         };
         let folder = tempfile::tempdir().unwrap();
         let report = plan.run(folder.path(), false, &Quiet).unwrap();
