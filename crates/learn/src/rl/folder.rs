@@ -10,6 +10,7 @@ use super::config::TrainingConfig;
 use super::curve::{parse_episode, parse_evaluation};
 use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
 use super::runner::{TrainingEvent, TrainingRecorder, end_training, start_training, train_episode};
+use super::source::ScenarioSource;
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
 use crumple_store::disk::DiskError;
@@ -195,10 +196,23 @@ impl SeedTraining<'_> {
     /// Returns the trainer at the last checkpoint, or at the start.
     fn load_trainer(&self, folder: &RunFolder) -> Result<Trainer, TrainingError> {
         let source = self.config.scenario_source()?;
-        let Some(bytes) = folder.read(CHECKPOINT)? else {
-            return Ok(Trainer::with_source(self.config, self.seed, source));
-        };
-        match Trainer::from_checkpoint(&bytes, self.config, self.seed, source) {
+        if let Some(bytes) = folder.read(CHECKPOINT)? {
+            let trainer = self.read_checkpoint(&bytes, Arc::clone(&source), folder)?;
+            // An imitation alone is repeated, because it must not start from its own result.
+            if trainer.episode() > 0 {
+                return Ok(trainer);
+            }
+        }
+        Ok(Trainer::with_source(self.config, self.seed, source))
+    }
+
+    fn read_checkpoint(
+        &self,
+        bytes: &[u8],
+        source: Arc<dyn ScenarioSource>,
+        folder: &RunFolder,
+    ) -> Result<Trainer, TrainingError> {
+        match Trainer::from_checkpoint(bytes, self.config, self.seed, source) {
             Err(TrainingError::Checkpoint(problem)) => {
                 Err(RunFolderError::damaged(&folder.path(CHECKPOINT), problem).into())
             }

@@ -1,11 +1,14 @@
 //! Trainings that are interrupted, diverge, or run in parallel, and the policy of one of them.
 
+use std::fs;
+use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use crate::rl::*;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_sim::scenario::built_in_scenario;
 use crumple_store::program::{OTHER_BUILD_MESSAGE, identity};
+use crumple_store::study::Study;
 
 /// Returns a training that takes a second.
 fn small_config() -> TrainingConfig {
@@ -195,6 +198,40 @@ fn an_imitation_learns_the_experts_answers() {
         .with_initial_policy(&policy)
         .imitate(check)
         .unwrap();
+}
+
+/// A training that begins with an imitation may be made longer, also if it had no episode.
+#[test]
+fn an_imitation_that_is_made_longer_is_repeated() {
+    let imitation = include_str!("imitation.toml")
+        .split_once("[imitation]")
+        .unwrap()
+        .1;
+    let mut imitation: ImitationConfig = toml::from_str(imitation).unwrap();
+    (imitation.rows, imitation.passes) = (300, 2);
+    let mut config = small_config();
+    config.imitation = Some(imitation);
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
+    let [whole, parts] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let train = |folder: &Path, episodes| {
+        let config = TrainingConfig {
+            episodes,
+            ..config.clone()
+        };
+        let training = SeedTraining {
+            config: &config,
+            seed: 3,
+            held_out: &held_out,
+        };
+        training.run(folder, true, &Quiet).unwrap()
+    };
+    let expected = train(whole.path(), 2);
+    for episodes in [0, 1] {
+        train(parts.path(), episodes);
+    }
+    assert_eq!(train(parts.path(), 2), expected);
+    let log = |folder: &Path| fs::read(folder.join("log.jsonl")).unwrap();
+    assert!(log(parts.path()) == log(whole.path()));
 }
 
 #[test]
