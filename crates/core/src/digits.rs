@@ -1,6 +1,12 @@
-//! Numbers with few significant digits, for readers: `8.31` and not `8.31e0`.
+//! Numbers in messages and reports, for readers: `8.31` and not `8.31e0`.
 
-const FIXED_NOTATION_EXPONENTS: std::ops::RangeInclusive<i32> = -4..=6;
+use std::ops::{Range, RangeInclusive};
+
+const FIXED_NOTATION_EXPONENTS: RangeInclusive<i32> = -4..=6;
+/// Significant digits of [`format_number`]; one more would show the rounding of sums and products.
+const EXACT_DIGITS: usize = 15;
+/// Sizes that [`format_number`] and [`format_fixed`] write without an exponent.
+const PLAIN_SIZES: Range<f64> = 1e-9..1e12;
 
 /// Returns a number with `digits` significant digits (at least one), in scientific notation below 1e-4 and from 1e7 on.
 ///
@@ -45,11 +51,44 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
 /// Formats a number, with an exponent below 1e-9 and from 1e16 on.
 #[must_use]
 pub fn format_compact(number: f64) -> String {
+    format_plain_within(number, 1e-9..1e16)
+}
+
+/// Formats a number, with an exponent if its size is outside `plain_sizes`.
+#[must_use]
+pub fn format_plain_within(number: f64, plain_sizes: Range<f64>) -> String {
     let size = number.abs();
-    if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
+    if size != 0.0 && size.is_finite() && !plain_sizes.contains(&size) {
         format!("{number:e}")
     } else {
         number.to_string()
+    }
+}
+
+/// Returns a number without rounding errors and without a negative zero, with an exponent below 1e-9 and from 1e12 on.
+///
+/// ```
+/// use crumple_core::digits::format_number;
+/// assert_eq!(["0.3", "0"], [0.1 + 0.2, -0.0].map(format_number));
+/// ```
+#[must_use]
+pub fn format_number(number: f64) -> String {
+    let (scientific, _) = format_scientific(number, EXACT_DIGITS);
+    let rounded = scientific.parse().unwrap_or(number);
+    // Adding 0 removes the sign of a zero.
+    format_plain_within(rounded + 0.0, PLAIN_SIZES)
+}
+
+/// Returns a number with a fixed number of decimals and without a negative zero; from 1e12 on, as [`format_number`].
+#[must_use]
+pub fn format_fixed(number: f64, decimals: usize) -> String {
+    if number.abs() >= PLAIN_SIZES.end {
+        return format_number(number);
+    }
+    let text = format!("{number:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(zero) if zero.bytes().all(|byte| matches!(byte, b'0' | b'.')) => zero.to_owned(),
+        _ => text,
     }
 }
 
@@ -99,6 +138,30 @@ mod tests {
             (0.0, "0"),
         ] {
             assert_eq!(format_rounded_up(bound, 4), shown);
+        }
+    }
+
+    #[test]
+    fn numbers_are_short_and_zero_has_no_sign() {
+        for (number, expected) in [
+            (-0.0, "0"),
+            (0.1 + 0.2, "0.3"),
+            (1e308, "1e308"),
+            (-1.5e300, "-1.5e300"),
+            (1e-300, "1e-300"),
+            (1_700_000_000.123, "1700000000.123"),
+            (-8.0, "-8"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(format_number(number), expected);
+        }
+        for (number, expected) in [
+            (-0.04, "0.0"),
+            (-0.06, "-0.1"),
+            (1e308, "1e308"),
+            (f64::NAN, "NaN"),
+        ] {
+            assert_eq!(format_fixed(number, 1), expected);
         }
     }
 

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`binomial`] | ends of exact Clopper-Pearson intervals |
 //! | [`digest`] | SHA-256 in the hexadecimal form of files and reports |
-//! | [`digits`] | numbers with few significant digits, for readers |
+//! | [`digits`] | numbers in messages and reports, for readers |
 //! | [`interval`] | exact confidence intervals of a rate |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |

@@ -4,25 +4,26 @@ use crumple_verify::rate::MAX_RUNS;
 
 use super::record::upper_bound;
 use crumple_core::binomial;
+use crumple_core::digits::format_plain_within;
 
 /// Reason why no number of runs suffices.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SampleSizeError {
     /// The rate is out of range.
-    #[error("rate: must be above 0 and below 1, found {}", format_compact(*found))]
+    #[error("rate: must be above 0 and below 1, found {}", format_rate(*found))]
     Rate {
         /// Requested rate.
         found: f64,
     },
     /// The confidence level is out of range.
-    #[error("confidence: must be above 0.5 and below 1, found {}", format_compact(*found))]
+    #[error("confidence: must be above 0.5 and below 1, found {}", format_rate(*found))]
     Confidence {
         /// Requested confidence level.
         found: f64,
     },
     /// More runs than the maximum are necessary.
-    #[error("a rate of {} with {failures} failures would take more than {MAX_RUNS} runs", format_compact(*rate))]
+    #[error("a rate of {} with {failures} failures would take more than {MAX_RUNS} runs", format_rate(*rate))]
     TooMany {
         /// Requested rate.
         rate: f64,
@@ -31,11 +32,8 @@ pub enum SampleSizeError {
     },
 }
 
-fn format_compact(number: f64) -> String {
-    match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
-        true => number.to_string(),
-        false => format!("{number:e}"),
-    }
+fn format_rate(rate: f64) -> String {
+    format_plain_within(rate, 1e-4..1e7)
 }
 
 /// Returns the smallest number of runs of which `failures` may fail so that the certificate bounds the rate by `rate`.

@@ -8,7 +8,6 @@
 //! | [`recording`] | recorded traffic, and scenarios of its braking episodes |
 //! | [`openscenario`] | import and export of ASAM OpenSCENARIO XML |
 
-mod number_text;
 pub mod openscenario;
 #[cfg_attr(
     not(any(feature = "mdf", feature = "parquet")),

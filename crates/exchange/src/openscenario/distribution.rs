@@ -9,8 +9,7 @@ use super::limits::ensure_at_most;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
-use crate::number_text::format_number;
-use crumple_core::digits::format_compact;
+use crumple_core::digits::{format_compact, format_number};
 use crumple_sim::scenario::file::MAX_FILES;
 use crumple_spaces::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 

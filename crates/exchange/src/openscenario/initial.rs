@@ -11,7 +11,7 @@ use super::source::SourceFiles;
 use super::speed_plan::TransitionShape;
 use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, read_speed};
 use super::xml::Node;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

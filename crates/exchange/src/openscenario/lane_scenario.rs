@@ -7,7 +7,7 @@ use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::{ElementPlace, Node};
-use crate::number_text::{format_fixed, format_number};
+use crumple_core::digits::{format_fixed, format_number};
 use crumple_sim::scenario::{
     Driver, InvalidField, LaneChange, Scenario, ScenarioSpec, VehicleSpec,
 };

@@ -8,7 +8,7 @@ use super::replay::{LaneChangeTimes, MAX_DURATION_S, Replay};
 use super::speed_plan::{TransitionDynamics, TransitionShape, take_samples};
 use super::storyboard::{StoryAction, entity_index};
 use super::xml::Node;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -7,7 +7,7 @@ use std::rc::Rc;
 use super::error::ScenarioImportError;
 use super::limits::{MAX_LANES, WORK_PER_ROAD, WorkBudget, ensure_at_most};
 use super::xml::{Node, SourceElement};
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -3,7 +3,7 @@
 use super::error::ScenarioImportError;
 use super::limits::MAX_SAMPLES;
 use super::xml::Node;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

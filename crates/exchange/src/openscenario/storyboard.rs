@@ -9,7 +9,7 @@ use super::path_actions::{LaneChangeAction, TrajectoryAction, read_lane_change, 
 use super::speed_plan::TransitionDynamics;
 use super::trigger::Trigger;
 use super::xml::Node;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

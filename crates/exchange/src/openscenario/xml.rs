@@ -9,7 +9,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use super::error::ScenarioImportError;
 use super::parameters::Parameters;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -266,7 +266,7 @@ fn contradictions_from_half_a_metre_per_second_on_are_reported_with_their_reason
         let found = contradictions(&drive([offset_mps, 1.0, 0.4], 0.0, 60, 7), "gap", "closing");
         let reason = format!(
             "an offset of {} m/s",
-            crate::number_text::format_fixed(offset_mps, 1)
+            crumple_core::digits::format_fixed(offset_mps, 1)
         );
         assert!(found[0].contains(&reason), "{found:?}");
     }

@@ -7,7 +7,7 @@ use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{SpeedUnit, TimeSpec, TimeUnit};
 use super::table::RowReader;
-use crate::number_text::format_fixed;
+use crumple_core::digits::format_fixed;
 
 /// Shortest time, in seconds, and largest number of rows of a window.
 const WINDOW_S: f64 = 0.5;

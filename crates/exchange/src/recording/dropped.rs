@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::consistency::ColumnContradiction;
 use super::error::format_place;
-use crate::number_text::{format_fixed, format_number};
+use crumple_core::digits::{format_fixed, format_number};
 use crumple_sim::scenario::InvalidField;
 
 /// Advice about values that are possible, but not usual in traffic.

@@ -8,7 +8,7 @@ use super::error::RecordingError;
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
 use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
-use crate::number_text::{format_fixed, format_number};
+use crumple_core::digits::{format_fixed, format_number};
 
 /// Time before braking at which a scenario starts, in milliseconds; sensors and filters settle in it.
 const LEAD_IN_MS: i64 = 1_000;

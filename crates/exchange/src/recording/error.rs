@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 use crumple_core::text_file::FileError;
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.

@@ -18,7 +18,7 @@ use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
 use super::target_switches::PairSamples;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
-use crate::number_text::format_fixed;
+use crumple_core::digits::format_fixed;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;

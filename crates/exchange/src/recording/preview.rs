@@ -6,7 +6,7 @@ use super::Recording;
 use super::lead_vehicles::LeadVehicle;
 use super::motion::{BRAKING_WINDOW_MS, MAX_HOLE_MS, SpeedSample, find_brakings};
 use super::series::round_to_milli;
-use crate::number_text::format_fixed;
+use crumple_core::digits::format_fixed;
 
 const MAX_LINES: usize = 40;
 

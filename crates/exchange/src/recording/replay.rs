@@ -3,7 +3,7 @@
 use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
-use crate::number_text::format_fixed;
+use crumple_core::digits::format_fixed;
 use crumple_measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
 use crumple_sim::control::ControllerFailure;
 use crumple_sim::engine::{Run, RunError, RunOptions};

@@ -8,7 +8,7 @@ use super::error::{ColumnProblem, RecordingError};
 use super::map::{ClockSpec, ColumnUnit, TimeSpec, TimeUnit};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
-use crate::number_text::{format_fixed, format_number};
+use crumple_core::digits::{format_fixed, format_number};
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;

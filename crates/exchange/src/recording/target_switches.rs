@@ -1,7 +1,7 @@
 //! Division of recorded pairs where the sensor switches to another target.
 
 use super::dropped::Omission;
-use crate::number_text::format_fixed;
+use crumple_core::digits::format_fixed;
 
 /// Change of a gap that no noise explains, in metres.
 const MIN_SWITCH_M: f64 = 1.5;

@@ -1,6 +1,6 @@
 //! Validation of maps.
 
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use super::dropped::Omission;
 use super::map::ReferencePoint;
 use super::table::excerpt;
-use crate::number_text::format_number;
+use crumple_core::digits::format_number;
 
 /// Vehicles with changing neighbours.
 #[derive(Debug, Clone, PartialEq)]
