@@ -5,8 +5,8 @@ use std::fmt;
 use std::sync::Arc;
 
 use crumple_sim::control::{
-    BuiltIn, BuiltInController, ControllerSource, InvalidSetting, InvalidShieldSetting,
-    RetrainedPolicy, ShieldSettings, ShieldedSource,
+    BuiltIn, BuiltInController, ControllerSource, InvalidSetting, RetrainedPolicy, ShieldSettings,
+    ShieldedSource,
 };
 use crumple_sim::engine::NamedController;
 
@@ -48,13 +48,10 @@ pub enum ControllerSpec {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidControllerName {
-    /// A wrong setting of a shield.
-    #[error(transparent)]
-    ShieldSetting(#[from] InvalidShieldSetting),
     /// A shield around another shield.
     #[error("only one shield may stand before a controller")]
     NestedShields,
-    /// A wrong setting of a built-in controller.
+    /// A wrong setting of a built-in controller or a shield.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
     /// A command with invalid quoting.

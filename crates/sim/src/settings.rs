@@ -35,6 +35,75 @@ impl SettingField {
     }
 }
 
+/// Reason why a text states no settings of a controller or a shield.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidSetting {
+    /// An unknown setting.
+    #[error("`{found}` is not a setting of {owner}: {known}")]
+    Unknown {
+        /// The text found.
+        found: String,
+        /// The controller, or `a shield`.
+        owner: &'static str,
+        /// The settings that there are, as a sentence.
+        known: String,
+    },
+    /// A setting that is given twice.
+    #[error("{controller}: {name} is given twice")]
+    Duplicate {
+        /// The controller, or `shield`.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+    },
+    /// A value that is not a number in its range.
+    #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
+    Value {
+        /// The controller, or `shield`.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+        /// Allowed minimum and maximum.
+        range: [f64; 2],
+        /// The text found.
+        found: String,
+    },
+}
+
+/// Parses settings, each as `name=value`, for `controller` with the `known` names and ranges. Returns the index of each
+/// in `known`, and its value.
+pub(crate) fn parse_settings<'t>(
+    texts: impl Iterator<Item = &'t str>,
+    controller: &'static str,
+    known: &[(&'static str, [f64; 2])],
+    unknown: impl Fn(String) -> InvalidSetting,
+) -> Result<Vec<(usize, f64)>, InvalidSetting> {
+    let mut settings: Vec<(usize, f64)> = Vec::new();
+    for text in texts {
+        let (stated, found) = text.split_once('=').unwrap_or((text, ""));
+        let mut candidates = (0..).zip(known);
+        let setting = candidates.find(|(_, (name, _))| *name == stated);
+        let (index, &(name, range)) = setting.ok_or_else(|| unknown(text.to_owned()))?;
+        if settings.iter().any(|&(earlier, _)| earlier == index) {
+            return Err(InvalidSetting::Duplicate { controller, name });
+        }
+        let value = found.parse::<f64>().ok();
+        let is_allowed = |value: &f64| (range[0]..=range[1]).contains(value);
+        let value = value
+            .filter(is_allowed)
+            .ok_or_else(|| InvalidSetting::Value {
+                controller,
+                name,
+                range,
+                found: found.to_owned(),
+            })?;
+        // The sum turns -0 into 0.
+        settings.push((index, value + 0.0));
+    }
+    Ok(settings)
+}
+
 /// The numbers that parametrise a controller.
 pub trait ControllerSettings: Clone + PartialEq + Default + Serialize + DeserializeOwned {
     /// Descriptions of the numbers, in the order of the files.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::*;
 use crate::observation::Observation;
 use crate::policy::Policy;
+use crate::settings::parse_settings;
 use crumple_core::digest::sha256;
 
 /// Role of a built-in controller; lists are in this order.
@@ -122,45 +123,6 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-/// Reason why an argument names no built-in controller.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum InvalidSetting {
-    /// An unknown setting.
-    #[error(
-        "`{found}` is not a setting of {controller}: {}",
-        describe_known_settings(known)
-    )]
-    Unknown {
-        /// The text found.
-        found: String,
-        /// The controller.
-        controller: &'static str,
-        /// The settings of the controller.
-        known: &'static [SettingField],
-    },
-    /// A setting that is given twice.
-    #[error("{controller}: {name} is given twice")]
-    Duplicate {
-        /// The controller.
-        controller: &'static str,
-        /// The setting.
-        name: &'static str,
-    },
-    /// A value that is not a number in its range.
-    #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
-    Value {
-        /// The controller.
-        controller: &'static str,
-        /// The setting.
-        name: &'static str,
-        /// Allowed minimum and maximum.
-        range: [f64; 2],
-        /// The text found.
-        found: String,
-    },
-}
-
 fn describe_known_settings(known: &[SettingField]) -> String {
     match known {
         [] => "it has none".to_owned(),
@@ -199,38 +161,31 @@ impl BuiltInController {
     pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
         let mut words = words.split(',');
         let spec = Self::from_name(words.next()?)?;
-        let mut given = Vec::new();
-        Some(words.try_fold(spec, |mut spec, setting| {
-            let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
-            let (controller, known) = (spec.name(), spec.fields());
-            let index = known.iter().position(|field| field.name == name);
-            let Some((place, field)) =
-                index.and_then(|index| Some((spec.get_mut(index)?, known.get(index)?)))
-            else {
-                return Err(InvalidSetting::Unknown {
-                    found: setting.to_owned(),
-                    controller,
-                    known,
-                });
-            };
-            let (name, range) = (field.name, field.range);
-            if given.contains(&name) {
-                return Err(InvalidSetting::Duplicate { controller, name });
+        Some(spec.with_settings(words))
+    }
+
+    /// Returns this controller with settings that texts such as `ttc_s=2.0` state.
+    fn with_settings<'t>(
+        mut self,
+        texts: impl Iterator<Item = &'t str>,
+    ) -> Result<Self, InvalidSetting> {
+        let controller = self.name();
+        let fields = self.fields();
+        let known: Vec<_> = fields
+            .iter()
+            .map(|field| (field.name, field.range))
+            .collect();
+        let unknown = |found| InvalidSetting::Unknown {
+            found,
+            owner: controller,
+            known: describe_known_settings(fields),
+        };
+        for (index, value) in parse_settings(texts, controller, &known, unknown)? {
+            if let Some(setting) = self.get_mut(index) {
+                *setting = value;
             }
-            given.push(name);
-            match found.parse::<f64>() {
-                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // Turns -0 into 0.
-                _ => {
-                    return Err(InvalidSetting::Value {
-                        controller,
-                        name,
-                        range,
-                        found: found.to_owned(),
-                    });
-                }
-            }
-            Ok(spec)
-        }))
+        }
+        Ok(self)
     }
 
     /// Returns the text that [`Self::parse`] parses to this; equal specifications have the same text.

@@ -95,7 +95,7 @@ pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use batch_query::{BatchQuery, decide_by_query};
 pub(crate) use built_in::AnyController;
-pub use built_in::{BuiltIn, BuiltInController, InvalidSetting, Role};
+pub use built_in::{BuiltIn, BuiltInController, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use decision_timer::DecisionTimer;
@@ -111,9 +111,9 @@ pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, InvalidShieldSetting, MIN_MARGIN_M, Override, Real, RearVehicleParams,
-    ShieldParams, ShieldRefusal, ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel,
-    distance_and_speed_after, max_closing_m,
+    ErrorBounds, MIN_MARGIN_M, Override, Real, RearVehicleParams, ShieldParams, ShieldRefusal,
+    ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel, distance_and_speed_after,
+    max_closing_m,
 };
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds};
 pub use source::{
@@ -129,7 +129,7 @@ pub(crate) use with_controllers;
 
 pub use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
-pub use crate::settings::{ControllerSettings, NoSettings, SettingField};
+pub use crate::settings::{ControllerSettings, InvalidSetting, NoSettings, SettingField};
 
 /// Properties of the ego vehicle that its controller knows.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -50,7 +50,7 @@ pub use params::{ErrorBounds, RearVehicleParams, ShieldParams};
 pub use real::Real;
 pub use rounding::MIN_MARGIN_M;
 pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
-pub use settings::{InvalidShieldSetting, ShieldSettings};
+pub use settings::ShieldSettings;
 pub use source::{ShieldRefusal, ShieldedSource};
 
 use std::collections::VecDeque;

@@ -1,6 +1,7 @@
 //! Settings of a shield: parsing and printing as on the command line.
 
 use super::ErrorBounds;
+use crate::settings::{InvalidSetting, parse_settings};
 
 /// Settings of a shield that the user may choose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -43,35 +44,14 @@ const SETTINGS: [ShieldSetting; 4] = [
     },
 ];
 
-/// Reason why a text states no settings of a shield.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum InvalidShieldSetting {
-    /// An unknown setting.
-    #[error(
-        "`{found}` is not a setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each \
-        with a number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
-    )]
-    Unknown {
-        /// The text found.
-        found: String,
-    },
-    /// A setting that is given twice.
-    #[error("shield: {name} is given twice")]
-    Duplicate {
-        /// The setting.
-        name: &'static str,
-    },
-    /// A value that is not a number in its range.
-    #[error("shield: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
-    Value {
-        /// The setting.
-        name: &'static str,
-        /// Allowed minimum and maximum.
-        range: [f64; 2],
-        /// The text found.
-        found: String,
-    },
+fn unknown_setting(found: String) -> InvalidSetting {
+    InvalidSetting::Unknown {
+        found,
+        owner: "a shield",
+        known: "there are ahead, gap-error, speed-error and ahead-speed-error, each with a number, as in \
+            `shield,ahead=7.5,gap-error=0.2:policy`"
+            .to_owned(),
+    }
 }
 
 impl ShieldSettings {
@@ -88,37 +68,19 @@ impl ShieldSettings {
     /// ```
     ///
     /// # Errors
-    /// [`InvalidShieldSetting`] for an unknown or repeated setting, or a value outside its range.
-    pub fn parse(text: &str) -> Result<Self, InvalidShieldSetting> {
-        let unknown = |found: &str| InvalidShieldSetting::Unknown {
-            found: found.to_owned(),
-        };
+    /// [`InvalidSetting`] for an unknown or repeated setting, or a value outside its range.
+    pub fn parse(text: &str) -> Result<Self, InvalidSetting> {
         let mut parts = text.split(',');
         if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
-            return Err(unknown(before));
+            return Err(unknown_setting(before.to_owned()));
         }
+        let known = SETTINGS
+            .each_ref()
+            .map(|setting| (setting.name, setting.range));
         let mut settings = Self::default();
-        let mut given = Vec::new();
-        for part in parts {
-            let (name, found) = part.split_once('=').unwrap_or((part, ""));
-            let setting = SETTINGS.iter().find(|setting| setting.name == name);
-            let &ShieldSetting { name, range, set } = setting.ok_or_else(|| unknown(part))?;
-            if given.contains(&name) {
-                return Err(InvalidShieldSetting::Duplicate { name });
-            }
-            given.push(name);
-            match found.parse::<f64>() {
-                // The sum turns -0 into 0.
-                Ok(value) if (range[0]..=range[1]).contains(&value) => {
-                    set(&mut settings, value + 0.0)
-                }
-                _ => {
-                    return Err(InvalidShieldSetting::Value {
-                        name,
-                        range,
-                        found: found.to_owned(),
-                    });
-                }
+        for (index, value) in parse_settings(parts, "shield", &known, unknown_setting)? {
+            if let Some(ShieldSetting { set, .. }) = SETTINGS.get(index) {
+                set(&mut settings, value);
             }
         }
         Ok(settings)
