@@ -1,5 +1,5 @@
-//! Digests, rounded numbers, intervals of rates, quoted text, Markdown, progress, opening of files, and text files with
-//! errors that name a line, for every other crate of crumple.
+//! Digests, rounded numbers, errors of fields, intervals of rates, quoted text, Markdown, progress, opening of files, and
+//! text files with errors that name a line, for every other crate of crumple.
 //!
 //! Each module uses only modules above it:
 //!
@@ -8,6 +8,7 @@
 //! | [`binomial`] | ends of exact Clopper-Pearson intervals |
 //! | [`digest`] | SHA-256 in the hexadecimal form of files and reports |
 //! | [`digits`] | numbers in messages and reports, for readers |
+//! | [`field_error`] | an invalid field, with its path and its problem |
 //! | [`interval`] | exact confidence intervals of a rate |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
@@ -18,6 +19,7 @@
 pub mod binomial;
 pub mod digest;
 pub mod digits;
+pub mod field_error;
 pub mod interval;
 pub mod markdown;
 pub mod observer;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crumple_core::field_error::FieldError;
 use crumple_sim::control::ObservedQuantity;
 use crumple_sim::observation::Observation;
 use crumple_sim::policy::{ActionBounds, ObservationScaling};
@@ -135,24 +136,7 @@ pub struct Mapping {
 }
 
 /// Error of a mapping.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{field}: {problem}")]
-pub struct InvalidMapping {
-    /// The field, as a path: `inputs[2].scale`.
-    pub field: String,
-    /// Description of the error.
-    pub problem: String,
-}
-
-impl InvalidMapping {
-    /// Creates the error of a field.
-    pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self {
-            field: field.into(),
-            problem: problem.into(),
-        }
-    }
-}
+pub type InvalidMapping = FieldError;
 
 impl Mapping {
     /// Returns the mapping of crumple's own policies: the paper's eight numbers, and an answer from -1 to 1.
@@ -275,13 +259,13 @@ impl Mapping {
             return Err(InvalidMapping::new("inputs", problem));
         }
         for (index, input) in self.inputs.iter().enumerate() {
-            input.check().map_err(|(field, problem)| {
-                InvalidMapping::new(format!("inputs[{index}]{field}"), problem)
-            })?;
+            input
+                .check()
+                .map_err(|invalid| invalid.within(&format!("inputs[{index}]")))?;
         }
         self.output
             .check()
-            .map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
+            .map_err(|invalid| invalid.within("output."))
     }
 
     /// Returns the inputs that follow from an observation.
@@ -378,7 +362,7 @@ impl InputMapping {
         self.quantity.map_or("constant", ObservedQuantity::name)
     }
 
-    fn check(&self) -> Result<(), (&'static str, String)> {
+    fn check(&self) -> Result<(), InvalidMapping> {
         let finite = [
             (".offset", self.offset),
             (".scale", self.scale),
@@ -394,32 +378,34 @@ impl InputMapping {
             .chain(given)
             .find(|(_, value)| !value.is_finite())
         {
-            return Err((field, format!("must be a finite number, found {value}")));
+            let problem = format!("must be a finite number, found {value}");
+            return Err(InvalidMapping::new(field, problem));
         }
         match (self.quantity, self.constant) {
-            (None, None) => return Err(("", "needs a quantity or a constant".to_owned())),
+            (None, None) => return Err(InvalidMapping::new("", "needs a quantity or a constant")),
             (Some(_), Some(_)) => {
-                return Err((
+                return Err(InvalidMapping::new(
                     ".constant",
-                    "an input is a quantity or a constant, not both".to_owned(),
+                    "an input is a quantity or a constant, not both",
                 ));
             }
             (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
-                return Err((
+                return Err(InvalidMapping::new(
                     ".absent",
-                    "is allowed only for quantities of another vehicle".to_owned(),
+                    "is allowed only for quantities of another vehicle",
                 ));
             }
             (None, Some(_)) if self.absent.is_some() => {
-                return Err((".absent", "a constant is always there".to_owned()));
+                return Err(InvalidMapping::new(".absent", "a constant is always there"));
             }
             _ => {}
         }
         if self.scale == 0.0 {
-            return Err((".scale", "must not be 0".to_owned()));
+            return Err(InvalidMapping::new(".scale", "must not be 0"));
         }
         if self.low > self.high {
-            return Err((".low", format!("must not be above high, {}", self.high)));
+            let problem = format!("must not be above high, {}", self.high);
+            return Err(InvalidMapping::new(".low", problem));
         }
         Ok(())
     }
@@ -457,7 +443,7 @@ impl InputMapping {
 }
 
 impl OutputMapping {
-    fn check(&self) -> Result<(), (&'static str, String)> {
+    fn check(&self) -> Result<(), InvalidMapping> {
         let numbers = [
             ("scale_mps2", self.scale_mps2),
             ("offset_mps2", self.offset_mps2),
@@ -465,13 +451,12 @@ impl OutputMapping {
             ("high_mps2", self.high_mps2),
         ];
         if let Some((field, value)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
-            return Err((field, format!("must be a finite number, found {value}")));
+            let problem = format!("must be a finite number, found {value}");
+            return Err(InvalidMapping::new(field, problem));
         }
         if self.low_mps2 >= self.high_mps2 {
-            return Err((
-                "low_mps2",
-                format!("must be below high_mps2, {}", self.high_mps2),
-            ));
+            let problem = format!("must be below high_mps2, {}", self.high_mps2);
+            return Err(InvalidMapping::new("low_mps2", problem));
         }
         Ok(())
     }

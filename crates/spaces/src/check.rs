@@ -1,57 +1,22 @@
 //! Validation of space files: a valid space holds only valid scenarios.
 
+mod parameter;
+
 use std::path::Path;
 
 use super::copula::Copula;
-use super::field::{FieldTarget, ParameterField, VehicleField};
-use super::marginal::CoordinateMarginal;
+use super::field::{FieldTarget, VehicleField};
+use super::invalid::{InvalidSpace, reject};
 use super::region::LikelihoodRegion;
-use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
+use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec};
 use super::{ScenarioSpace, SpaceParameter};
 use crumple_core::digits::format_compact;
 use crumple_sim::control::StartRefusal;
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{
-    FieldProblem, InvalidField, OpenDriver, Scenario, VehicleClass, built_in_scenario,
-    built_in_scenario_names, file,
+    FieldProblem, InvalidField, OpenDriver, Scenario, built_in_scenario, built_in_scenario_names,
+    file,
 };
-
-/// An invalid field of a space, with its path and its problem.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: {problem}")]
-pub struct InvalidSpace {
-    /// Path of the field in the file, such as `parameters[1].distribution`.
-    pub field: String,
-    /// Problem of the field.
-    pub problem: String,
-    /// Refusal to start a program of the base scenario, if that is the problem.
-    pub start_refused: Option<StartRefusal>,
-}
-
-impl InvalidSpace {
-    /// Creates an error from a field and its problem.
-    pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self {
-            field: field.into(),
-            problem: problem.into(),
-            start_refused: None,
-        }
-    }
-
-    fn from_base(field: String, problem: FieldProblem) -> Self {
-        let words = problem.to_string();
-        let start_refused = if let FieldProblem::StartRefused(refused) = problem {
-            Some(refused)
-        } else {
-            None
-        };
-        Self {
-            field,
-            problem: words,
-            start_refused,
-        }
-    }
-}
 
 /// Columns of an evaluation log before the coordinates. Parameters may not have these names.
 pub const KEY_COLUMNS: [&str; 2] = ["method", "evaluation"];
@@ -73,26 +38,6 @@ const MAX_COORDINATES: usize = 1000;
 /// Maximum number of parameters whose corners are all checked: 2 to this power.
 const MAX_CORNER_PARAMETERS: usize = 14;
 
-/// Returns a unit with the exponents of this crate's units: `m/s2` and `m/s^2` are `m/s²`.
-fn with_superscripts(unit: &str) -> String {
-    unit.replace('^', "").replace('2', "²").replace('3', "³")
-}
-
-fn class_names(between: &str) -> String {
-    VehicleClass::ALL
-        .iter()
-        .map(|class| format!("`{}`", class.name()))
-        .collect::<Vec<_>>()
-        .join(between)
-}
-
-pub(super) fn reject<T>(
-    field: impl Into<String>,
-    problem: impl Into<String>,
-) -> Result<T, InvalidSpace> {
-    Err(InvalidSpace::new(field, problem))
-}
-
 impl ScenarioSpace {
     /// Creates a space if all of its points are valid scenarios. A base scenario in a file is relative to `folder`.
     ///
@@ -103,73 +48,20 @@ impl ScenarioSpace {
         folder: &Path,
         opener: &dyn OpenDriver,
     ) -> Result<Self, InvalidSpace> {
-        if spec.version != SPACE_VERSION {
-            let found = spec.version;
-            return reject(
-                "version",
-                format!(
-                    "version {found} is not supported: this release reads version {SPACE_VERSION}"
-                ),
-            );
-        }
-        if spec.name.is_empty()
-            || spec.name.chars().count() > 100
-            || spec.name.chars().any(char::is_control)
-        {
-            return reject(
-                "name",
-                "must have 1 to 100 characters, none of them a control character",
-            );
-        }
+        check_header(&spec)?;
         let base = load_base(&spec.base, folder, opener)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
-        if !(1..=MAX_PARAMETERS).contains(&spec.parameters.len()) {
-            let found = spec.parameters.len();
-            return reject(
-                "parameters",
-                format!("must be 1 to {MAX_PARAMETERS}, found {found}"),
-            );
+        let found = spec.parameters.len();
+        if !(1..=MAX_PARAMETERS).contains(&found) {
+            let problem = format!("must be 1 to {MAX_PARAMETERS}, found {found}");
+            return reject("parameters", problem);
         }
-        let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
-        let lines_up = !spec.parameters.iter().any(is_place);
-        let mut template = base.spec().clone();
-        if lines_up {
-            for (index, vehicle) in template.vehicles.iter_mut().enumerate() {
-                vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
-            }
-        }
-        let (parameters, order) = (Vec::new(), Vec::new());
-        let mut space = Self {
-            spec,
-            template,
-            uses_gaps: lines_up,
-            parameters,
-            order,
-            copula: None,
-            region: None,
-        };
-        let mut written: Vec<(String, String)> = Vec::new();
-        for index in 0..space.spec.parameters.len() {
+        let mut space = Self::without_parameters(spec, &base);
+        let mut written = Vec::new();
+        for index in 0..found {
             space.add_parameter(index, &mut written)?;
         }
-        if space.dimension() > MAX_COORDINATES {
-            let found = space.dimension();
-            return reject(
-                "parameters",
-                format!("must have at most {MAX_COORDINATES} coordinates, found {found}"),
-            );
-        }
-        let names = space.coordinate_names();
-        if let Some(doubled) = names
-            .iter()
-            .enumerate()
-            .find(|(index, name)| names[..*index].contains(name))
-        {
-            return reject(
-                "parameters",
-                format!("two coordinates are called `{}`", doubled.1),
-            );
-        }
+        space.check_coordinates()?;
         space.order = (0..space.parameters.len()).collect();
         space
             .order
@@ -189,149 +81,40 @@ impl ScenarioSpace {
         Ok(space)
     }
 
-    fn add_parameter(
-        &mut self,
-        index: usize,
-        written: &mut Vec<(String, String)>,
-    ) -> Result<(), InvalidSpace> {
-        let at = |field: &str| format!("parameters[{index}].{field}");
-        let Some(spec) = self.spec.parameters.get(index) else {
-            return Ok(());
-        };
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
-        if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
-            return reject(
-                at("name"),
-                "must be 1 to 60 letters, digits and underscores",
-            );
-        }
-        if KEY_COLUMNS
-            .iter()
-            .chain(&RESULT_COLUMNS)
-            .any(|column| *column == spec.name)
-        {
-            return reject(
-                at("name"),
-                format!("`{}` is a column of every table of evaluations", spec.name),
-            );
-        }
-        if self.parameters.iter().any(|known| known.name == spec.name) {
-            return reject(
-                at("name"),
-                format!("`{}` is the name of another parameter", spec.name),
-            );
-        }
-        let field = ParameterField::resolve(&spec.field, &self.template)
-            .map_err(|problem| InvalidSpace::new(at("field"), problem))?;
-        let is_gap = |field| {
-            matches!(
-                field,
-                VehicleField::Gap | VehicleField::TimeGap | VehicleField::ClosingTime
-            )
-        };
-        if matches!(field.target, FieldTarget::Vehicle(_, target) if is_gap(target))
-            && !self.uses_gaps
-        {
-            return reject(at("field"), "a space has gaps or positions, not both");
-        }
-        if with_superscripts(&spec.unit) != field.unit {
-            let expected = match field.unit {
-                "" => format!("`{}` has no unit", spec.field),
-                unit => {
-                    let plain = unit.replace('²', "2").replace('³', "3");
-                    let or_plain = if plain == unit {
-                        String::new()
-                    } else {
-                        format!(" (or `{plain}`)")
-                    };
-                    format!("the unit of `{}` is `{unit}`{or_plain}", spec.field)
-                }
-            };
-            let found = if spec.unit.is_empty() {
-                "none is given".to_owned()
-            } else {
-                format!("found `{}`", spec.unit)
-            };
-            let problem = format!("{expected}, {found}");
-            return reject(at("unit"), problem);
-        }
-        for write in &field.written_paths {
-            if let Some((_, other)) = written
-                .iter()
-                .find(|(known, _)| is_overlapping(known, write))
-            {
-                return reject(
-                    at("field"),
-                    format!("`{write}` is set by the parameter `{other}` already"),
-                );
+    /// Creates a space whose parameters are not checked yet.
+    fn without_parameters(spec: SpaceSpec, base: &Scenario) -> Self {
+        let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
+        let uses_gaps = !spec.parameters.iter().any(is_place);
+        let mut template = base.spec().clone();
+        if uses_gaps {
+            for (index, vehicle) in template.vehicles.iter_mut().enumerate() {
+                vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        written.extend(
-            field
-                .written_paths
-                .iter()
-                .map(|write| (write.clone(), spec.name.clone())),
-        );
-        let kind = field.target.kind();
-        let marginal = spec.distribution.marginal().map_err(|(field, problem)| {
-            InvalidSpace::new(at(&format!("distribution{field}")), problem)
-        })?;
-        if kind != spec.distribution.kind() {
-            let problem = match kind {
-                ValueKind::Number => "a number is expected".to_owned(),
-                ValueKind::Class => format!("a class is a choice of {}", class_names(" and ")),
-                ValueKind::Driver => "a driver is a choice of built-in controllers".to_owned(),
-            };
-            return reject(at("distribution"), problem);
+        Self {
+            spec,
+            template,
+            uses_gaps,
+            parameters: Vec::new(),
+            order: Vec::new(),
+            copula: None,
+            region: None,
         }
-        let nominal = match spec.nominal {
-            None => field.target.get(&self.template),
-            Some(value) if value.kind() != kind => {
-                let problem = match kind {
-                    ValueKind::Number => "must be a number".to_owned(),
-                    ValueKind::Class => format!("must be {}", class_names(" or ")),
-                    ValueKind::Driver => "must be a built-in controller".to_owned(),
-                };
-                return reject(at("nominal"), format!("{problem}, found {value}"));
-            }
-            Some(value) => vec![value.number(); field.length],
-        };
-        let fits = |value: &f64| marginal.value(marginal.coordinate(*value)) - value;
-        let is_off =
-            |value: &&f64| !value.is_finite() || fits(value).abs() > 1e-9 * (1.0 + value.abs());
-        if let Some(value) = nominal.iter().find(is_off) {
-            let found = format_compact(*value);
-            let problem = match marginal {
-                CoordinateMarginal::Choice { .. } => {
-                    format!("{found} is not a value of the distribution")
-                }
-                _ => format!(
-                    "must be from {} to {}, found {found}",
-                    format_compact(marginal.low()),
-                    format_compact(marginal.high())
-                ),
-            };
-            let from = if spec.nominal.is_some() {
-                ""
-            } else {
-                " in the base scenario"
-            };
-            return reject(at("nominal"), problem + from);
+    }
+
+    /// Checks the number and the names of the coordinates.
+    fn check_coordinates(&self) -> Result<(), InvalidSpace> {
+        let found = self.dimension();
+        if found > MAX_COORDINATES {
+            let problem = format!("must have at most {MAX_COORDINATES} coordinates, found {found}");
+            return reject("parameters", problem);
         }
-        let start = self.dimension();
-        self.parameters.push(SpaceParameter {
-            name: spec.name.clone(),
-            unit: field.unit,
-            target: field.target,
-            marginal,
-            coordinates: start..start + field.length,
-            nominal,
-        });
-        // However a file writes the unit, equal spaces have equal texts.
-        if let Some(spec) = self.spec.parameters.get_mut(index) {
-            spec.unit = field.unit.to_owned();
+        let names = self.coordinate_names();
+        let mut numbered = names.iter().enumerate();
+        match numbered.find(|(index, name)| names[..*index].contains(name)) {
+            Some((_, name)) => reject("parameters", format!("two coordinates are called `{name}`")),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Checks both ends of each range with all else nominal: most fields are validated alone, against a range.
@@ -405,13 +188,19 @@ impl ScenarioSpace {
     }
 }
 
-/// Returns true if the paths are equal or one contains the other.
-fn is_overlapping(a: &str, b: &str) -> bool {
-    let is_part = |part: &str, of: &str| {
-        part.strip_prefix(of)
-            .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-    };
-    is_part(a, b) || is_part(b, a)
+fn check_header(spec: &SpaceSpec) -> Result<(), InvalidSpace> {
+    let found = spec.version;
+    if found != SPACE_VERSION {
+        let problem =
+            format!("version {found} is not supported: this release reads version {SPACE_VERSION}");
+        return reject("version", problem);
+    }
+    let has_length = (1..=100).contains(&spec.name.chars().count());
+    if !has_length || spec.name.chars().any(char::is_control) {
+        let problem = "must have 1 to 100 characters, none of them a control character";
+        return reject("name", problem);
+    }
+    Ok(())
 }
 
 /// Returns true for problems that several fields cause jointly.
@@ -432,7 +221,7 @@ fn load_base(
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
             let in_base = |InvalidField { field, problem }| {
-                InvalidSpace::from_base(format!("base.{field}"), problem)
+                InvalidSpace::new(format!("base.{field}"), problem)
             };
             spec.read_drivers(folder, opener)
                 .and_then(|()| Scenario::new(spec))
@@ -464,10 +253,7 @@ fn load_base(
                         },
                 } => {
                     let place = format!("{}:{line}: {field}: {place}", path.display());
-                    InvalidSpace::from_base(
-                        "base".to_owned(),
-                        StartRefusal { location: place }.into(),
-                    )
+                    InvalidSpace::new("base", StartRefusal { location: place })
                 }
                 other => InvalidSpace::new("base", other.to_string()),
             }),

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 
 use super::SpaceParameter;
-use super::check::{InvalidSpace, reject};
+use super::invalid::{InvalidSpace, reject};
 use super::spec::ValueKind;
 use crumple_core::digits::format_compact;
 

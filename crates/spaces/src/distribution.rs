@@ -1,13 +1,12 @@
 //! Validation of distributions.
 
-use statrs::distribution::{
-    Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw,
-};
+use statrs::distribution::{Gamma, LogNormal, Normal as Gauss, Weibull};
 
+use super::invalid::{InvalidSpace, reject};
 use super::marginal::{ContinuousDistribution, CoordinateMarginal};
 use super::spec::{
-    ChoiceSpec, DistributionSpec, HistogramSpec, PointMassSpec, ShapeScaleSpec, UniformSpec,
-    ValueKind,
+    ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, PointMassSpec,
+    ShapeScaleSpec, UniformSpec, ValueKind,
 };
 use crumple_core::digits::format_compact;
 
@@ -27,135 +26,170 @@ impl DistributionSpec {
         }
     }
 
-    /// Returns the validated distribution, or the invalid field and its problem.
-    pub(super) fn marginal(&self) -> Result<CoordinateMarginal, (&'static str, String)> {
-        let range = |low: f64, high: f64, kind: &'static str| {
-            check_finite(kind, "low", low)?;
-            check_finite(kind, "high", high)?;
-            let found = || {
-                format!(
-                    "low must be below high, found {} and {}",
-                    format_compact(low),
-                    format_compact(high)
-                )
-            };
-            if low < high {
-                Ok(())
-            } else {
-                Err((kind, found()))
-            }
-        };
+    /// Returns the validated distribution. Paths in errors begin with the kind of distribution: `.normal.mean`.
+    pub(super) fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
         match self {
             Self::Uniform(UniformSpec { low, high }) => {
-                range(*low, *high, ".uniform")?;
-                Ok(CoordinateMarginal::Uniform {
-                    low: *low,
-                    high: *high,
-                })
+                let range = DistributionRange::new(".uniform", *low, *high)?;
+                Ok(range.uniform())
             }
             Self::LogUniform(UniformSpec { low, high }) => {
-                range(*low, *high, ".log-uniform")?;
-                if *low <= 0.0 {
-                    return Err((".log-uniform.low", format!("must be above 0, found {low}")));
-                }
-                Ok(CoordinateMarginal::LogUniform {
-                    low: *low,
-                    high: *high,
-                })
+                let range = DistributionRange::new(".log-uniform", *low, *high)?;
+                range.log_uniform()
             }
-            Self::Normal(normal) => {
-                range(normal.low, normal.high, ".normal")?;
-                check_finite(".normal", "mean", normal.mean)?;
-                check_finite(".normal", "deviation", normal.deviation)?;
-                let gauss = Gauss::new(normal.mean, normal.deviation)
-                    .ok()
-                    .filter(|_| normal.deviation > 0.0);
-                let gauss =
-                    gauss.ok_or_else(|| not_positive(".normal", "deviation", normal.deviation))?;
-                truncate(
-                    ".normal",
-                    ContinuousDistribution::Normal(gauss),
-                    normal.low,
-                    normal.high,
-                )
-            }
-            Self::LogNormal(of) => {
-                let kind = ".log-normal";
-                range(of.low, of.high, kind)?;
-                check_non_negative(kind, of.low)?;
-                check_finite(kind, "ln_mean", of.ln_mean)?;
-                check_finite(kind, "ln_deviation", of.ln_deviation)?;
-                let law = LogNormalLaw::new(of.ln_mean, of.ln_deviation)
-                    .ok()
-                    .filter(|_| of.ln_deviation > 0.0);
-                let law = law.ok_or_else(|| not_positive(kind, "ln_deviation", of.ln_deviation))?;
-                truncate(
-                    kind,
-                    ContinuousDistribution::LogNormal(law),
-                    of.low,
-                    of.high,
-                )
-            }
-            Self::Gamma(of) => {
-                let kind = ".gamma";
-                range(of.low, of.high, kind)?;
-                let [shape, scale] = of.validate(kind)?;
-                let law = GammaLaw::new(shape, 1.0 / scale)
-                    .map_err(|problem| (kind, problem.to_string()))?;
-                truncate(kind, ContinuousDistribution::Gamma(law), of.low, of.high)
-            }
-            Self::Weibull(of) => {
-                let kind = ".weibull";
-                range(of.low, of.high, kind)?;
-                let [shape, scale] = of.validate(kind)?;
-                let law =
-                    WeibullLaw::new(shape, scale).map_err(|problem| (kind, problem.to_string()))?;
-                truncate(kind, ContinuousDistribution::Weibull(law), of.low, of.high)
-            }
+            Self::Normal(normal) => normal.marginal(),
+            Self::LogNormal(log_normal) => log_normal.marginal(),
+            Self::Gamma(gamma) => gamma.gamma_marginal(),
+            Self::Weibull(weibull) => weibull.weibull_marginal(),
             Self::Histogram(histogram) => histogram.marginal(),
-            Self::Choice(choice) => choice_marginal(choice),
-            Self::PointMass(of) => of.marginal(),
+            Self::Choice(choice) => choice.marginal(),
+            Self::PointMass(point_mass) => point_mass.marginal(),
         }
+    }
+}
+
+/// A valid range of a distribution, with the path of the distribution in errors.
+#[derive(Clone, Copy)]
+struct DistributionRange {
+    path: &'static str,
+    low: f64,
+    high: f64,
+}
+
+impl DistributionRange {
+    fn new(path: &'static str, low: f64, high: f64) -> Result<Self, InvalidSpace> {
+        check_finite(path, "low", low)?;
+        check_finite(path, "high", high)?;
+        if low < high {
+            return Ok(Self { path, low, high });
+        }
+        let [low, high] = [low, high].map(format_compact);
+        reject(
+            path,
+            format!("low must be below high, found {low} and {high}"),
+        )
+    }
+
+    fn check_non_negative(&self) -> Result<(), InvalidSpace> {
+        if self.low >= 0.0 {
+            return Ok(());
+        }
+        let found = format_compact(self.low);
+        reject(self.path, format!("low must be from 0, found {found}"))
+    }
+
+    fn uniform(self) -> CoordinateMarginal {
+        CoordinateMarginal::Uniform {
+            low: self.low,
+            high: self.high,
+        }
+    }
+
+    fn log_uniform(self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let Self { low, high, .. } = self;
+        if low <= 0.0 {
+            return reject(".log-uniform.low", format!("must be above 0, found {low}"));
+        }
+        Ok(CoordinateMarginal::LogUniform { low, high })
+    }
+
+    /// Returns a distribution within this range only.
+    fn truncate(
+        self,
+        distribution: ContinuousDistribution,
+    ) -> Result<CoordinateMarginal, InvalidSpace> {
+        let Self { path, low, high } = self;
+        let cdf_low = distribution.cdf(low);
+        let mass = distribution.cdf(high) - cdf_low;
+        if mass.is_nan() || mass < MIN_MASS {
+            let [low, high, mass] = [low, high, mass].map(format_compact);
+            let problem = format!(
+                "the range from {low} to {high} holds a share of only {mass} of the distribution, and must hold \
+                {MIN_MASS}"
+            );
+            return reject(path, problem);
+        }
+        Ok(CoordinateMarginal::Truncated {
+            low,
+            high,
+            distribution,
+            cdf_low,
+            mass,
+        })
+    }
+}
+
+impl NormalSpec {
+    fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let path = ".normal";
+        let range = DistributionRange::new(path, self.low, self.high)?;
+        check_finite(path, "mean", self.mean)?;
+        check_finite(path, "deviation", self.deviation)?;
+        check_positive(path, "deviation", self.deviation)?;
+        let gauss = Gauss::new(self.mean, self.deviation)
+            .map_err(|problem| InvalidSpace::new(path, problem.to_string()))?;
+        range.truncate(ContinuousDistribution::Normal(gauss))
+    }
+}
+
+impl LogNormalSpec {
+    fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let path = ".log-normal";
+        let range = DistributionRange::new(path, self.low, self.high)?;
+        range.check_non_negative()?;
+        check_finite(path, "ln_mean", self.ln_mean)?;
+        check_finite(path, "ln_deviation", self.ln_deviation)?;
+        check_positive(path, "ln_deviation", self.ln_deviation)?;
+        let log_normal = LogNormal::new(self.ln_mean, self.ln_deviation)
+            .map_err(|problem| InvalidSpace::new(path, problem.to_string()))?;
+        range.truncate(ContinuousDistribution::LogNormal(log_normal))
     }
 }
 
 impl ShapeScaleSpec {
-    fn validate(&self, kind: &'static str) -> Result<[f64; 2], (&'static str, String)> {
-        check_non_negative(kind, self.low)?;
-        let Self { shape, scale, .. } = *self;
-        if !(SHAPE_RANGE[0]..=SHAPE_RANGE[1]).contains(&shape) {
-            return Err((
-                kind,
-                format!(
-                    "shape must be from {} to {}, found {}",
-                    SHAPE_RANGE[0],
-                    SHAPE_RANGE[1],
-                    format_compact(shape)
-                ),
-            ));
+    fn gamma_marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let range = self.check(".gamma")?;
+        let gamma = Gamma::new(self.shape, 1.0 / self.scale)
+            .map_err(|problem| InvalidSpace::new(range.path, problem.to_string()))?;
+        range.truncate(ContinuousDistribution::Gamma(gamma))
+    }
+
+    fn weibull_marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let range = self.check(".weibull")?;
+        let weibull = Weibull::new(self.shape, self.scale)
+            .map_err(|problem| InvalidSpace::new(range.path, problem.to_string()))?;
+        range.truncate(ContinuousDistribution::Weibull(weibull))
+    }
+
+    fn check(&self, path: &'static str) -> Result<DistributionRange, InvalidSpace> {
+        let range = DistributionRange::new(path, self.low, self.high)?;
+        range.check_non_negative()?;
+        let [min, max] = SHAPE_RANGE;
+        if !(min..=max).contains(&self.shape) {
+            let found = format_compact(self.shape);
+            return reject(
+                path,
+                format!("shape must be from {min} to {max}, found {found}"),
+            );
         }
-        if !(1e-9..=1e9).contains(&scale) {
-            return Err((
-                kind,
-                format!(
-                    "scale must be from 1e-9 to 1e9, found {}",
-                    format_compact(scale)
-                ),
-            ));
+        if !(1e-9..=1e9).contains(&self.scale) {
+            let found = format_compact(self.scale);
+            return reject(
+                path,
+                format!("scale must be from 1e-9 to 1e9, found {found}"),
+            );
         }
-        Ok([shape, scale])
+        Ok(range)
     }
 }
 
 impl HistogramSpec {
-    fn marginal(&self) -> Result<CoordinateMarginal, (&'static str, String)> {
+    fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
         let Self { edges, weights } = self;
         let increases = edges.windows(2).all(|pair| pair[0] < pair[1]);
         if edges.len() < 2 || !increases || !edges.iter().all(|edge| edge.is_finite()) {
-            return Err((
-                ".histogram.edges",
-                "must be at least two increasing finite numbers".to_owned(),
-            ));
+            let problem = "must be at least two increasing finite numbers";
+            return reject(".histogram.edges", problem);
         }
         if weights.len() + 1 != edges.len() {
             let problem = format!(
@@ -163,181 +197,136 @@ impl HistogramSpec {
                 edges.len(),
                 weights.len()
             );
-            return Err((".histogram.weights", problem));
+            return reject(".histogram.weights", problem);
         }
-        let probabilities = shares(weights).map_err(|problem| (".histogram.weights", problem))?;
         Ok(CoordinateMarginal::Histogram {
             edges: edges.clone(),
-            probabilities,
+            probabilities: normalize(weights, ".histogram.weights")?,
         })
     }
 }
 
 /// Returns the probabilities of relative weights.
-fn shares(weights: &[f64]) -> Result<Vec<f64>, String> {
-    if let Some(weight) = weights
-        .iter()
-        .find(|weight| !(**weight >= 0.0 && weight.is_finite()))
-    {
-        return Err(format!("must be finite numbers from 0, found {weight}"));
+fn normalize(weights: &[f64], path: &str) -> Result<Vec<f64>, InvalidSpace> {
+    let is_usable = |weight: f64| weight >= 0.0 && weight.is_finite();
+    if let Some(weight) = weights.iter().find(|weight| !is_usable(**weight)) {
+        return reject(
+            path,
+            format!("must be finite numbers from 0, found {weight}"),
+        );
     }
     let total: f64 = weights.iter().sum();
     if !(total > 0.0 && total.is_finite()) {
-        return Err(format!(
-            "must add up to a finite number above 0, found a sum of {}",
-            format_compact(total)
-        ));
+        let total = format_compact(total);
+        let problem = format!("must add up to a finite number above 0, found a sum of {total}");
+        return reject(path, problem);
     }
     Ok(weights.iter().map(|weight| weight / total).collect())
 }
 
 impl PointMassSpec {
-    fn marginal(&self) -> Result<CoordinateMarginal, (&'static str, String)> {
+    fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let others = self.others_marginal()?;
         let Self {
-            at,
-            probability,
-            others,
-        } = self;
-        if matches!(
-            **others,
-            DistributionSpec::Choice(_) | DistributionSpec::PointMass(_)
-        ) {
-            return Err((
-                ".point-mass.others",
-                "must have a density: no choice, and no other point mass".to_owned(),
-            ));
-        }
-        let in_others = |(field, problem): (&'static str, String)| {
-            (
-                ".point-mass.others",
-                format!("{}: {problem}", field.trim_start_matches('.')),
-            )
-        };
-        let others = others.marginal().map_err(in_others)?;
-        if !(0.0..1.0).contains(probability) {
-            return Err((
-                ".point-mass.probability",
-                format!(
-                    "must be from 0, below 1, found {}",
-                    format_compact(*probability)
-                ),
-            ));
+            at, probability, ..
+        } = *self;
+        if !(0.0..1.0).contains(&probability) {
+            let found = format_compact(probability);
+            let problem = format!("must be from 0, below 1, found {found}");
+            return reject(".point-mass.probability", problem);
         }
         let (low, high) = (others.low(), others.high());
-        if !at.is_finite() || (*at > low && *at < high) {
-            let (low, high, at) = (
-                format_compact(low),
-                format_compact(high),
-                format_compact(*at),
-            );
+        if !at.is_finite() || (at > low && at < high) {
+            let [low, high, found] = [low, high, at].map(format_compact);
             let problem = format!(
-                "must be at most {low} or at least {high}, where the others end, found {at}"
+                "must be at most {low} or at least {high}, where the others end, found {found}"
             );
-            return Err((".point-mass.at", problem));
+            return reject(".point-mass.at", problem);
         }
         Ok(CoordinateMarginal::PointMass {
-            at: *at,
-            probability: *probability,
-            is_first: *at <= low,
+            at,
+            probability,
+            is_first: at <= low,
             others: Box::new(others),
         })
     }
-}
 
-fn truncate(
-    kind: &'static str,
-    law: ContinuousDistribution,
-    low: f64,
-    high: f64,
-) -> Result<CoordinateMarginal, (&'static str, String)> {
-    let below = law.cdf(low);
-    let mass = law.cdf(high) - below;
-    if mass.is_nan() || mass < MIN_MASS {
-        let (low, high, mass) = (
-            format_compact(low),
-            format_compact(high),
-            format_compact(mass),
-        );
-        let problem = format!(
-            "the range from {low} to {high} holds a share of only {mass} of the distribution, and must hold {MIN_MASS}"
-        );
-        return Err((kind, problem));
+    fn others_marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let path = ".point-mass.others";
+        if matches!(
+            *self.others,
+            DistributionSpec::Choice(_) | DistributionSpec::PointMass(_)
+        ) {
+            let problem = "must have a density: no choice, and no other point mass";
+            return reject(path, problem);
+        }
+        self.others
+            .marginal()
+            .map_err(|InvalidSpace { field, problem }| {
+                let field = field.trim_start_matches('.');
+                InvalidSpace::new(path, format!("{field}: {problem}"))
+            })
     }
-    Ok(CoordinateMarginal::Truncated {
-        low,
-        high,
-        distribution: law,
-        cdf_low: below,
-        mass,
-    })
 }
 
-fn not_positive(kind: &'static str, field: &str, found: f64) -> (&'static str, String) {
-    (
-        kind,
-        format!("{field} must be above 0, found {}", format_compact(found)),
+fn check_positive(path: &str, name: &str, found: f64) -> Result<(), InvalidSpace> {
+    if found > 0.0 {
+        return Ok(());
+    }
+    let found = format_compact(found);
+    reject(path, format!("{name} must be above 0, found {found}"))
+}
+
+fn check_finite(path: &str, name: &str, found: f64) -> Result<(), InvalidSpace> {
+    if found.is_finite() {
+        return Ok(());
+    }
+    reject(
+        path,
+        format!("{name} must be a finite number, found {found}"),
     )
 }
 
-fn check_non_negative(kind: &'static str, low: f64) -> Result<(), (&'static str, String)> {
-    if low >= 0.0 {
-        Ok(())
-    } else {
-        Err((
-            kind,
-            format!("low must be from 0, found {}", format_compact(low)),
-        ))
+impl ChoiceSpec {
+    fn marginal(&self) -> Result<CoordinateMarginal, InvalidSpace> {
+        let values = self.check_values()?;
+        let path = ".choice.weights";
+        let weights = match &self.weights {
+            Some(weights) => weights.clone(),
+            None => vec![1.0; values.len()],
+        };
+        if weights.len() != values.len() {
+            let problem = format!(
+                "must be as many as values ({}), found {}",
+                values.len(),
+                weights.len()
+            );
+            return reject(path, problem);
+        }
+        Ok(CoordinateMarginal::Choice {
+            probabilities: normalize(&weights, path)?,
+            values,
+        })
     }
-}
 
-fn check_finite(kind: &'static str, field: &str, found: f64) -> Result<(), (&'static str, String)> {
-    if found.is_finite() {
-        Ok(())
-    } else {
-        Err((
-            kind,
-            format!("{field} must be a finite number, found {found}"),
-        ))
+    /// Returns the values as numbers.
+    fn check_values(&self) -> Result<Vec<f64>, InvalidSpace> {
+        let path = ".choice.values";
+        let numbers: Vec<f64> = self.values.iter().map(|value| value.number()).collect();
+        let Some(first) = self.values.first() else {
+            return reject(path, "must have at least one value");
+        };
+        if self.values.iter().any(|value| value.kind() != first.kind()) {
+            let problem = "must be all numbers, all classes or all drivers";
+            return reject(path, problem);
+        }
+        if let Some(value) = numbers.iter().find(|value| !value.is_finite()) {
+            return reject(path, format!("must be finite numbers, found {value}"));
+        }
+        let mut numbered = self.values.iter().enumerate();
+        match numbered.find(|(index, value)| self.values[..*index].contains(value)) {
+            Some((_, value)) => reject(path, format!("must differ, found {value} twice")),
+            None => Ok(numbers),
+        }
     }
-}
-
-fn choice_marginal(choice: &ChoiceSpec) -> Result<CoordinateMarginal, (&'static str, String)> {
-    let unusable = |problem: String| Err((".choice.values", problem));
-    let values: Vec<f64> = choice.values.iter().map(|value| value.number()).collect();
-    if values.is_empty() {
-        return unusable("must have at least one value".to_owned());
-    }
-    if choice
-        .values
-        .windows(2)
-        .any(|pair| pair[0].kind() != pair[1].kind())
-    {
-        return unusable("must be all numbers, all classes or all drivers".to_owned());
-    }
-    if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-        return unusable(format!("must be finite numbers, found {value}"));
-    }
-    let mut known = choice.values.iter().enumerate();
-    if let Some((_, value)) =
-        known.find(|(index, value)| choice.values.iter().take(*index).any(|v| v == *value))
-    {
-        return unusable(format!("must differ, found {value} twice"));
-    }
-    let weights = choice
-        .weights
-        .clone()
-        .unwrap_or_else(|| vec![1.0; values.len()]);
-    let unusable = |problem: String| Err((".choice.weights", problem));
-    if weights.len() != values.len() {
-        return unusable(format!(
-            "must be as many as values ({}), found {}",
-            values.len(),
-            weights.len()
-        ));
-    }
-    let probabilities = shares(&weights).map_err(|problem| (".choice.weights", problem))?;
-    Ok(CoordinateMarginal::Choice {
-        values,
-        probabilities,
-    })
 }

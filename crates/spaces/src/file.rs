@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
+use super::{InvalidSpace, ScenarioSpace, SpaceProblem, SpaceSpec};
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{InvalidField, OpenDriver};
@@ -27,24 +27,13 @@ pub fn from_toml(
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     ScenarioSpace::new(spec, folder, opener).map_err(
-        |InvalidSpace {
-             field,
-             problem,
-             start_refused,
-         }| match start_refused {
-            Some(refused) => {
-                let line = line_in_toml(text, &field);
-                let invalid = InvalidField {
-                    field,
-                    problem: refused.into(),
-                };
-                ScenarioFileError::Invalid {
-                    path: path.to_owned(),
-                    line,
-                    invalid,
-                }
-            }
-            None => FileError::from_field(path, text, &field, problem).into(),
+        |InvalidSpace { field, problem }| match problem {
+            SpaceProblem::StartRefused(refusal) => ScenarioFileError::Invalid {
+                path: path.to_owned(),
+                line: line_in_toml(text, &field),
+                invalid: InvalidField::new(field, refusal),
+            },
+            problem => FileError::from_field(path, text, &field, problem).into(),
         },
     )
 }

@@ -56,6 +56,7 @@ mod derived;
 mod distribution;
 mod field;
 pub mod file;
+mod invalid;
 mod marginal;
 mod numeric_fields;
 mod observed;
@@ -73,8 +74,9 @@ pub use built_in::{
     BUILT_IN_SPACES, FindSpaceError, HUMAN_SPACES, built_in_space, built_in_space_names,
     built_in_space_summary, find_space,
 };
-pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
+pub use check::{KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
+pub use invalid::{InvalidSpace, SpaceProblem};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 pub use parameter_distribution::ParameterDistribution;
 pub use spec::{

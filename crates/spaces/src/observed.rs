@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{InvalidSpace, reject};
+use super::invalid::{InvalidSpace, reject};
 use super::spec::SpaceSpec;
 use crumple_core::digits::format_compact;
 use crumple_core::text_file::is_default;

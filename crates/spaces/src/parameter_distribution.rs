@@ -1,6 +1,6 @@
 //! Distributions of a parameter, in its unit, for fitting.
 
-use super::check::InvalidSpace;
+use super::invalid::InvalidSpace;
 use super::marginal::CoordinateMarginal;
 use super::spec::DistributionSpec;
 
@@ -14,8 +14,9 @@ impl DistributionSpec {
     /// # Errors
     /// [`InvalidSpace`] names the invalid field.
     pub fn build(&self) -> Result<ParameterDistribution, InvalidSpace> {
-        let wrong = |(field, problem)| InvalidSpace::new(format!("distribution{field}"), problem);
-        self.marginal().map(ParameterDistribution).map_err(wrong)
+        self.marginal()
+            .map(ParameterDistribution)
+            .map_err(|invalid| invalid.within("distribution"))
     }
 }
 

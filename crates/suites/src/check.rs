@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crumple_core::digits::format_compact;
+use crumple_core::field_error::FieldError;
 use crumple_core::text_file::FileError;
 use crumple_sim::scenario::InvalidField;
 
@@ -34,14 +35,7 @@ pub enum SuiteError {
 }
 
 /// An invalid field of a suite.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: {problem}")]
-pub struct InvalidSuite {
-    /// Path of the field, such as `clauses[0].tests[1].lead`.
-    pub field: String,
-    /// Problem of the field.
-    pub problem: SuiteProblem,
-}
+pub type InvalidSuite = FieldError<SuiteProblem>;
 
 /// Problem of a field of a suite.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -192,14 +186,7 @@ fn ensure(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> C
     if condition {
         Ok(())
     } else {
-        Err(invalid(field, problem))
-    }
-}
-
-fn invalid(field: impl Into<String>, problem: SuiteProblem) -> InvalidSuite {
-    InvalidSuite {
-        field: field.into(),
-        problem,
+        Err(InvalidSuite::new(field, problem))
     }
 }
 
@@ -263,7 +250,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
                 || !test.ranges.is_empty();
             return ensure(!misplaced, place, SuiteProblem::LeadOrRefusal).map(|()| 0);
         }
-        _ => return Err(invalid(place, SuiteProblem::LeadOrRefusal)),
+        _ => return Err(InvalidSuite::new(place, SuiteProblem::LeadOrRefusal)),
     };
     check_parameters(test, lead, place)?;
     if let Some(ImpactLimit {
@@ -326,7 +313,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     for (index, margin) in test.margins.iter().enumerate() {
         let field = format!("{place}.margins[{index}]");
         let Some((at, stated)) = test.find_parameter(margin.parameter) else {
-            return Err(invalid(
+            return Err(InvalidSuite::new(
                 format!("{field}.push"),
                 SuiteProblem::Misplaced { lead: lead.name() },
             ));
@@ -375,14 +362,17 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
             .filter(|parameter| test.parameters.get(**parameter).is_some());
         match (stated.next(), stated.next(), needed) {
             (Some(&other), Some(&twice), _) => {
-                return Err(invalid(field(twice), SuiteProblem::AlreadyStated { other }));
+                return Err(InvalidSuite::new(
+                    field(twice),
+                    SuiteProblem::AlreadyStated { other },
+                ));
             }
             (None, _, [first, others @ ..]) => {
                 let missing = SuiteProblem::Missing {
                     lead: lead.name(),
                     alternative: others.first().copied(),
                 };
-                return Err(invalid(field(*first), missing));
+                return Err(InvalidSuite::new(field(*first), missing));
             }
             _ => {}
         }
@@ -398,7 +388,7 @@ fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) 
     }
     let point_in_words = || test.describe_point(point);
     test.scenario("point", "", point).map(drop).map_err(|why| {
-        invalid(
+        InvalidSuite::new(
             field,
             SuiteProblem::Scenario {
                 point: point_in_words(),

@@ -5,16 +5,10 @@ use std::fmt;
 use super::SCENARIO_VERSION;
 use crate::control::StartRefusal;
 use crumple_core::digits::format_compact;
+use crumple_core::field_error::FieldError;
 
 /// An invalid field of a scenario, with its path and its problem.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{field}: {problem}")]
-pub struct InvalidField {
-    /// Path of the field in the file, such as `vehicles[1].position_m`.
-    pub field: String,
-    /// Problem of the field.
-    pub problem: FieldProblem,
-}
+pub type InvalidField = FieldError<FieldProblem>;
 
 /// A problem of a scenario field.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::RecordingMapSpec;
 use super::check::{check, is_same_name};
+use crumple_core::field_error::FieldError;
 use crumple_core::text_file::{FileError, parse_toml, read_at_most};
 
 const MAX_MAP_BYTES: u64 = 64 << 10;
@@ -32,12 +33,13 @@ impl RecordingMap {
         if let (Some(dbc), Some(folder)) = (&mut spec.dbc, path.parent()) {
             *dbc = folder.join(&*dbc);
         }
-        Self::new(spec)
-            .map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))
+        Self::new(spec).map_err(|FieldError { field, problem }| {
+            FileError::from_field(path, text, &field, problem)
+        })
     }
 
-    /// Checks a map. The error is the first invalid field, with its problem.
-    pub(in crate::recording) fn new(spec: RecordingMapSpec) -> Result<Self, (String, String)> {
+    /// Checks a map. The error names the first invalid field.
+    pub(in crate::recording) fn new(spec: RecordingMapSpec) -> Result<Self, FieldError> {
         check(&spec)?;
         Ok(Self { spec })
     }

@@ -1,6 +1,7 @@
 //! Validation of maps.
 
 use crumple_core::digits::format_number;
+use crumple_core::field_error::FieldError;
 
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
@@ -16,9 +17,9 @@ const MAX_INTERPOLATION_S: f64 = 2.0;
 /// Longest blip of a lane id, in seconds; a vehicle may pass through a lane in a longer time.
 const MAX_LANE_BLIP_S: f64 = 5.0;
 
-/// Returns the first invalid field and its problem as the error.
-pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
-    let wrong = |field: &str, problem: String| Err((field.to_owned(), problem));
+/// Checks a map. The error names the first invalid field.
+pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), FieldError> {
+    let wrong = |field: &str, problem: String| Err(FieldError::new(field, problem));
     if spec.version != MAP_VERSION {
         return wrong(
             "version",
@@ -207,14 +208,15 @@ impl RecordingMapSpec {
     }
 }
 
-fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
+fn check_platoon(spec: &PlatoonSpec) -> Result<(), FieldError> {
     for (field, column) in [
         ("speed", &spec.speed.column),
         ("spacing", &spec.spacing.column),
     ] {
         if column.matches("{}").count() != 1 {
             let problem = "must hold `{}` once, where the vehicle's number stands";
-            return Err((format!("layout.platoon.{field}.column"), problem.to_owned()));
+            let field = format!("layout.platoon.{field}.column");
+            return Err(FieldError::new(field, problem));
         }
     }
     for (field, line) in [
@@ -227,12 +229,12 @@ fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
     }
     if spec.speed.acceleration.is_some() {
         let problem = "acceleration: is not used for platoons: remove it";
-        return Err(("layout.platoon.speed".to_owned(), problem.to_owned()));
+        return Err(FieldError::new("layout.platoon.speed", problem));
     }
     check_length("layout.platoon", spec.spacing.from, spec.length_m)
 }
 
-fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
+fn check_pairs(spec: &PairsSpec) -> Result<(), FieldError> {
     let speeds = [
         spec.follower_speed.is_some(),
         spec.leader_speed.is_some(),
@@ -240,53 +242,47 @@ fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
     ];
     if speeds.into_iter().filter(|is_given| *is_given).count() < 2 {
         let problem = "needs two of follower_speed, leader_speed and relative_speed";
-        return Err(("layout.pairs".to_owned(), problem.to_owned()));
+        return Err(FieldError::new("layout.pairs", problem));
     }
     check_length("layout.pairs", spec.spacing.from, spec.length_m)
 }
 
 /// Requires a length exactly where spacings are from front to front.
-fn check_length(
-    layout: &str,
-    from: Spacing,
-    length_m: Option<f64>,
-) -> Result<(), (String, String)> {
+fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<(), FieldError> {
     let field = format!("{layout}.length_m");
     match (from, length_m) {
-        (Spacing::FrontToFront, None) => Err((
-            layout.to_owned(),
-            "length_m: is needed for spacings from front to front".to_owned(),
+        (Spacing::FrontToFront, None) => Err(FieldError::new(
+            layout,
+            "length_m: is needed for spacings from front to front",
         )),
-        (Spacing::BumperToBumper, Some(_)) => Err((
+        (Spacing::BumperToBumper, Some(_)) => Err(FieldError::new(
             field,
-            "is not used for spacings from bumper to bumper: remove it".to_owned(),
+            "is not used for spacings from bumper to bumper: remove it",
         )),
         (Spacing::FrontToFront, Some(length_m)) => check_range(&field, length_m, [0.1, 100.0]),
         (Spacing::BumperToBumper, None) => Ok(()),
     }
 }
 
-fn check_name(field: &str, name: &str) -> Result<(), (String, String)> {
+fn check_name(field: &str, name: &str) -> Result<(), FieldError> {
     let letters = name.chars().count();
     if name.trim() != name || !(1..=MAX_TEXT_LENGTH).contains(&letters) {
         let problem = format!(
             "must be 1 to {MAX_TEXT_LENGTH} letters without blanks around them, found {letters}"
         );
-        return Err((field.to_owned(), problem));
+        return Err(FieldError::new(field, problem));
     }
     Ok(())
 }
 
-fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (String, String)> {
+fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), FieldError> {
     if (min..=max).contains(&found) {
         Ok(())
     } else {
-        Err((
-            field.to_owned(),
-            format!(
-                "must be from {min} to {max}, found {}",
-                format_number(found)
-            ),
+        let found = format_number(found);
+        Err(FieldError::new(
+            field,
+            format!("must be from {min} to {max}, found {found}"),
         ))
     }
 }
