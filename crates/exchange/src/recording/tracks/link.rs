@@ -1,10 +1,13 @@
 //! Links of leaders and followers.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::iter::{Enumerate, Peekable};
+use std::vec;
 
 use super::super::dropped::Omission;
 use super::super::series::{ColumnQuantity, round_to_milli};
-use super::{Occurrences, TrackPoint, count, sortable};
+use super::TrackPoint;
 
 /// Maximum number of absent vehicles at one instant; with more, no vehicle is linked, which bounds the time of linking.
 const MAX_ABSENT: usize = 256;
@@ -12,12 +15,67 @@ const MAX_ABSENT: usize = 256;
 const BRAKE_MPS2: f64 = 8.0;
 const ACCEL_MPS2: f64 = 4.0;
 
-const UNKNOWN_POSITION: &str = " times the position or the length of a vehicle is not known, the first time here: no \
-    vehicle follows it, or a vehicle beyond it, then";
-const ABSENT: &str = " times a vehicle that has rows before and after may be between two others, the first time here: \
-    they do not follow each other then";
-const OVERLAPPING: &str = " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows \
-    no vehicle then";
+/// Place of vehicles that may follow each other: one instant, lane and direction.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct RowKey {
+    time_ms: i64,
+    lane: u32,
+    position_decreases: bool,
+}
+
+impl RowKey {
+    fn new(point: &TrackPoint) -> Self {
+        Self {
+            time_ms: point.time_ms,
+            lane: point.lane,
+            position_decreases: point.position_decreases,
+        }
+    }
+}
+
+/// A point by its row and its index.
+#[derive(Clone, Copy)]
+struct RowEntry {
+    row: RowKey,
+    index: u32,
+}
+
+/// Reason why a vehicle follows no vehicle.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum LinkProblem {
+    UnknownPosition,
+    Absence,
+    Overlap,
+}
+
+/// Prints the problem as the end of a sentence that begins with the number of its occurrences.
+impl fmt::Display for LinkProblem {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::UnknownPosition => {
+                " times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
+                it, or a vehicle beyond it, then"
+            }
+            Self::Absence => {
+                " times a vehicle that has rows before and after may be between two others, the first time here: they \
+                do not follow each other then"
+            }
+            Self::Overlap => {
+                " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle \
+                then"
+            }
+        })
+    }
+}
+
+/// Line of the first occurrence of each problem, and their number.
+type LinkProblems = BTreeMap<LinkProblem, (u64, usize)>;
+
+fn count(problems: &mut LinkProblems, problem: LinkProblem, point: &TrackPoint) {
+    if !point.is_margin {
+        problems.entry(problem).or_insert((point.line, 0)).1 += 1;
+    }
+}
 
 /// A vehicle between two of its rows, while other vehicles have rows.
 struct Absence {
@@ -69,122 +127,153 @@ impl Absence {
     }
 }
 
+/// The absences that are under way while time advances.
+struct CurrentAbsences {
+    to_come: Peekable<Enumerate<vec::IntoIter<Absence>>>,
+    /// By their ends.
+    current: BTreeMap<(i64, usize), Absence>,
+}
+
+impl CurrentAbsences {
+    /// Creates them before the first absence. `absences` are in order of their starts.
+    fn new(absences: Vec<Absence>) -> Self {
+        Self {
+            to_come: absences.into_iter().enumerate().peekable(),
+            current: BTreeMap::new(),
+        }
+    }
+
+    fn advance(&mut self, time_ms: i64) {
+        let has_begun = |(_, absence): &(usize, Absence)| absence.from_ms < time_ms;
+        while let Some((index, absence)) = self.to_come.next_if(has_begun) {
+            self.current.insert((absence.to_ms, index), absence);
+        }
+        while let Some(first) = self.current.first_entry()
+            && first.key().0 <= time_ms
+        {
+            first.remove();
+        }
+    }
+
+    /// Returns whether a vehicle may be between two others.
+    fn may_be_between(&self, ahead: &TrackPoint, rear_m: f64, behind_front_m: f64) -> bool {
+        let mut absences = self.current.values();
+        self.current.len() > MAX_ABSENT
+            || absences.any(|absence| absence.may_be_between(ahead, rear_m, behind_front_m))
+    }
+}
+
 /// Links each point with its leader and follower. A vehicle with unknown position may be anywhere in its lane, so no
 /// point of that lane at that time is linked. A vehicle with unknown length is not linked. No points are linked if a
 /// vehicle that has rows before and after may be between them. Appends omissions, with the line of the first one.
 pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u64, Omission)>) {
-    let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
-    let (mut unknown_position, mut unlinkable): (Occurrences, _) = (None, BTreeSet::new());
-    for point in points
+    let mut problems = count_unknown_positions(points);
+    let unlinkable: BTreeSet<RowKey> = points
         .iter()
-        .filter(|point| point.position_m.is_none() || point.length_m.is_none())
-    {
-        if !point.is_margin {
-            let (first, count) = unknown_position.unwrap_or((point.line, 0));
-            unknown_position = Some((first.min(point.line), count + 1));
-        }
-        if point.position_m.is_none() {
-            unlinkable.insert(row(point));
-        }
-    }
+        .filter(|point| point.position_m.is_none())
+        .map(RowKey::new)
+        .collect();
     let order = order_rows(points);
-    let mut to_come = absences(points, &order, blip_ms)
-        .into_iter()
-        .enumerate()
-        .peekable();
-    // Keyed by the absence's end.
-    let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
-    let (mut overlapping, mut absent) = (None, None);
+    let mut absent = CurrentAbsences::new(absences(points, &order, blip_ms));
     for pair in order.windows(2) {
         let &[front, rear] = pair else { continue };
-        // Keys of different rows differ above the index.
-        if (front ^ rear) >> 32 != 0 {
+        if front.row != rear.row || unlinkable.contains(&front.row) {
             continue;
         }
-        let [front, rear] = [front, rear].map(|key| key as u32);
-        let [ahead, behind] = [front, rear].map(|index| &points[index as usize]);
-        if unlinkable.contains(&row(ahead)) {
-            continue;
-        }
-        let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else {
-            continue;
-        };
-        let gap_m = ahead.front_m - length_m - behind.front_m;
-        while let Some((index, absence)) =
-            to_come.next_if(|(_, absence)| absence.from_ms < ahead.time_ms)
-        {
-            absent_now.insert((absence.to_ms, index), absence);
-        }
-        while absent_now
-            .first_entry()
-            .is_some_and(|first| first.key().0 <= ahead.time_ms)
-        {
-            absent_now.pop_first();
-        }
-        let rear_m = ahead.front_m - length_m;
-        let hides_vehicle =
-            |absence: &Absence| absence.may_be_between(ahead, rear_m, behind.front_m);
-        if !ColumnQuantity::Gap.allows(gap_m) {
-            if round_to_milli(gap_m) <= 0.0 {
-                count(&mut overlapping, behind);
+        absent.advance(front.row.time_ms);
+        let [ahead, behind] = [front, rear].map(|entry| &points[entry.index as usize]);
+        match gap_between(ahead, behind, &absent) {
+            Ok(Some(gap_m)) => {
+                points[rear.index as usize].ahead = Some((gap_m, front.index));
+                points[front.index as usize].behind = Some(rear.index);
             }
-        } else if absent_now.len() > MAX_ABSENT || absent_now.values().any(hides_vehicle) {
-            count(&mut absent, behind);
-        } else {
-            points[rear as usize].ahead = Some((gap_m, front));
-            points[front as usize].behind = Some(rear);
+            Ok(None) => {}
+            Err(problem) => count(&mut problems, problem, behind),
         }
     }
-    for (found, after) in [
-        (unknown_position, UNKNOWN_POSITION),
-        (absent, ABSENT),
-        (overlapping, OVERLAPPING),
-    ] {
-        dropped.extend(
-            found.map(|(line, count): (u64, usize)| (line, Omission::counted("", count, after))),
-        );
+    dropped.extend(problems.into_iter().map(|(problem, (line, number))| {
+        (line, Omission::counted("", number, problem.to_string()))
+    }));
+}
+
+/// Counts points with unknown positions or lengths. Points are not in order of their lines.
+fn count_unknown_positions(points: &[TrackPoint]) -> LinkProblems {
+    let is_unknown = |point: &&TrackPoint| {
+        !point.is_margin && (point.position_m.is_none() || point.length_m.is_none())
+    };
+    let lines = || points.iter().filter(is_unknown).map(|point| point.line);
+    lines()
+        .min()
+        .map(|first| (LinkProblem::UnknownPosition, (first, lines().count())))
+        .into_iter()
+        .collect()
+}
+
+/// Returns the gap of a vehicle to the next point of its row; `None` if it is unknown or too large.
+fn gap_between(
+    ahead: &TrackPoint,
+    behind: &TrackPoint,
+    absent: &CurrentAbsences,
+) -> Result<Option<f64>, LinkProblem> {
+    let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else {
+        return Ok(None);
+    };
+    let rear_m = ahead.front_m - length_m;
+    let gap_m = rear_m - behind.front_m;
+    if ColumnQuantity::Gap.allows(gap_m) {
+        match absent.may_be_between(ahead, rear_m, behind.front_m) {
+            true => Err(LinkProblem::Absence),
+            false => Ok(Some(gap_m)),
+        }
+    } else if round_to_milli(gap_m) <= 0.0 {
+        Err(LinkProblem::Overlap)
+    } else {
+        Ok(None)
     }
 }
 
-/// Returns the points by time, lane and direction, and then front to rear. The low 32 bits of each key are the index of
-/// the point.
-fn order_rows(points: &[TrackPoint]) -> Vec<u128> {
-    let key = |(point, index): (&TrackPoint, u32)| {
-        let row = u64::from(point.lane) << 33 | u64::from(point.position_decreases) << 32;
-        u128::from(sortable(point.time_ms)) << 64 | u128::from(row | u64::from(index))
-    };
-    let mut order: Vec<u128> = points.iter().zip(0..).map(key).collect();
-    order.sort_unstable();
-    let front_m = |key: u128| points[key as u32 as usize].front_m;
-    for row in order.chunk_by_mut(|a, b| (a ^ b) >> 32 == 0) {
-        row.sort_by(|&a, &b| front_m(b).total_cmp(&front_m(a)));
+/// Returns the points by row, and then front to rear.
+fn order_rows(points: &[TrackPoint]) -> Vec<RowEntry> {
+    let mut order: Vec<RowEntry> = points
+        .iter()
+        .zip(0..)
+        .map(|(point, index)| RowEntry {
+            row: RowKey::new(point),
+            index,
+        })
+        .collect();
+    // The stable sort is as fast as one of packed keys: points of a vehicle are in order already.
+    order.sort_by_key(|entry| entry.row);
+    let front_m = |entry: &RowEntry| points[entry.index as usize].front_m;
+    for row in order.chunk_by_mut(|a, b| a.row == b.row) {
+        row.sort_by(|a, b| front_m(b).total_cmp(&front_m(a)));
     }
     order
 }
 
 /// Returns the index of the first instant after a time. Mostly it is one of the first, so the search doubles its steps:
 /// a walk would visit all instants for each vehicle that is long absent.
-fn later_instants(instants: &[u64], time: u64) -> usize {
+fn later_instants(instants: &[i64], time_ms: i64) -> usize {
     let mut end = 1;
-    while instants.get(end).is_some_and(|&instant| instant <= time) {
+    while instants.get(end).is_some_and(|&instant| instant <= time_ms) {
         end *= 2;
     }
     instants
         .get(..end.min(instants.len()))
         .unwrap_or_default()
-        .partition_point(|&instant| instant <= time)
+        .partition_point(|&instant| instant <= time_ms)
 }
 
 /// Returns the absences during which other vehicles have rows, in order of their starts. A vehicle is also absent from
 /// a lane that it leaves for at most `blip_ms`.
-fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence> {
-    let mut instants: Vec<u64> = order.iter().map(|key| (key >> 64) as u64).collect();
+fn absences(points: &[TrackPoint], order: &[RowEntry], blip_ms: i64) -> Vec<Absence> {
+    let mut instants: Vec<i64> = order.iter().map(|entry| entry.row.time_ms).collect();
     instants.dedup();
     let mut absences = Vec::new();
     for track in points.chunk_by(|a, b| a.track == b.track) {
         let mut known = track.iter().filter(|point| point.position_m.is_some());
         let Some(mut a) = known.next() else { continue };
-        let mut next = instants.partition_point(|&instant| instant <= sortable(a.time_ms));
+        let mut next = instants.partition_point(|&instant| instant <= a.time_ms);
         let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
         for b in known {
             if a.lane != b.lane {
@@ -196,15 +285,12 @@ fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence>
             }
             if instants
                 .get(next)
-                .is_some_and(|&instant| instant < sortable(b.time_ms))
+                .is_some_and(|&instant| instant < b.time_ms)
             {
                 absences.push(Absence::new(a, b));
             }
             a = b;
-            next += later_instants(
-                instants.get(next..).unwrap_or_default(),
-                sortable(a.time_ms),
-            );
+            next += later_instants(instants.get(next..).unwrap_or_default(), a.time_ms);
         }
     }
     absences.sort_by_key(|absence| absence.from_ms);

@@ -84,12 +84,6 @@ pub(super) struct TrackRules<'m> {
 /// Occurrences of one kind: line of the first, and number.
 type Occurrences = Option<(u64, usize)>;
 
-fn count(occurrences: &mut Occurrences, point: &TrackPoint) {
-    if !point.is_margin {
-        occurrences.get_or_insert((point.line, 0)).1 += 1;
-    }
-}
-
 fn to_ms(seconds: f64) -> i64 {
     (seconds * 1000.0).round() as i64
 }
