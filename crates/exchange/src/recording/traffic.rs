@@ -1,28 +1,23 @@
 //! Rows of tracks, as in highD and NGSIM: each row holds one vehicle among many at one instant.
 
-use std::collections::{BTreeSet, HashMap};
+mod columns;
+
+use std::io;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 
+use self::columns::TrackColumns;
 use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
-use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{
-    ColumnUnit, LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, TracksSpec,
-};
+use super::error::{LineProblem, RecordingError};
+use super::map::{LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec};
 use super::parts::{ALL_TIMES, MAX_POINTS, MAX_SIMULTANEOUS, PART_ROWS, PartBounds, PartSink};
-use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
-use super::table::{CsvColumn, CsvRow, RowReader, excerpt, is_missing};
+use super::table::{CsvColumn, CsvRow, RowReader};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
 use super::{RecordedTraffic, Recording, TextFormat};
-
-const MAX_LANES: usize = 10_000;
-/// Each takes about 200 bytes.
-const MAX_VEHICLES: usize = 2 * PART_ROWS;
-/// Longest id of a vehicle, in bytes.
-const MAX_ID_BYTES: usize = 200;
 
 /// Reads the rows after the column names.
 pub(super) fn read(
@@ -31,160 +26,54 @@ pub(super) fn read(
     names: &CsvRow<'_>,
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    let mut clock = Clock::find(names, &map.time)?;
-    let vehicle = CsvColumn::find(names, &spec.vehicle, ColumnUnit::None)?;
-    let lane = spec
-        .lane
-        .as_ref()
-        .map(|name| CsvColumn::find(names, name, ColumnUnit::None))
-        .transpose()?;
-    let series =
-        |name: &str, unit, quantity| Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity));
-    let mut position = series(
-        &spec.position.column,
-        LengthUnit::of_column(spec.position.unit),
-        ColumnQuantity::Signed,
-    )?;
-    let mut speed = series(
-        &spec.speed.column,
-        SpeedUnit::of_column(spec.speed.unit),
-        ColumnQuantity::SignedSpeed,
-    )?;
-    let (mut length, constant_m) = match &spec.length {
-        LengthSpec::Column(column) => (
-            Some(series(
-                &column.name,
-                LengthUnit::of_column(column.unit),
-                ColumnQuantity::Length,
-            )?),
-            0.0,
-        ),
-        LengthSpec::Metres(metres) => (None, *metres),
-    };
-    let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
-    let (mut vehicles, mut lanes) = (TextIds::default(), TextIds::default());
-    let (mut points, mut spilled) = (Vec::new(), SpilledPoints::default());
-    let path = table.path();
-    let disk = |source| RecordingError::Spill {
-        path: path.to_owned(),
-        source,
-    };
-    while let Some(row) = table.next_sample(&names.fields)? {
-        let time_s = clock.read(row)?;
-        // SUMO writes a row without values for a time without vehicles.
-        if [vehicle.index, position.column.index, speed.column.index]
-            .iter()
-            .all(|&index| is_missing(row.text(index)))
-        {
-            continue;
-        }
-        let vehicle = vehicles.index(row, &vehicle)?;
-        // A vehicle without a lane could be in any lane.
-        let lane = lane
-            .as_ref()
-            .map_or(Ok(0), |column| lanes.index(row, column))?;
-        for (known, limit, what) in [
-            (&lanes, MAX_LANES, "lanes"),
-            (&vehicles, MAX_VEHICLES, "vehicles"),
-        ] {
-            if known.indices.len() > limit {
-                return row.reject_too_large(limit, what);
-            }
-        }
-        let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
-        let length_m = length
-            .as_mut()
-            .map_or(Ok(Some(constant_m)), |series| series.read(row))?;
-        let acceleration_mps2 = acceleration
-            .as_mut()
-            .map_or(Ok(None), |one| one.series.read(row))?
-            .map(|mps2| mps2 as f32);
-        // Points with unknown values stay in the list; without them, the next vehicle would seem to follow the wrong
-        // leader.
-        let time_ms = (time_s * 1000.0).round() as i64;
-        let line = row.line;
-        points.push(TrackPoint {
-            vehicle,
-            lane,
-            time_ms,
-            line,
-            position_m,
-            speed_mps,
-            length_m,
-            acceleration_mps2,
-            ..Default::default()
-        });
-        if points.len() > PART_ROWS {
-            spilled.write(&mut points).map_err(disk)?;
-        }
-    }
+    let mut columns = TrackColumns::find(names, map, spec)?;
+    let mut spilled = SpilledPoints::default();
+    let points = read_points(table, names, &mut columns, &mut spilled)?;
     let mut dropped = Vec::new();
     table.check_samples(&mut dropped)?;
-    let accelerations = acceleration.as_ref().map(|one| &one.series);
-    for series in [
-        Some(&position),
-        Some(&speed),
-        length.as_ref(),
-        accelerations,
-    ]
-    .into_iter()
-    .flatten()
-    {
-        series.report(path, table.samples, &mut dropped);
-    }
-    let time = (clock.column.factor, clock.detected());
-    let (columns, vehicles) = (
-        [position.column, speed.column],
-        vehicles.into_vehicles().into(),
-    );
+    columns.report(table.path(), table.samples, &mut dropped);
     let mut parts = TrafficParts {
         table,
         map,
         spec,
-        columns,
-        time,
-        acceleration,
-        vehicles,
+        time: (columns.clock.column.factor, columns.clock.detected()),
+        columns: [columns.position.column, columns.speed.column],
+        acceleration: columns.acceleration,
+        vehicles: columns.vehicles.into_vehicles().into(),
         dropped,
     };
     if spilled.is_empty() {
         each(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
     }
-    spilled.write(&mut points).map_err(disk)?;
-    let mut sorted = spilled.read().map_err(disk)?;
-    let mut bounds = PartBounds::new(0);
-    let mut simultaneous = 0;
-    while let Some(point) = sorted.next().map_err(disk)? {
-        if bounds.ends_before(point.time_ms) {
-            let (core_ms, next_ms) = bounds.next();
-            let [margin, core_end] = [next_ms, core_ms.end]
-                .map(|from_ms| points.partition_point(|known| known.time_ms < from_ms));
-            let margin = points[margin.max(core_end.saturating_sub(PART_ROWS))..].to_vec();
-            let part = std::mem::replace(&mut points, margin);
-            if !each(parts.part(part, core_ms)?)? {
-                return Ok(());
-            }
+    parts.emit(points, spilled, each)
+}
+
+/// Reads all points. Those that are too many for memory go to `spilled`.
+fn read_points(
+    table: &mut RowReader<'_>,
+    names: &CsvRow<'_>,
+    columns: &mut TrackColumns,
+    spilled: &mut SpilledPoints,
+) -> Result<Vec<TrackPoint>, RecordingError> {
+    let path = table.path();
+    let mut points = Vec::new();
+    while let Some(row) = table.next_sample(&names.fields)? {
+        points.extend(columns.read(row)?);
+        if points.len() > PART_ROWS {
+            spilled
+                .write(&mut points)
+                .map_err(|source| spill_error(path, source))?;
         }
-        simultaneous = match points.last() {
-            Some(before) if before.time_ms == point.time_ms => simultaneous + 1,
-            _ => 1,
-        };
-        if simultaneous > MAX_SIMULTANEOUS {
-            let problem = LineProblem::TooLarge {
-                limit: MAX_SIMULTANEOUS,
-                what: "rows at one time",
-            };
-            return Err(RecordingError::Line {
-                path: path.to_owned(),
-                line: point.line,
-                problem,
-            });
-        }
-        points.push(point);
     }
-    each(parts.part(points, bounds.next().0)?)?;
-    Ok(())
+    Ok(points)
+}
+
+fn spill_error(path: &Path, source: io::Error) -> RecordingError {
+    RecordingError::Spill {
+        path: path.to_owned(),
+        source,
+    }
 }
 
 /// Context of the parts of a recording.
@@ -203,197 +92,166 @@ struct TrafficParts<'t, 'p> {
 }
 
 impl TrafficParts<'_, '_> {
+    /// Passes on the parts of a recording that is too large for memory; `points` are its last rows.
+    fn emit(
+        mut self,
+        mut points: Vec<TrackPoint>,
+        mut spilled: SpilledPoints,
+        each: &mut PartSink<'_>,
+    ) -> Result<(), RecordingError> {
+        let path = self.table.path();
+        let disk = |source| spill_error(path, source);
+        spilled.write(&mut points).map_err(disk)?;
+        let mut sorted = spilled.read().map_err(disk)?;
+        let mut bounds = PartBounds::new(0);
+        let mut simultaneous = 0;
+        while let Some(point) = sorted.next().map_err(disk)? {
+            if bounds.ends_before(point.time_ms) {
+                let (core_ms, next_ms) = bounds.next();
+                let margin = next_margin(&points, core_ms.end, next_ms);
+                let part = std::mem::replace(&mut points, margin);
+                if !each(self.part(part, core_ms)?)? {
+                    return Ok(());
+                }
+            }
+            simultaneous = match points.last() {
+                Some(before) if before.time_ms == point.time_ms => simultaneous + 1,
+                _ => 1,
+            };
+            if simultaneous > MAX_SIMULTANEOUS {
+                return Err(self.too_large(point.line, MAX_SIMULTANEOUS, "rows at one time"));
+            }
+            points.push(point);
+        }
+        each(self.part(points, bounds.next().0)?)?;
+        Ok(())
+    }
+
+    fn too_large(&self, line: u64, limit: usize, what: &'static str) -> RecordingError {
+        RecordingError::Line {
+            path: self.table.path().to_owned(),
+            line,
+            problem: LineProblem::TooLarge { limit, what },
+        }
+    }
+
     /// Builds the tracks of a part, whose margins lie outside of the core.
     fn part(
         &mut self,
         mut points: Vec<TrackPoint>,
         core_ms: Range<i64>,
     ) -> Result<Recording, RecordingError> {
-        let Self {
-            table,
-            map,
-            spec,
-            columns,
-            acceleration,
-            ..
-        } = self;
-        let path = table.path();
-        points
-            .iter_mut()
-            .for_each(|point| point.is_margin = !core_ms.contains(&point.time_ms));
+        let path = self.table.path();
+        for point in &mut points {
+            point.is_margin = !core_ms.contains(&point.time_ms);
+        }
         let mut dropped = std::mem::take(&mut self.dropped);
-        let item = |line, omission| DroppedItem {
-            path: path.to_owned(),
-            line,
-            omission,
-        };
-        if let Some((first, count)) = tracks::sort(&mut points) {
-            let vehicle = tracks::label(&self.vehicles, first.vehicle);
-            let before = format!("vehicle {vehicle} is in two places at once here; of ");
-            dropped.push(item(
-                first.line,
-                Omission::counted(before, count, " such rows each first one is kept"),
-            ));
-        }
+        let duplicates = tracks::sort(&mut points);
+        dropped.extend(duplicates.map(|(first, count)| self.duplicates(&first, count)));
         let rules = TrackRules {
-            vehicle_column: &spec.vehicle,
-            reference: spec.position.of,
-            interpolate_s: map.interpolate_s,
-            lane_blip_s: spec.lane_blip_s,
-            speeds_agree: check(
-                table,
-                columns,
-                (&points, &map.time, self.time.0),
-                &mut dropped,
-            )?,
+            vehicle_column: &self.spec.vehicle,
+            reference: self.spec.position.of,
+            interpolate_s: self.map.interpolate_s,
+            lane_blip_s: self.spec.lane_blip_s,
+            speeds_agree: self.check_speeds(&points, &mut dropped)?,
         };
-        if let Some(acceleration) = acceleration {
-            for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
-                acceleration.restart();
-                for point in vehicle {
-                    let at = (point.time_ms as f64 / 1000.0, point.line);
-                    acceleration.add(at, point.speed_mps, point.acceleration_mps2.map(f64::from));
-                }
-            }
-            acceleration.check(table, &mut dropped)?;
-        }
-        let mut omissions = Vec::new();
+        self.check_accelerations(&points, &mut dropped)?;
         let vehicles = self.vehicles.clone();
+        let mut omissions = Vec::new();
         let traffic = RecordedTraffic::build(points, (vehicles, core_ms), rules, &mut omissions)
-            .map_err(|line| {
-                let problem = LineProblem::TooLarge {
-                    limit: MAX_POINTS,
-                    what: "rows, with those that are filled",
-                };
-                RecordingError::Line {
-                    path: path.to_owned(),
-                    line,
-                    problem,
-                }
-            })?;
-        dropped.extend(
-            omissions
-                .into_iter()
-                .map(|(line, omission)| item(line, omission)),
-        );
+            .map_err(|line| self.too_large(line, MAX_POINTS, "rows, with those that are filled"))?;
+        dropped.extend(omissions.into_iter().map(|found| dropped_item(path, found)));
         Ok(Recording {
             path: path.to_owned(),
-            format: map.name.clone(),
+            format: self.map.name.clone(),
             text: TextFormat {
                 time: self.time.1,
-                ..table.format()
+                ..self.table.format()
             },
             platoons: Vec::new(),
             traffic: Some(traffic),
             dropped,
         })
     }
-}
 
-/// Compares sorted positions with speeds. Returns whether they agree.
-fn check(
-    table: &RowReader<'_>,
-    [position, speed]: &[CsvColumn; 2],
-    (points, time, time_factor): (&[TrackPoint], &TimeSpec, f64),
-    dropped: &mut Vec<DroppedItem>,
-) -> Result<bool, RecordingError> {
-    let mut comparison = Comparison::undirected();
-    for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
-        comparison.restart();
-        for point in vehicle {
-            let speed_mps = point.speed_mps.map(|speed_mps| [speed_mps.abs(), 0.0]);
-            comparison.add(
-                (point.time_ms as f64 / 1000.0, point.line),
-                point.position_m,
-                speed_mps,
-            );
-        }
-    }
-    let speeds = Hypothesis::units(
-        &speed.name,
-        (SpeedUnit::ALL, speed.factor),
-        [false, true, false],
-    );
-    let positions = Hypothesis::units(
-        &position.name,
-        (LengthUnit::ALL, position.factor),
-        [true, false, false],
-    );
-    let hypotheses: Vec<_> = speeds
-        .chain(positions)
-        .chain(Hypothesis::times(time, time_factor))
-        .collect();
-    let change = format!("the change of {}", position.name);
-    comparison.check(
-        table,
-        &speed.name,
-        [&change, &speed.name],
-        (&hypotheses, dropped),
-    )
-}
-
-/// Texts, numbered in order of appearance.
-#[derive(Default)]
-struct TextIds {
-    indices: HashMap<String, u32>,
-    /// Last text: neighbouring rows often have the same.
-    last: (String, u32),
-}
-
-impl TextIds {
-    fn index(&mut self, row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
-        let text = row.text(column.index);
-        if self.last.0 == text && !text.is_empty() {
-            return Ok(self.last.1);
-        }
-        if is_missing(text) {
-            return row.reject(&column.name, ColumnProblem::Empty);
-        }
-        self.last.0.clear();
-        self.last.0 += text;
-        if let Some(&known) = self.indices.get(text) {
-            self.last.1 = known;
-            return Ok(known);
-        }
-        if text.len() > MAX_ID_BYTES {
-            return row.reject(
-                &column.name,
-                ColumnProblem::LongId {
-                    limit: MAX_ID_BYTES,
-                    found: excerpt(text),
-                },
-            );
-        }
-        self.last.1 = self.indices.len() as u32;
-        self.indices.insert(text.to_owned(), self.last.1);
-        Ok(self.last.1)
+    fn duplicates(&self, first: &TrackPoint, count: usize) -> DroppedItem {
+        let vehicle = tracks::label(&self.vehicles, first.vehicle);
+        let before = format!("vehicle {vehicle} is in two places at once here; of ");
+        let omission = Omission::counted(before, count, " such rows each first one is kept");
+        dropped_item(self.table.path(), (first.line, omission))
     }
 
-    /// Returns the vehicles: by number if all ids are different whole numbers, which some tools write with a decimal
-    /// point.
-    fn into_vehicles(self) -> Vec<VehicleId> {
-        let mut texts: Vec<(String, u32)> = self.indices.into_iter().collect();
-        texts.sort_unstable_by_key(|(_, index)| *index);
-        let numbers: BTreeSet<usize> = texts
-            .iter()
-            .filter_map(|(text, _)| whole_number(text))
-            .collect();
-        let are_numbers = numbers.len() == texts.len();
-        let id = |(text, index): (String, u32)| match whole_number(&text) {
-            Some(number) if are_numbers => VehicleId { number, name: None },
-            _ => VehicleId {
-                number: index as usize + 1,
-                name: Some(excerpt(&text)),
-            },
+    /// Compares sorted positions with speeds. Returns whether they agree.
+    fn check_speeds(
+        &self,
+        points: &[TrackPoint],
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<bool, RecordingError> {
+        let mut comparison = Comparison::undirected();
+        for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
+            comparison.restart();
+            for point in vehicle {
+                let speed_mps = point.speed_mps.map(|speed_mps| [speed_mps.abs(), 0.0]);
+                comparison.add(time_and_line(point), point.position_m, speed_mps);
+            }
+        }
+        let [position, speed] = &self.columns;
+        let speeds = Hypothesis::units(
+            &speed.name,
+            (SpeedUnit::ALL, speed.factor),
+            [false, true, false],
+        );
+        let positions = Hypothesis::units(
+            &position.name,
+            (LengthUnit::ALL, position.factor),
+            [true, false, false],
+        );
+        let times = Hypothesis::times(&self.map.time, self.time.0);
+        let hypotheses: Vec<_> = speeds.chain(positions).chain(times).collect();
+        let change = format!("the change of {}", position.name);
+        comparison.check(
+            self.table,
+            &speed.name,
+            [&change, &speed.name],
+            (&hypotheses, dropped),
+        )
+    }
+
+    /// Compares speeds with accelerations, if there are any.
+    fn check_accelerations(
+        &mut self,
+        points: &[TrackPoint],
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
+        let Some(acceleration) = &mut self.acceleration else {
+            return Ok(());
         };
-        texts.into_iter().map(id).collect()
+        for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
+            acceleration.restart();
+            for point in vehicle {
+                let acceleration_mps2 = point.acceleration_mps2.map(f64::from);
+                acceleration.add(time_and_line(point), point.speed_mps, acceleration_mps2);
+            }
+        }
+        acceleration.check(self.table, dropped)
     }
 }
 
-fn whole_number(text: &str) -> Option<usize> {
-    let (whole, zeros) = text.split_once('.').unwrap_or((text, ""));
-    whole
-        .parse()
-        .ok()
-        .filter(|_| zeros.bytes().all(|digit| digit == b'0'))
+/// Returns the last points of a part, which are the margin of the next one. Margins of dense traffic are shorter.
+fn next_margin(points: &[TrackPoint], core_end_ms: i64, next_from_ms: i64) -> Vec<TrackPoint> {
+    let [margin, core_end] = [next_from_ms, core_end_ms]
+        .map(|from_ms| points.partition_point(|point| point.time_ms < from_ms));
+    points[margin.max(core_end.saturating_sub(PART_ROWS))..].to_vec()
+}
+
+fn time_and_line(point: &TrackPoint) -> (f64, u64) {
+    (point.time_ms as f64 / 1000.0, point.line)
+}
+
+fn dropped_item(path: &Path, (line, omission): (u64, Omission)) -> DroppedItem {
+    DroppedItem {
+        path: path.to_owned(),
+        line,
+        omission,
+    }
 }
