@@ -1,8 +1,24 @@
 //! Height that the states of a simplex miss after one decision.
 
-use super::{BoundarySearch, Point, Shortfall, advance, hull};
+use super::{BoundarySearch, Node, Point, Shortfall, advance, hull};
 use crumple_verify::invariant::MotionModel;
-use crumple_verify::invariant::table::{AXIS_COUNT, HeightTable};
+use crumple_verify::invariant::table::{AXIS_COUNT, HeightTable, TableAxis};
+
+/// Bounds of the motion of a state until the next decision.
+struct StateMotion {
+    state: [f64; AXIS_COUNT],
+    /// Smallest growth of the gap, in metres.
+    growth_m: f64,
+    /// Range of the change along each axis.
+    changes: [[f64; 2]; AXIS_COUNT],
+}
+
+/// Cells of an axis, with both ends.
+#[derive(Clone, Copy)]
+struct CellRange {
+    first: usize,
+    last: usize,
+}
 
 impl BoundarySearch<'_> {
     /// Returns the simplex and the motion for which states at least `above_m` above the boundary miss most height.
@@ -13,112 +29,23 @@ impl BoundarySearch<'_> {
         command: [f64; 2],
         above_m: f64,
     ) -> Shortfall {
-        let states: Vec<[f64; AXIS_COUNT]> = points.iter().map(|(state, _)| *state).collect();
-        let (claim, axes) = (self.claim, table.axes());
-        let time_s = claim.step_s * f64::from(claim.decision_steps);
-        let is_relative = claim.motion == MotionModel::Relative;
-        // Ranges of the change of each state, and the smallest growth of the gap.
-        let motion = |&[own, leader]: &[f64; AXIS_COUNT]| {
-            let ([low, high], [brakes, accelerates]) = (command, claim.leader_mps2);
-            if is_relative {
-                let of_closing = [low - accelerates, high - brakes];
-                let growth_m = -own * time_s - 0.5 * of_closing[1] * time_s * time_s;
-                return (
-                    growth_m,
-                    [of_closing.map(|change| change * time_s), [0.0; 2]],
-                );
-            }
-            let [slow, fast] = command.map(|held| advance(own, held, time_s));
-            let leads = [brakes, accelerates].map(|held| advance(leader, held, time_s));
-            let growth_m = leads[0][0] - fast[0];
-            (
-                growth_m,
-                [
-                    [slow[1] - own, fast[1] - own],
-                    leads.map(|end| end[1] - leader),
-                ],
-            )
-        };
-        let motions: Vec<_> = states.iter().map(motion).collect();
-        let touched: [[usize; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
-            let reached = states.iter().zip(&motions).map(|(state, (_, changes))| {
-                let [low, high] = changes[axis];
-                [state[axis] + low.min(0.0), state[axis] + high.max(0.0)]
-            });
-            let [low, high] = reached.fold([f64::INFINITY, f64::NEG_INFINITY], hull);
-            let Some(last) = axes[axis].cells.checked_sub(1) else {
-                return [0, 0];
-            };
-            let place = |value: f64| {
-                (value - axes[axis].low) / (axes[axis].high - axes[axis].low)
-                    * f64::from(axes[axis].cells)
-            };
-            // A cell that shares only its boundary with the motion adds nothing.
-            let first = ((place(low) + 1e-9).max(0.0) as usize).min(last as usize);
-            [
-                first,
-                ((place(high) - 1e-9).max(0.0) as usize).clamp(first, last as usize),
-            ]
-        });
-        let extent: [[f64; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
-            states
-                .iter()
-                .map(|state| [state[axis]; 2])
-                .fold([f64::INFINITY, f64::NEG_INFINITY], hull)
-        });
+        let motions = self.state_motions(points, command);
+        let [first_axis, second_axis] = touched_cells(table.axes(), &motions);
+        let extent = extent(&motions);
         let mut worst = Shortfall {
             missing_m: f64::NEG_INFINITY,
             cell: [0; 2],
             order: 0,
             change: [0.0; 2],
         };
-        for i in touched[0][0]..=touched[0][1] {
-            for j in touched[1][0]..=touched[1][1] {
+        for i in first_axis.first..=first_axis.last {
+            for j in second_axis.first..=second_axis.last {
                 let cell = [i, j];
-                for (order, of_order) in table.orders().iter().enumerate() {
-                    let nodes = table.simplex(cell, of_order);
-                    let mut slopes = [0.0; AXIS_COUNT];
-                    for (place, &axis) in of_order.iter().enumerate() {
-                        let width = axes[axis].node(cell[axis] + 1) - axes[axis].node(cell[axis]);
-                        let rise =
-                            table.node_height(nodes[place + 1]) - table.node_height(nodes[place]);
-                        slopes[axis] = rise / width;
-                    }
-                    for (state, (growth_m, changes)) in states.iter().zip(&motions) {
-                        let change: [f64; AXIS_COUNT] = std::array::from_fn(|axis| {
-                            let [low, high] = changes[axis];
-                            let to_edge =
-                                [axes[axis].low - state[axis], axes[axis].high - state[axis]];
-                            let [low, high] = [
-                                low.clamp(to_edge[0], to_edge[1]),
-                                high.clamp(to_edge[0], to_edge[1]),
-                            ];
-                            // A motion away from a cell does not reach it.
-                            let low = if axes[axis].node(cell[axis]) >= extent[axis][1] {
-                                low.max(0.0)
-                            } else {
-                                low
-                            };
-                            let is_below = axes[axis].node(cell[axis] + 1) <= extent[axis][0];
-                            let high = if is_below && axes[axis].cells > 0 {
-                                high.min(0.0)
-                            } else {
-                                high
-                            };
-                            match slopes[axis] {
-                                0.0 => 0.0_f64.max(low).min(high),
-                                slope if slope > 0.0 => high,
-                                _ => low,
-                            }
-                        });
-                        let rise: f64 = slopes
-                            .iter()
-                            .zip(change)
-                            .map(|(slope, change)| slope * change)
-                            .sum();
-                        let still = rise == 0.0 && *growth_m >= 0.0;
-                        let missing_m =
-                            rise - growth_m - if still { above_m.max(0.0) } else { above_m };
+                for (order, axes_in_order) in table.orders().iter().enumerate() {
+                    let slopes = simplex_slopes(table, cell, axes_in_order);
+                    for motion in &motions {
+                        let change = worst_change(table.axes(), cell, slopes, motion, extent);
+                        let missing_m = missing_height_m(slopes, change, motion, above_m);
                         if missing_m > worst.missing_m {
                             worst = Shortfall {
                                 missing_m,
@@ -133,4 +60,153 @@ impl BoundarySearch<'_> {
         }
         worst
     }
+
+    fn state_motions(&self, points: &[Point], command: [f64; 2]) -> Vec<StateMotion> {
+        let motion = match self.claim.motion {
+            MotionModel::Relative => Self::relative_motion,
+            MotionModel::Absolute => Self::absolute_motion,
+        };
+        points
+            .iter()
+            .map(|(state, _)| motion(self, *state, command))
+            .collect()
+    }
+
+    fn decision_time_s(&self) -> f64 {
+        self.claim.step_s * f64::from(self.claim.decision_steps)
+    }
+
+    /// Returns the motion of a closing speed, which is the first coordinate.
+    fn relative_motion(&self, state: [f64; AXIS_COUNT], command: [f64; 2]) -> StateMotion {
+        let time_s = self.decision_time_s();
+        let [low_mps2, high_mps2] = command;
+        let [leader_brakes_mps2, leader_accelerates_mps2] = self.claim.leader_mps2;
+        let closing_mps2 = [
+            low_mps2 - leader_accelerates_mps2,
+            high_mps2 - leader_brakes_mps2,
+        ];
+        StateMotion {
+            state,
+            growth_m: -state[0] * time_s - 0.5 * closing_mps2[1] * time_s * time_s,
+            changes: [closing_mps2.map(|change| change * time_s), [0.0; 2]],
+        }
+    }
+
+    /// Returns the motion of the speeds of two vehicles.
+    fn absolute_motion(&self, state: [f64; AXIS_COUNT], command: [f64; 2]) -> StateMotion {
+        let time_s = self.decision_time_s();
+        let [own, leader] = state;
+        let [slow, fast] = command.map(|held| advance(own, held, time_s));
+        let leader_ends = self
+            .claim
+            .leader_mps2
+            .map(|held| advance(leader, held, time_s));
+        StateMotion {
+            state,
+            growth_m: leader_ends[0][0] - fast[0],
+            changes: [
+                [slow[1] - own, fast[1] - own],
+                leader_ends.map(|end| end[1] - leader),
+            ],
+        }
+    }
+}
+
+/// Returns the range of the states along each axis.
+fn extent(motions: &[StateMotion]) -> [[f64; 2]; AXIS_COUNT] {
+    std::array::from_fn(|axis| {
+        motions
+            .iter()
+            .map(|motion| [motion.state[axis]; 2])
+            .fold([f64::INFINITY, f64::NEG_INFINITY], hull)
+    })
+}
+
+/// Returns the cells of each axis through which the states move.
+fn touched_cells(
+    axes: &[TableAxis; AXIS_COUNT],
+    motions: &[StateMotion],
+) -> [CellRange; AXIS_COUNT] {
+    std::array::from_fn(|axis| {
+        let reached = motions.iter().map(|motion| {
+            let [low, high] = motion.changes[axis];
+            let at = motion.state[axis];
+            [at + low.min(0.0), at + high.max(0.0)]
+        });
+        CellRange::new(
+            axes[axis],
+            reached.fold([f64::INFINITY, f64::NEG_INFINITY], hull),
+        )
+    })
+}
+
+impl CellRange {
+    /// Returns the cells of a part of an axis. A cell that shares only its boundary with the part adds nothing.
+    fn new(axis: TableAxis, [low, high]: [f64; 2]) -> Self {
+        let Some(end) = axis.cells.checked_sub(1) else {
+            return Self { first: 0, last: 0 };
+        };
+        let end = end as usize;
+        let position =
+            |value: f64| (value - axis.low) / (axis.high - axis.low) * f64::from(axis.cells);
+        let first = ((position(low) + 1e-9).max(0.0) as usize).min(end);
+        let last = ((position(high) - 1e-9).max(0.0) as usize).clamp(first, end);
+        Self { first, last }
+    }
+}
+
+/// Returns the slopes of the boundary in a simplex along each axis.
+fn simplex_slopes(table: &HeightTable, cell: Node, axes_in_order: &[usize]) -> [f64; AXIS_COUNT] {
+    let nodes = table.simplex(cell, axes_in_order);
+    let mut slopes = [0.0; AXIS_COUNT];
+    for (edge, &axis) in axes_in_order.iter().enumerate() {
+        let along = table.axes()[axis];
+        let width = along.node(cell[axis] + 1) - along.node(cell[axis]);
+        let rise = table.node_height(nodes[edge + 1]) - table.node_height(nodes[edge]);
+        slopes[axis] = rise / width;
+    }
+    slopes
+}
+
+/// Returns the change within a simplex along which the boundary rises most.
+fn worst_change(
+    axes: &[TableAxis; AXIS_COUNT],
+    cell: Node,
+    slopes: [f64; AXIS_COUNT],
+    motion: &StateMotion,
+    extent: [[f64; 2]; AXIS_COUNT],
+) -> [f64; AXIS_COUNT] {
+    std::array::from_fn(|axis| {
+        let along = axes[axis];
+        let at = motion.state[axis];
+        let [low, high] =
+            motion.changes[axis].map(|change| change.clamp(along.low - at, along.high - at));
+        // A motion away from a cell does not reach it.
+        let is_above = along.node(cell[axis]) >= extent[axis][1];
+        let low = if is_above { low.max(0.0) } else { low };
+        let is_below = along.cells > 0 && along.node(cell[axis] + 1) <= extent[axis][0];
+        let high = if is_below { high.min(0.0) } else { high };
+        match slopes[axis] {
+            0.0 => 0.0_f64.max(low).min(high),
+            slope if slope > 0.0 => high,
+            _ => low,
+        }
+    })
+}
+
+/// Returns the height that a state misses after a change.
+fn missing_height_m(
+    slopes: [f64; AXIS_COUNT],
+    change: [f64; AXIS_COUNT],
+    motion: &StateMotion,
+    above_m: f64,
+) -> f64 {
+    let rise_m: f64 = slopes
+        .iter()
+        .zip(change)
+        .map(|(slope, change)| slope * change)
+        .sum();
+    let is_still = rise_m == 0.0 && motion.growth_m >= 0.0;
+    let above_m = if is_still { above_m.max(0.0) } else { above_m };
+    rise_m - motion.growth_m - above_m
 }
