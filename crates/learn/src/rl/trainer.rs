@@ -1,25 +1,25 @@
 //! One training: episodes, updates, evaluations, and the best policy so far.
 
+mod episode;
+
 use std::sync::Arc;
 
-use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+
+use self::episode::{EpisodeSetup, LossSums};
 
 use super::config::{TimeLimit, TrainingConfig};
 use super::config_error::TrainingConfigError;
-use super::environment::{EpisodeConstants, EpisodeEnding, TrainingEpisode, action_bounds};
+use super::environment::{EpisodeEnding, action_bounds};
 use super::evaluation::{EvaluationSet, PolicyEvaluation};
-use super::learner::{Learner, Losses};
-use super::privileged::PrivilegedInfo;
+use super::learner::Learner;
 use super::replay::{Batch, ReplayBuffer, Transition};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_core::digits::format_rounded;
 use crumple_core::observer::Stopped;
-use crumple_sim::control::BuiltInController;
-use crumple_sim::engine::{Run, RunError, RunOptions};
+use crumple_sim::engine::RunError;
 use crumple_sim::policy::{FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
-use crumple_sim::random::{self, Purpose};
+use crumple_sim::random;
 use crumple_sim::scenario::{InvalidField, PAPER_STEP_S, Scenario};
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
@@ -229,85 +229,58 @@ impl Trainer {
     /// [`TrainingError::Diverged`] if the training diverges; [`TrainingError::Scenario`] and
     /// [`TrainingError::UnsuitableScenario`] if the source draws a scenario that is invalid or cannot be trained on.
     pub fn run_episode(&mut self) -> Result<EpisodeRecord, TrainingError> {
-        let index = self.episode;
         // A derived seed keeps training scenarios apart from every seed that a user may assess with.
         let draws_seed = random::derived_seed(self.seed, u64::MAX);
-        let scenario = self.draw(draws_seed, index)?;
-        // Actions replace the ego vehicle's controller at every step; an expert is only consulted.
-        let imitation = self.config.imitation.as_ref();
-        let controller = match imitation {
-            Some(imitation) => imitation.expert_in(&scenario)?,
-            None => BuiltInController::MatchLeader(Default::default()),
+        let scenario = self.draw(draws_seed, self.episode)?;
+        let mut setup = EpisodeSetup::new(self, &scenario, draws_seed)?;
+        self.prepare_learner();
+        let mut losses = LossSums::default();
+        let ending = self.make_decisions(&mut setup, &mut losses);
+        self.episode += 1;
+        let record = EpisodeRecord {
+            episode: self.episode,
+            reward: setup.episode.total_reward(),
+            steps: setup.episode.steps_made(),
+            ending,
+            critic_loss: losses.mean(losses.sums.critic_loss),
+            mean_value: losses.mean(losses.sums.mean_value),
         };
-        let options = RunOptions::new(controller).with_estimator(self.config.environment.estimator);
-        let run = Run::new(&scenario, options)?;
-        let constants = EpisodeConstants::new(
-            self.config.environment.clone(),
-            self.config.learning.discount,
-        );
-        let mut episode = TrainingEpisode::new(
-            &run,
-            &constants.for_episode(self.source.as_ref(), draws_seed, index),
-        );
-        if let Some(imitation) = imitation {
-            episode = episode.with_expert(imitation.expert_estimator);
+        self.check_divergence(&record, scenario.steps())?;
+        Ok(record)
+    }
+
+    /// Sets what depends on the number of the episode.
+    fn prepare_learner(&mut self) {
+        let index = self.episode;
+        let learning_starts = self.config.exploration.learning_starts_episode;
+        self.learner.is_actor_frozen = index < learning_starts;
+        if let Some(imitation) = &self.config.imitation {
             self.learner.imitation_weight =
                 imitation.weight * libm::pow(imitation.weight_decay, index as f64) as f32;
         }
-        let mut trials = random::stream(self.seed, Purpose::Exploration, index);
-        let mut draws = random::stream(self.seed, Purpose::ReplaySampling, index);
-        let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
-        let learned_episodes = index.checked_sub(self.config.exploration.learning_starts_episode);
-        self.learner.is_actor_frozen = learned_episodes.is_none();
-        let learned_episodes = learned_episodes.or(imitation.map(|_| 0));
-        let noise = learned_episodes.map(|episodes| {
-            let decay = self.config.exploration.noise_decay.powf(episodes as f64);
-            (self.config.exploration.noise * decay) as f32
-        });
-        if let Some(fall) = &self.config.learning.lr_decay {
-            self.learner.lr_factor =
-                fall.factor(index, self.config.exploration.learning_starts_episode) as f32;
+        if let Some(decay) = &self.config.learning.lr_decay {
+            self.learner.lr_factor = decay.factor(index, learning_starts) as f32;
         }
-        let (mut sums, mut updates) = (Losses::default(), 0_u32);
-        let decisions_held = u64::from(
-            self.config.exploration.random_hold_steps / self.config.environment.action_repeat,
-        )
-        .max(1);
-        let (decisions_before, mut held) = (self.decisions, 0.0);
+    }
+
+    /// Decides, and learns from the decisions, until the episode ends.
+    fn make_decisions(
+        &mut self,
+        setup: &mut EpisodeSetup<'_>,
+        losses: &mut LossSums,
+    ) -> EpisodeEnding {
         let mut past = FrameStack::default();
-        let privileged =
-            PrivilegedInfo::new(&scenario, self.source.cost_multiplier(draws_seed, index));
-        let is_privileged = self.config.learning.privileged_critic;
-        let known_besides =
-            |episode: &TrainingEpisode| is_privileged.then(|| privileged.observe(episode));
-        let mut state = episode.observe(&mut past).to_vec();
-        let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
-        let ending = loop {
-            let action = match noise {
-                None => {
-                    if (self.decisions - decisions_before).is_multiple_of(decisions_held) {
-                        held = trials.random_range(-1.0..=1.0);
-                    }
-                    held
-                }
-                Some(noise) => {
-                    let normal: f32 = StandardNormal.sample(&mut trials);
-                    let chosen = self
-                        .learner
-                        .act(&state)
-                        .first()
-                        .copied()
-                        .unwrap_or_default();
-                    (chosen + noise * normal).clamp(-1.0, 1.0)
-                }
-            };
-            let after = episode.step(action);
-            let next_state = episode.observe(&mut past);
-            besides.extend(known_besides(&episode).into_iter().flatten());
+        let mut state = setup.episode.observe(&mut past).to_vec();
+        setup.privileged.observe(&setup.episode);
+        loop {
+            let action = setup.exploration.choose_action(&mut self.learner, &state);
+            let after = setup.episode.step(action);
+            let next_state = setup.episode.observe(&mut past);
+            setup.privileged.observe(&setup.episode);
             self.replay.push(&Transition {
                 state: &state,
                 next_state,
-                privileged: &besides,
+                privileged: setup.privileged.numbers(),
                 action,
                 reward: after.reward,
                 continues: after.continues,
@@ -315,38 +288,32 @@ impl Trainer {
                 expert_action: after.expert_action,
             });
             state.copy_from_slice(next_state);
-            besides.drain(..besides.len() / 2);
+            setup.privileged.advance();
             self.decisions += 1;
-            let learning = &self.config.learning;
-            let is_due = self
-                .decisions
-                .is_multiple_of(u64::from(learning.decisions_per_update));
-            if noise.is_some() && is_due && self.replay.len() >= learning.batch {
-                let share = self.config.replay.collision_fraction;
-                self.replay
-                    .sample(&mut draws, learning.batch, share, &mut self.batch);
-                let losses = self.learner.update(&self.batch, &mut target_noise);
-                sums.critic_loss += losses.critic_loss;
-                sums.mean_value += losses.mean_value;
-                updates += 1;
-                self.update_weight_average();
+            if setup.exploration.follows_actor() {
+                self.learn_if_due(setup, losses);
             }
             if after.ending != EpisodeEnding::None {
-                break after.ending;
+                return after.ending;
             }
-        };
-        self.episode += 1;
-        let n = f64::from(updates.max(1));
-        let record = EpisodeRecord {
-            episode: self.episode,
-            reward: episode.total_reward(),
-            steps: episode.steps_made(),
-            ending,
-            critic_loss: sums.critic_loss / n,
-            mean_value: sums.mean_value / n,
-        };
-        self.check_divergence(&record, scenario.steps())?;
-        Ok(record)
+        }
+    }
+
+    /// Updates the networks if an update is due, and the replay memory has enough transitions.
+    fn learn_if_due(&mut self, setup: &mut EpisodeSetup<'_>, losses: &mut LossSums) {
+        let learning = &self.config.learning;
+        let interval = u64::from(learning.decisions_per_update);
+        if !self.decisions.is_multiple_of(interval) || self.replay.len() < learning.batch {
+            return;
+        }
+        self.replay.sample(
+            &mut setup.replay_draws,
+            learning.batch,
+            self.config.replay.collision_fraction,
+            &mut self.batch,
+        );
+        losses.add(&self.learner.update(&self.batch, &mut setup.target_noise));
+        self.update_weight_average();
     }
 
     /// Returns a scenario of the source, if the agent can be trained on it.
