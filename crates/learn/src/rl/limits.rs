@@ -1,6 +1,9 @@
 //! Validation of training configurations: the range of each number, and constraints between fields.
 
-use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
+use super::config::{
+    EnvironmentConfig, EvaluationConfig, LearningConfig, NetworkConfig, PENALTY_RANGE,
+    TRAINING_VERSION, Td3Config, TrainingConfig,
+};
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
 
@@ -15,8 +18,18 @@ const BATCH_COPIES: u64 = 8;
 /// Bytes of a validation scenario with its run; measured: 2200 to 2700.
 const SCENARIO_BYTES: u64 = 2600;
 
+/// The path, the value and the range of a number.
+type CheckedNumber = (&'static str, f64, [f64; 2]);
+
+fn check_ranges(numbers: &[CheckedNumber]) -> Result<(), TrainingConfigError> {
+    numbers
+        .iter()
+        .try_for_each(|&(field, value, range)| check_range(field, value, range))
+}
+
 fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
-    let (weight, [least, most]) = (f64::from(weight), PENALTY_RANGE);
+    let weight = f64::from(weight);
+    let [least, most] = PENALTY_RANGE;
     // Compare with the f32 rounding of the minimum, so that the minimum itself passes.
     if 0.0 < weight && weight < f64::from(least as f32) {
         let problem = format!("must be 0, for none, or between {least} and {most}");
@@ -31,11 +44,31 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Range`] and [`TrainingConfigError::Field`] name the first invalid field.
     pub fn check(&self) -> Result<(), TrainingConfigError> {
-        if self.version != TRAINING_VERSION {
-            let problem = format!(
-                "version {} is not supported; this release reads {TRAINING_VERSION}",
-                self.version
-            );
+        self.check_header()?;
+        self.environment.check()?;
+        self.network.check_layers()?;
+        if let Some(imitation) = &self.imitation {
+            imitation.check()?;
+        }
+        check_ranges(&[(
+            "network.final_layer_bound",
+            f64::from(self.network.final_layer_bound),
+            [0.0, 1.0],
+        )])?;
+        self.learning.check()?;
+        self.check_exploration()?;
+        self.check_replay()?;
+        self.td3.check()?;
+        self.evaluation.check()?;
+        space_mixture::check_spaces(&self.spaces)?;
+        self.check_memory()
+    }
+
+    fn check_header(&self) -> Result<(), TrainingConfigError> {
+        let found = self.version;
+        if found != TRAINING_VERSION {
+            let problem =
+                format!("version {found} is not supported; this release reads {TRAINING_VERSION}");
             return Err(TrainingConfigError::field("version", problem));
         }
         if self.name.trim().is_empty() {
@@ -43,206 +76,43 @@ impl TrainingConfig {
         }
         // An imitation needs no reinforcement learning.
         let least = if self.imitation.is_some() { 0.0 } else { 1.0 };
-        check_range("episodes", self.episodes as f64, [least, 1e7])?;
-        check_range(
-            "environment.decision_steps",
-            f64::from(self.environment.action_repeat),
-            [1.0, 1500.0],
-        )?;
-        check_range(
-            "environment.step_reward",
-            self.environment.step_reward,
-            [0.0, 1e6],
-        )?;
-        check_range(
-            "environment.contact_reward",
-            self.environment.contact_reward,
-            [-1e9, 0.0],
-        )?;
-        check_range(
-            "environment.harm_reward",
-            self.environment.harm_reward,
-            [-1e9, 0.0],
-        )?;
-        check_range(
-            "environment.reward_scale",
-            self.environment.reward_scale,
-            [1e-9, 1e3],
-        )?;
-        check_range(
-            "environment.max_accel_mps2",
-            self.environment.max_accel_mps2,
-            [0.1, 30.0],
-        )?;
-        let mut terms = self
-            .environment
-            .costs
-            .ranges()
-            .chain(self.environment.observation.ranges());
-        terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
-        self.environment.observation.check()?;
-        let layers = self.network.hidden.len();
-        if !(1..=MAX_LAYERS).contains(&layers) {
-            let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
-            return Err(TrainingConfigError::field("network.hidden", problem));
-        }
-        for (layer, &width) in self.network.hidden.iter().enumerate() {
-            check_range(
-                &format!("network.hidden[{layer}]"),
-                width as f64,
-                [1.0, 4096.0],
-            )?;
-        }
-        if let Some(imitation) = &self.imitation {
-            imitation.check()?;
-        }
-        check_range(
-            "network.final_layer_bound",
-            f64::from(self.network.final_layer_bound),
-            [0.0, 1.0],
-        )?;
-        check_range(
-            "learning.actor_rate",
-            f64::from(self.learning.actor_rate),
-            [0.0, 1.0],
-        )?;
-        check_range(
-            "learning.critic_rate",
-            f64::from(self.learning.critic_rate),
-            [0.0, 1.0],
-        )?;
-        if let Some(fall) = &self.learning.lr_decay {
-            check_range(
-                "learning.rates_fall.until_episode",
-                fall.until_episode as f64,
-                [1.0, 1e7],
-            )?;
-            check_range(
-                "learning.rates_fall.to_share",
-                fall.final_factor,
-                [0.0, 1.0],
-            )?;
-        }
-        check_range(
-            "learning.discount",
-            self.learning.discount,
-            [0.0, 0.999_999_9],
-        )?;
-        check_range(
-            "learning.soft_update",
-            f64::from(self.learning.tau),
-            [0.0, 1.0],
-        )?;
-        check_range(
-            "learning.batch",
-            self.learning.batch as f64,
-            [1.0, 65_536.0],
-        )?;
-        check_range(
-            "learning.decisions_per_update",
-            f64::from(self.learning.decisions_per_update),
-            [1.0, 1e6],
-        )?;
-        check_penalty(
-            "learning.saturation_penalty",
-            self.learning.saturation_penalty,
-        )?;
-        check_penalty(
-            "learning.smoothness_penalty",
-            self.learning.smoothness_penalty,
-        )?;
-        check_range(
-            "exploration.random_episodes",
-            self.exploration.learning_starts_episode as f64,
-            [0.0, 1e7],
-        )?;
-        let random = self.exploration.learning_starts_episode;
-        if let Some(fall) = self
-            .learning
-            .lr_decay
-            .as_ref()
-            .filter(|fall| fall.until_episode <= random)
-        {
+        check_range("episodes", self.episodes as f64, [least, 1e7])
+    }
+
+    fn check_exploration(&self) -> Result<(), TrainingConfigError> {
+        let exploration = &self.exploration;
+        let random = exploration.learning_starts_episode;
+        check_range("exploration.random_episodes", random as f64, [0.0, 1e7])?;
+        let decay = self.learning.lr_decay.as_ref();
+        if let Some(decay) = decay.filter(|decay| decay.until_episode <= random) {
             let problem = format!(
                 "must be above exploration.random_episodes, after which learning starts: above {random}, found {}",
-                fall.until_episode
+                decay.until_episode
             );
-            return Err(TrainingConfigError::field(
-                "learning.rates_fall.until_episode",
-                problem,
-            ));
+            let field = "learning.rates_fall.until_episode";
+            return Err(TrainingConfigError::field(field, problem));
         }
-        check_range(
-            "exploration.random_hold_steps",
-            f64::from(self.exploration.random_hold_steps),
-            [1.0, 1500.0],
-        )?;
-        check_range("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
-        check_range(
-            "exploration.noise_decay",
-            self.exploration.noise_decay,
-            [0.0, 1.0],
-        )?;
-        check_range("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
-        if self.replay.capacity < self.learning.batch {
-            let problem = format!(
-                "holds {} transitions, less than learning.batch",
-                self.replay.capacity
-            );
+        let hold_steps = f64::from(exploration.random_hold_steps);
+        check_ranges(&[
+            ("exploration.random_hold_steps", hold_steps, [1.0, 1500.0]),
+            ("exploration.noise", exploration.noise, [0.0, 10.0]),
+            (
+                "exploration.noise_decay",
+                exploration.noise_decay,
+                [0.0, 1.0],
+            ),
+        ])
+    }
+
+    fn check_replay(&self) -> Result<(), TrainingConfigError> {
+        let capacity = self.replay.capacity;
+        check_range("replay.capacity", capacity as f64, [1.0, 1e8])?;
+        if capacity < self.learning.batch {
+            let problem = format!("holds {capacity} transitions, less than learning.batch");
             return Err(TrainingConfigError::field("replay.capacity", problem));
         }
-        check_range(
-            "replay.contact_share",
-            self.replay.collision_fraction,
-            [0.0, 1.0],
-        )?;
-        check_range(
-            "td3.actor_every",
-            f64::from(self.td3.actor_every),
-            [1.0, 1e6],
-        )?;
-        check_range(
-            "td3.target_noise",
-            f64::from(self.td3.target_noise),
-            [0.0, 10.0],
-        )?;
-        check_range(
-            "td3.target_noise_limit",
-            f64::from(self.td3.target_noise_limit),
-            [0.0, 10.0],
-        )?;
-        check_range(
-            "evaluation.every_episodes",
-            self.evaluation.every_episodes as f64,
-            [1.0, 1e9],
-        )?;
-        check_range(
-            "evaluation.screening_draws",
-            self.evaluation.screening_draws as f64,
-            [1.0, 1e6],
-        )?;
-        check_range(
-            "evaluation.ranking_draws",
-            self.evaluation.ranking_draws as f64,
-            [0.0, 1e6],
-        )?;
-        check_range(
-            "evaluation.useful_draws",
-            self.evaluation.usefulness_draws as f64,
-            [0.0, 1e4],
-        )?;
-        check_range(
-            "evaluation.master_gap_m",
-            self.evaluation.master_gap_m,
-            [0.0, 16.0],
-        )?;
-        check_range(
-            "evaluation.mean_over_updates",
-            self.evaluation.weight_average_updates as f64,
-            [0.0, 1e9],
-        )?;
-        space_mixture::check_spaces(&self.spaces)?;
-        self.check_memory()
+        let fraction = self.replay.collision_fraction;
+        check_range("replay.contact_share", fraction, [0.0, 1.0])
     }
 
     /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
@@ -302,6 +172,145 @@ impl TrainingConfig {
                 })),
             ),
         ]
+    }
+}
+
+impl EnvironmentConfig {
+    fn check(&self) -> Result<(), TrainingConfigError> {
+        check_ranges(&[
+            (
+                "environment.decision_steps",
+                f64::from(self.action_repeat),
+                [1.0, 1500.0],
+            ),
+            ("environment.step_reward", self.step_reward, [0.0, 1e6]),
+            (
+                "environment.contact_reward",
+                self.contact_reward,
+                [-1e9, 0.0],
+            ),
+            ("environment.harm_reward", self.harm_reward, [-1e9, 0.0]),
+            ("environment.reward_scale", self.reward_scale, [1e-9, 1e3]),
+            (
+                "environment.max_accel_mps2",
+                self.max_accel_mps2,
+                [0.1, 30.0],
+            ),
+        ])?;
+        let mut terms = self.costs.ranges().chain(self.observation.ranges());
+        terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
+        self.observation.check()
+    }
+}
+
+impl NetworkConfig {
+    fn check_layers(&self) -> Result<(), TrainingConfigError> {
+        let layers = self.hidden.len();
+        if !(1..=MAX_LAYERS).contains(&layers) {
+            let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
+            return Err(TrainingConfigError::field("network.hidden", problem));
+        }
+        self.hidden
+            .iter()
+            .enumerate()
+            .try_for_each(|(layer, &width)| {
+                check_range(
+                    &format!("network.hidden[{layer}]"),
+                    width as f64,
+                    [1.0, 4096.0],
+                )
+            })
+    }
+}
+
+impl LearningConfig {
+    fn check(&self) -> Result<(), TrainingConfigError> {
+        check_ranges(&[
+            (
+                "learning.actor_rate",
+                f64::from(self.actor_rate),
+                [0.0, 1.0],
+            ),
+            (
+                "learning.critic_rate",
+                f64::from(self.critic_rate),
+                [0.0, 1.0],
+            ),
+        ])?;
+        if let Some(decay) = &self.lr_decay {
+            check_ranges(&[
+                (
+                    "learning.rates_fall.until_episode",
+                    decay.until_episode as f64,
+                    [1.0, 1e7],
+                ),
+                (
+                    "learning.rates_fall.to_share",
+                    decay.final_factor,
+                    [0.0, 1.0],
+                ),
+            ])?;
+        }
+        check_ranges(&[
+            ("learning.discount", self.discount, [0.0, 0.999_999_9]),
+            ("learning.soft_update", f64::from(self.tau), [0.0, 1.0]),
+            ("learning.batch", self.batch as f64, [1.0, 65_536.0]),
+            (
+                "learning.decisions_per_update",
+                f64::from(self.decisions_per_update),
+                [1.0, 1e6],
+            ),
+        ])?;
+        check_penalty("learning.saturation_penalty", self.saturation_penalty)?;
+        check_penalty("learning.smoothness_penalty", self.smoothness_penalty)
+    }
+}
+
+impl Td3Config {
+    fn check(&self) -> Result<(), TrainingConfigError> {
+        check_ranges(&[
+            ("td3.actor_every", f64::from(self.actor_every), [1.0, 1e6]),
+            (
+                "td3.target_noise",
+                f64::from(self.target_noise),
+                [0.0, 10.0],
+            ),
+            (
+                "td3.target_noise_limit",
+                f64::from(self.target_noise_limit),
+                [0.0, 10.0],
+            ),
+        ])
+    }
+}
+
+impl EvaluationConfig {
+    fn check(&self) -> Result<(), TrainingConfigError> {
+        let mean_over = self.weight_average_updates as f64;
+        check_ranges(&[
+            (
+                "evaluation.every_episodes",
+                self.every_episodes as f64,
+                [1.0, 1e9],
+            ),
+            (
+                "evaluation.screening_draws",
+                self.screening_draws as f64,
+                [1.0, 1e6],
+            ),
+            (
+                "evaluation.ranking_draws",
+                self.ranking_draws as f64,
+                [0.0, 1e6],
+            ),
+            (
+                "evaluation.useful_draws",
+                self.usefulness_draws as f64,
+                [0.0, 1e4],
+            ),
+            ("evaluation.master_gap_m", self.master_gap_m, [0.0, 16.0]),
+            ("evaluation.mean_over_updates", mean_over, [0.0, 1e9]),
+        ])
     }
 }
 
