@@ -77,13 +77,7 @@ impl Recorder<'_> {
         rank_by_likelihood(&mut found);
         if !found.is_empty() {
             let text = toml::to_string(&index).map_err(CampaignError::from_encoding_error)?;
-            files.insert(
-                0,
-                (
-                    format!("counterexamples/{}", file::EXPECTED_FILE_NAME),
-                    text,
-                ),
-            );
+            files.insert(0, (in_folder(file::EXPECTED_FILE_NAME), text));
         }
         for (name, text) in files {
             results.write(&name, text);
@@ -120,171 +114,62 @@ impl Recorder<'_> {
     fn record(
         &self,
         place: usize,
-        one: &ExaminedFailure,
+        failure: &ExaminedFailure,
         files: &mut FileContents,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
-        let kind = one.kind.describe(&one.scenario);
-        let slug = match one.kind {
-            FailureKind::Contact {
-                front_vehicle,
-                rear_vehicle,
-                ..
-            } => format!("{rear_vehicle}-hits-{front_vehicle}"),
-            FailureKind::ControllerFailed { vehicle } => format!("controller-{vehicle}-fails"),
-            FailureKind::Violation { .. } => "violation".to_owned(),
+        let changed = self.changed_parameters(&failure.values);
+        let text = CounterexampleText::new(self.config, place, failure, &changed);
+        files.extend(text.files(failure)?);
+        let expect = |file: &str, verdict: &RunVerdict, class: &Avoidability| {
+            expected_verdict(self.config, failure, (file, verdict), class)
         };
-        let (file, original) = (
-            format!("{place:02}-{slug}.toml"),
-            format!("originals/{place:02}-{slug}.toml"),
-        );
-        let terms = &self.config.record;
-        let subject = &terms.subject;
-        let policy = subject.policy_sha256.clone();
-        let driver = match &policy {
-            Some(hash) => format!("`{}` (SHA-256 {hash})", subject.controller),
-            None => format!("`{}`", subject.controller),
-        };
-        let formula = match &self.config.specification {
-            Specification::NoContact => String::new(),
-            Specification::Formula(formula) => format!(" The formula is `{formula}`."),
-            Specification::DrivingRule(rule) => format!(" The rule is `{rule}`."),
-        };
-        let beside = match &terms.failure_criterion {
-            None => String::new(),
-            Some(FailureCriterionRecord::Differential { controller, .. }) => {
-                format!(", and `{controller}` passes it")
-            }
-        };
-        let why = one
-            .because
-            .as_ref()
-            .map_or(String::new(), |because| format!(" {because}"));
-        let found = format!(
-            "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{why}{beside}.{formula}",
-            self.config.space.name(),
-            one.method,
-            one.number,
-            subject.seed
-        );
-        let how = if one.dt_fragile {
-            " It disappears at a tenth of the step: kept as it was found."
-        } else {
-            " Shrunk."
-        };
-        let class = one
-            .analysis
-            .avoidability
-            .describe()
-            .map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
-        let changed = self.changed_parameters(&one.values);
-        let outside: Vec<_> = changed
-            .iter()
-            .filter(|one| one.outside_observed.is_some())
-            .map(ToString::to_string)
-            .collect();
-        let outside = match outside[..] {
-            [] => String::new(),
-            _ => format!(" Values beyond the recordings: {}.", outside.join(", ")),
-        };
-        let name = format!("{}-{}-{place:02}", self.config.space.name(), subject.seed);
-        let named_file = |path: String, scenario: &Scenario, name, about| {
-            let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
-            Ok::<_, CampaignError>((
-                path,
-                file::to_toml(&named).map_err(CampaignError::from_encoding_error)?,
-            ))
-        };
-        let mut write = |file: &str,
-                         (scenario, verdict): (&Scenario, &RunVerdict),
-                         name,
-                         about,
-                         class: &Avoidability| {
-            files.push(named_file(
-                format!("counterexamples/{file}"),
-                scenario,
-                name,
-                about,
-            )?);
-            index.expected.push(ExpectedVerdict {
-                scenario: file.to_owned(),
-                controller: subject.controller.clone(),
-                policy_sha256: policy.clone(),
-                controller_sha256: subject.controller_sha256.clone(),
-                estimator: subject.estimator,
-                specification: self.config.specification.to_string(),
-                violated: verdict.robustness < 0.0,
-                robustness: verdict.robustness,
-                contact_time_s: verdict.contact.map(|contact| contact.time_s),
-                front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
-                rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
-                dt_fragile: one.dt_fragile,
-                avoidable: class.class(),
-                best_min_gap_m: class.best_min_gap_m(),
-                undecided_because: class.undecided_because().map(str::to_owned),
-                failure_criterion: terms.failure_criterion.clone(),
-            });
-            Ok::<(), CampaignError>(())
-        };
-        let (verdict, as_found) = (&one.verdict, &one.original_verdict);
-        write(
-            &file,
-            (&one.scenario, verdict),
-            name.clone(),
-            found.clone() + how + &class + &outside,
-            &one.analysis.avoidability,
-        )?;
-        let original_name = format!("{name}-original");
-        write(
-            &original,
-            (&one.original, as_found),
-            original_name,
-            found,
-            &Avoidability::NotAsked,
-        )?;
-        let escape_file = one
-            .analysis
-            .escape
-            .as_ref()
-            .map(|escape| (format!("counterexamples/escapes/{file}"), escape));
-        if let Some((path, escape)) = &escape_file {
-            let about = format!(
-                "An escape from {file}: a driver who knows the future avoids the collision like this."
-            );
-            files.push(named_file(
-                path.clone(),
-                escape,
-                format!("{name}-escape"),
-                about,
-            )?);
-        }
-        let point = self.config.space.point(&one.values);
-        Ok(Counterexample {
-            file: format!("counterexamples/{file}"),
-            original_file: format!("counterexamples/{original}"),
-            escape_file: escape_file.map(|(path, _)| path),
-            kind,
-            because: one.because.clone(),
-            robustness: verdict.robustness,
-            contact_time_s: verdict.contact.map(|contact| contact.time_s),
-            front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
-            rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
-            impact_speed_mps: verdict.contact.map(|contact| contact.impact_speed_mps),
-            original_impact_speed_mps: as_found.contact.map(|contact| contact.impact_speed_mps),
-            max_delta_v_mps: one.max_delta_v_mps,
-            harm: one.harm,
-            vehicles_involved: one.vehicles_involved,
+        index.expected.extend([
+            expect(&text.file, &failure.verdict, &failure.analysis.avoidability),
+            expect(
+                &text.original_file,
+                &failure.original_verdict,
+                &Avoidability::NotAsked,
+            ),
+        ]);
+        Ok(self.counterexample(failure, text, changed))
+    }
+
+    fn counterexample(
+        &self,
+        failure: &ExaminedFailure,
+        text: CounterexampleText,
+        changed: Vec<ChangedParameter>,
+    ) -> Counterexample {
+        let point = self.config.space.point(&failure.values);
+        let contact = failure.verdict.contact;
+        let original_contact = failure.original_verdict.contact;
+        Counterexample {
+            escape_file: failure.analysis.escape.as_ref().map(|_| text.escape_path()),
+            file: in_folder(&text.file),
+            original_file: in_folder(&text.original_file),
+            kind: text.kind,
+            because: failure.because.clone(),
+            robustness: failure.verdict.robustness,
+            contact_time_s: contact.map(|contact| contact.time_s),
+            front_vehicle: contact.map(|contact| contact.front_vehicle),
+            rear_vehicle: contact.map(|contact| contact.rear_vehicle),
+            impact_speed_mps: contact.map(|contact| contact.impact_speed_mps),
+            original_impact_speed_mps: original_contact.map(|contact| contact.impact_speed_mps),
+            max_delta_v_mps: failure.max_delta_v_mps,
+            harm: failure.harm,
+            vehicles_involved: failure.vehicles_involved,
             ln_likelihood: self.config.space.ln_likelihood(&point),
             distance_from_nominal: self.config.distance_from_nominal(&point),
             likelihood_rank: 0,
-            dt_fragile: one.dt_fragile,
-            avoidability: one.analysis.avoidability.clone(),
-            survives_multi_body: one.survives,
-            escape_survives_multi_body: one.analysis.escape_survives,
-            found_by: one.method.name().to_owned(),
-            found_at: one.number,
+            dt_fragile: failure.dt_fragile,
+            avoidability: failure.analysis.avoidability.clone(),
+            survives_multi_body: failure.survives,
+            escape_survives_multi_body: failure.analysis.escape_survives,
+            found_by: failure.method.name().to_owned(),
+            found_at: failure.number,
             changed,
-        })
+        }
     }
 
     /// Returns the parameters that are not nominal; a constant signal counts as one.
@@ -319,6 +204,175 @@ impl Recorder<'_> {
             }
         }
         changed
+    }
+}
+
+/// Names and descriptions of the scenario files of a counterexample.
+struct CounterexampleText {
+    /// Kind of failure, as a clause.
+    kind: String,
+    /// Paths in the folder of counterexamples.
+    file: String,
+    original_file: String,
+    /// Name of the scenario.
+    name: String,
+    /// Description of the scenario and of the original.
+    about: String,
+    about_original: String,
+}
+
+impl CounterexampleText {
+    fn new(
+        config: &ResolvedConfig,
+        place: usize,
+        failure: &ExaminedFailure,
+        changed: &[ChangedParameter],
+    ) -> Self {
+        let slug = match failure.kind {
+            FailureKind::Contact {
+                front_vehicle,
+                rear_vehicle,
+                ..
+            } => format!("{rear_vehicle}-hits-{front_vehicle}"),
+            FailureKind::ControllerFailed { vehicle } => format!("controller-{vehicle}-fails"),
+            FailureKind::Violation { .. } => "violation".to_owned(),
+        };
+        let kind = failure.kind.describe(&failure.scenario);
+        let about_original = describe_finding(config, failure, &kind);
+        Self {
+            file: format!("{place:02}-{slug}.toml"),
+            original_file: format!("originals/{place:02}-{slug}.toml"),
+            name: format!("{}-{}-{place:02}", config.space.name(), config.record.subject.seed),
+            about: about_original.clone() + &describe_result(failure, changed),
+            about_original,
+            kind,
+        }
+    }
+
+    fn escape_path(&self) -> String {
+        in_folder(&format!("escapes/{}", self.file))
+    }
+
+    /// Returns the scenario, the original and, if there is one, the escape.
+    fn files(&self, failure: &ExaminedFailure) -> Result<FileContents, CampaignError> {
+        let mut files = vec![
+            named_file(
+                in_folder(&self.file),
+                &failure.scenario,
+                self.name.clone(),
+                self.about.clone(),
+            )?,
+            named_file(
+                in_folder(&self.original_file),
+                &failure.original,
+                format!("{}-original", self.name),
+                self.about_original.clone(),
+            )?,
+        ];
+        if let Some(escape) = &failure.analysis.escape {
+            let about = format!(
+                "An escape from {}: a driver who knows the future avoids the collision like this.",
+                self.file
+            );
+            let name = format!("{}-escape", self.name);
+            files.push(named_file(self.escape_path(), escape, name, about)?);
+        }
+        Ok(files)
+    }
+}
+
+fn in_folder(file: &str) -> String {
+    format!("counterexamples/{file}")
+}
+
+fn named_file(
+    path: String,
+    scenario: &Scenario,
+    name: String,
+    about: String,
+) -> Result<(String, String), CampaignError> {
+    let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
+    let text = file::to_toml(&named).map_err(CampaignError::from_encoding_error)?;
+    Ok((path, text))
+}
+
+/// Describes where and with which controller a failure was found.
+fn describe_finding(config: &ResolvedConfig, failure: &ExaminedFailure, kind: &str) -> String {
+    let record = &config.record;
+    let controller = match &record.subject.policy_sha256 {
+        Some(hash) => format!("`{}` (SHA-256 {hash})", record.subject.controller),
+        None => format!("`{}`", record.subject.controller),
+    };
+    let formula = match &config.specification {
+        Specification::NoContact => String::new(),
+        Specification::Formula(formula) => format!(" The formula is `{formula}`."),
+        Specification::DrivingRule(rule) => format!(" The rule is `{rule}`."),
+    };
+    let criterion = match &record.failure_criterion {
+        None => String::new(),
+        Some(FailureCriterionRecord::Differential { controller, .. }) => {
+            format!(", and `{controller}` passes it")
+        }
+    };
+    let reason = failure.because.as_ref();
+    let reason = reason.map_or(String::new(), |reason| format!(" {reason}"));
+    format!(
+        "Found in the space `{}` by {} at its evaluation {} (seed {}): with {controller} {kind}{reason}{criterion}.\
+        {formula}",
+        config.space.name(),
+        failure.method,
+        failure.number,
+        record.subject.seed
+    )
+}
+
+/// Describes what became of a failure since it was found.
+fn describe_result(failure: &ExaminedFailure, changed: &[ChangedParameter]) -> String {
+    let shrinking = if failure.dt_fragile {
+        " It disappears at a tenth of the step: kept as it was found."
+    } else {
+        " Shrunk."
+    };
+    let class = failure.analysis.avoidability.describe();
+    let class = class.map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
+    let outside: Vec<_> = changed
+        .iter()
+        .filter(|parameter| parameter.outside_observed.is_some())
+        .map(ToString::to_string)
+        .collect();
+    let outside = if outside.is_empty() {
+        String::new()
+    } else {
+        format!(" Values beyond the recordings: {}.", outside.join(", "))
+    };
+    format!("{shrinking}{class}{outside}")
+}
+
+/// Returns the entry of a scenario file in the index.
+fn expected_verdict(
+    config: &ResolvedConfig,
+    failure: &ExaminedFailure,
+    (file, verdict): (&str, &RunVerdict),
+    class: &Avoidability,
+) -> ExpectedVerdict {
+    let record = &config.record;
+    ExpectedVerdict {
+        scenario: file.to_owned(),
+        controller: record.subject.controller.clone(),
+        policy_sha256: record.subject.policy_sha256.clone(),
+        controller_sha256: record.subject.controller_sha256.clone(),
+        estimator: record.subject.estimator,
+        specification: config.specification.to_string(),
+        violated: verdict.robustness < 0.0,
+        robustness: verdict.robustness,
+        contact_time_s: verdict.contact.map(|contact| contact.time_s),
+        front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
+        rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+        dt_fragile: failure.dt_fragile,
+        avoidable: class.class(),
+        best_min_gap_m: class.best_min_gap_m(),
+        undecided_because: class.undecided_because().map(str::to_owned),
+        failure_criterion: record.failure_criterion.clone(),
     }
 }
 
