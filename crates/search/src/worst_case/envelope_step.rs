@@ -23,37 +23,14 @@ pub(super) struct HatFunctions {
 impl HatFunctions {
     /// Creates equidistant knots until `until_s`, shifted by `phase` of their distance, and a few after it.
     pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
-        let all_s = bench.cell_count() as f64 * bench.cell_s();
-        let until_s = until_s.min(all_s);
-        let apart_s = (until_s / KNOT_COUNTS[0] as f64).max(bench.cell_s());
-        let early = (0..=KNOT_COUNTS[0]).map(|knot| (knot as f64 + phase) * apart_s);
-        let mut at_s: Vec<f64> = std::iter::once(0.0)
-            .chain(early)
-            .filter(|at_s| *at_s < all_s)
-            .collect();
-        let last_s = at_s.last().copied().unwrap_or(0.0);
-        at_s.extend(
-            (1..=KNOT_COUNTS[1])
-                .map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOT_COUNTS[1] as f64),
-        );
-        at_s.dedup();
+        let knots_s = knot_times_s(bench, until_s, phase);
         let share = |cell: usize| {
             let middle_s = (cell as f64 + 0.5) * bench.cell_s();
-            let left = at_s
-                .partition_point(|at_s| *at_s <= middle_s)
-                .clamp(1, at_s.len().max(2) - 1)
-                - 1;
-            match at_s.get(left..left + 2) {
-                Some(&[left_s, right_s]) => (
-                    left,
-                    ((middle_s - left_s) / (right_s - left_s)).clamp(0.0, 1.0),
-                ),
-                _ => (left, 0.0),
-            }
+            share_of_right_knot(&knots_s, middle_s)
         };
         Self {
             shares: (0..bench.cell_count()).map(share).collect(),
-            knots: at_s.len(),
+            knots: knots_s.len(),
         }
     }
 
@@ -101,6 +78,69 @@ impl HatFunctions {
     }
 }
 
+fn knot_times_s(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f64> {
+    let [early_count, late_count] = KNOT_COUNTS;
+    let all_s = bench.cell_count() as f64 * bench.cell_s();
+    let until_s = until_s.min(all_s);
+    let apart_s = (until_s / early_count as f64).max(bench.cell_s());
+    let early_s = (0..=early_count).map(|knot| (knot as f64 + phase) * apart_s);
+    let mut knots_s: Vec<f64> = std::iter::once(0.0)
+        .chain(early_s)
+        .filter(|knot_s| *knot_s < all_s)
+        .collect();
+    let last_s = knots_s.last().copied().unwrap_or(0.0);
+    knots_s.extend(
+        (1..=late_count).map(|knot| last_s + (all_s - last_s) * knot as f64 / late_count as f64),
+    );
+    knots_s.dedup();
+    knots_s
+}
+
+/// Returns the knot left of a time, and the weight of the right one there.
+fn share_of_right_knot(knots_s: &[f64], time_s: f64) -> (usize, f64) {
+    let right = knots_s.partition_point(|knot_s| *knot_s <= time_s);
+    let left = right.clamp(1, knots_s.len().max(2) - 1) - 1;
+    match knots_s.get(left..left + 2) {
+        Some(&[left_s, right_s]) => {
+            let share = (time_s - left_s) / (right_s - left_s);
+            (left, share.clamp(0.0, 1.0))
+        }
+        _ => (left, 0.0),
+    }
+}
+
+/// Variables of the program of a step.
+#[derive(Clone, Copy)]
+struct Variables {
+    /// Number of knots. The first variables are the changes at them, in m/s².
+    knots: usize,
+    /// Index of the hardest braking of the profile, in m/s².
+    peak: usize,
+    /// Index of the length by which the margin misses its goal, in metres.
+    shortfall: usize,
+}
+
+impl Variables {
+    fn new(knots: usize) -> Self {
+        Self {
+            knots,
+            peak: knots,
+            shortfall: knots + 1,
+        }
+    }
+
+    fn count(self) -> usize {
+        self.knots + 2
+    }
+}
+
+/// A profile after a step.
+pub(super) struct ProposedProfile {
+    pub(super) cells_mps2: Vec<f64>,
+    /// Margin by the linearisation, in metres.
+    pub(super) predicted_margin_m: f64,
+}
+
 #[derive(Debug, Clone, Copy)]
 pub(super) enum StepGoal {
     Margin,
@@ -122,91 +162,111 @@ pub(super) struct EnvelopeStep<'a> {
 }
 
 impl EnvelopeStep<'_> {
-    /// Returns the profile after the step, and its predicted margin in metres; `None` if the solver fails.
+    /// Returns the profile after the step; `None` if the solver fails.
     pub(super) fn solve(
         &self,
         bench: &mut ProfileSimulator<'_>,
         goal: StepGoal,
-    ) -> Option<(Vec<f64>, f64)> {
+    ) -> Option<ProposedProfile> {
         bench.programs += 1;
-        let knots = self.hats.knots;
-        let (peak, short) = (knots, knots + 1);
-        let mut program = QuadraticProgram::new(knots + 2);
+        let variables = Variables::new(self.hats.knots);
+        let mut program = QuadraticProgram::new(variables.count());
         self.add_envelope_rows(bench, &mut program);
-        program.add_inequality(&[(short, -1.0)], 0.0);
-        program.add_inequality(&[(peak, -1.0)], 0.0);
-        let predicted_m = match goal {
+        program.add_inequality(&[(variables.shortfall, -1.0)], 0.0);
+        program.add_inequality(&[(variables.peak, -1.0)], 0.0);
+        self.add_goal(bench, &mut program, variables, goal);
+        let QuadraticSolution::Optimal { point, .. } = program.solve() else {
+            return None;
+        };
+        if point.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        Some(ProposedProfile {
+            cells_mps2: self.apply_clamped(bench, &point),
+            predicted_margin_m: match goal {
+                StepGoal::Margin => self.margin_m + self.linear_change_m(&point),
+                StepGoal::Cost { margin_m, .. } => margin_m,
+            },
+        })
+    }
+
+    /// Returns the linearised change of the margin, in metres.
+    fn linear_change_m(&self, changes: &[f64]) -> f64 {
+        self.gradient
+            .iter()
+            .zip(changes)
+            .map(|(slope, change)| slope * change)
+            .sum()
+    }
+
+    fn add_goal(
+        &self,
+        bench: &ProfileSimulator<'_>,
+        program: &mut QuadraticProgram,
+        variables: Variables,
+        goal: StepGoal,
+    ) {
+        match goal {
             StepGoal::Margin => {
                 for (knot, &slope) in self.gradient.iter().enumerate() {
                     program.add_linear_cost(knot, slope);
                     program.add_squared_cost(&[(knot, 1.0)], REGULARIZATION_WEIGHT);
                 }
-                None
             }
             StepGoal::Cost {
-                objective: aim,
+                objective,
                 margin_m,
             } => {
                 let mut falls: Vec<_> = self.gradient.iter().copied().enumerate().collect();
-                falls.push((short, -1.0));
+                falls.push((variables.shortfall, -1.0));
                 program.add_inequality(&falls, margin_m - self.margin_m);
-                program.add_linear_cost(short, SHORTFALL_COST);
-                self.add_cost(bench, &mut program, aim, peak);
-                Some(margin_m)
+                program.add_linear_cost(variables.shortfall, SHORTFALL_COST);
+                self.add_cost(bench, program, objective, variables.peak);
             }
-        };
-        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else {
-            return None;
-        };
-        if at.iter().any(|value| !value.is_finite()) {
-            return None;
         }
-        let linear_m: f64 = self
-            .gradient
-            .iter()
-            .zip(&at)
-            .map(|(slope, change)| slope * change)
-            .sum();
-        Some((
-            self.apply_clamped(bench, &at),
-            predicted_m.unwrap_or(self.margin_m + linear_m),
-        ))
     }
 
+    /// Adds the limits of acceleration and jerk, where the trust region reaches them.
     fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
-        let (region, most) = (self.trust_region_mps2, bench.envelope.max_brake_mps2);
-        let jump = bench.envelope.jerk_mps3 * bench.cell_s();
+        let region_mps2 = self.trust_region_mps2;
         for knot in 0..self.hats.knots {
-            program.add_inequality(&[(knot, 1.0)], region);
-            program.add_inequality(&[(knot, -1.0)], region);
+            program.add_inequality(&[(knot, 1.0)], region_mps2);
+            program.add_inequality(&[(knot, -1.0)], region_mps2);
         }
-        let negative =
-            |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
-        let mut before: Option<(f64, [(usize, f64); 2])> = None;
-        for (cell, &held) in self.profile_mps2.iter().enumerate() {
+        let max_brake_mps2 = bench.envelope.max_brake_mps2;
+        let mut last_mps2 = 0.0;
+        let mut last_terms = [(0, 0.0); 2];
+        for (cell, &held_mps2) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
-            if held + region > 0.0 {
-                program.add_inequality(&terms, -held);
+            if held_mps2 + region_mps2 > 0.0 {
+                program.add_inequality(&terms, -held_mps2);
             }
-            if held - region < -most {
-                program.add_inequality(&negative(&terms), most + held);
+            if held_mps2 - region_mps2 < -max_brake_mps2 {
+                program.add_inequality(&negative(&terms), max_brake_mps2 + held_mps2);
             }
-            let (last, last_terms) = before.unwrap_or((0.0, [(0, 0.0); 2]));
-            let mut change: Vec<(usize, f64)> = Vec::from(terms);
-            for (knot, weight) in last_terms {
-                match change.iter_mut().find(|(other, _)| *other == knot) {
-                    Some((_, sum)) => *sum -= weight,
-                    None => change.push((knot, -weight)),
-                }
-            }
-            let reach = region * change.iter().map(|(_, weight)| weight.abs()).sum::<f64>();
-            if held - last + reach > jump {
-                program.add_inequality(&change, jump - (held - last));
-            }
-            if held - last - reach < -jump {
-                program.add_inequality(&negative(&change), jump + (held - last));
-            }
-            before = Some((held, terms));
+            let change = difference(terms, last_terms);
+            self.add_jerk_rows(bench, program, &change, held_mps2 - last_mps2);
+            last_mps2 = held_mps2;
+            last_terms = terms;
+        }
+    }
+
+    /// Limits the jerk between two cells, whose accelerations differ by `jump_mps2` now and by `change` in a step.
+    fn add_jerk_rows(
+        &self,
+        bench: &ProfileSimulator<'_>,
+        program: &mut QuadraticProgram,
+        change: &[(usize, f64)],
+        jump_mps2: f64,
+    ) {
+        let max_jump_mps2 = bench.envelope.jerk_mps3 * bench.cell_s();
+        let weights: f64 = change.iter().map(|(_, weight)| weight.abs()).sum();
+        let reach_mps2 = self.trust_region_mps2 * weights;
+        if jump_mps2 + reach_mps2 > max_jump_mps2 {
+            program.add_inequality(change, max_jump_mps2 - jump_mps2);
+        }
+        if jump_mps2 - reach_mps2 < -max_jump_mps2 {
+            program.add_inequality(&negative(change), max_jump_mps2 + jump_mps2);
         }
     }
 
@@ -258,4 +318,23 @@ impl EnvelopeStep<'_> {
         };
         self.profile_mps2.iter().enumerate().map(held).collect()
     }
+}
+
+fn negative(terms: &[(usize, f64)]) -> Vec<(usize, f64)> {
+    terms
+        .iter()
+        .map(|&(knot, weight)| (knot, -weight))
+        .collect()
+}
+
+/// Returns the terms of a difference of two cells.
+fn difference(terms: [(usize, f64); 2], subtracted: [(usize, f64); 2]) -> Vec<(usize, f64)> {
+    let mut difference = Vec::from(terms);
+    for (knot, weight) in subtracted {
+        match difference.iter_mut().find(|(other, _)| *other == knot) {
+            Some((_, sum)) => *sum -= weight,
+            None => difference.push((knot, -weight)),
+        }
+    }
+    difference
 }

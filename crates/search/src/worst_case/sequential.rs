@@ -6,9 +6,11 @@
 //! collision, then along its boundary to a mild one, or further down to a severe one. A milder profile than the result
 //! may exist.
 
+use std::cmp::Ordering;
+
 use super::attack::{Attack, AttackError, AttackObjective};
 use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
-use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
+use super::envelope_step::{EnvelopeStep, HatFunctions, ProposedProfile, StepGoal};
 use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
 use super::pulses::{self, Pulse};
 
@@ -20,6 +22,8 @@ const SIMULATIONS_PER_START: usize = 250;
 const BISECTIONS: usize = 6;
 const BISECTED_PULSES: [usize; 2] = [8, 24];
 const MIN_GAIN: f64 = 1e-4;
+/// Margins that a step to a milder collision aims at, in metres.
+const STEP_MARGINS_M: [f64; 4] = [-1e-3, -0.05, -0.3, -1.0];
 /// Time after a collision that is still covered by the knots before it, in seconds.
 const CONTACT_TAIL_S: f64 = 0.3;
 
@@ -32,44 +36,41 @@ pub(super) struct SimulatedBraking {
     until_s: f64,
 }
 
+/// Result of a descent.
+struct Descent {
+    profile: SimulatedBraking,
+    /// Margin of the profile that the last step predicted, in metres.
+    predicted_margin_m: f64,
+}
+
 /// Returns the best profile found with about `budget` simulations; `None` without a collision.
 pub(super) fn attack(
     bench: &mut ProfileSimulator<'_>,
-    aim: AttackObjective,
+    objective: AttackObjective,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
-    let mut search = AttackSearch {
-        bench,
-        objective: aim,
-    };
-    let mut best: Option<(SimulatedBraking, f64)> = None;
+    let mut search = AttackSearch { bench, objective };
+    let mut best: Option<Descent> = None;
     let mut starts = search.find_starts(budget)?;
-    starts
-        .truncate((budget.saturating_sub(search.bench.evaluations) / SIMULATIONS_PER_START).max(1));
+    let left = budget.saturating_sub(search.bench.evaluations);
+    starts.truncate((left / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
         // Each descent gets an equal share of the remaining simulations.
         let spent = search.bench.evaluations;
         let until = spent + budget.saturating_sub(spent) / (count - index);
         let found = search.descend(start, until)?;
-        let is_better = |best: &SimulatedBraking, found: &SimulatedBraking| match aim {
-            AttackObjective::Severest => found.margin_m < best.margin_m,
-            AttackObjective::Mildest | AttackObjective::LeastPeak => {
-                search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2)
-            }
-        };
-        if found.0.collides
-            && best
-                .as_ref()
-                .is_none_or(|(best, _)| is_better(best, &found.0))
-        {
+        let is_better = |best: &Descent| search.is_better(&found.profile, &best.profile);
+        if found.profile.collides && best.as_ref().is_none_or(is_better) {
             best = Some(found);
         }
     }
-    let Some((best, predicted_m)) = best else {
+    let Some(best) = best else {
         return Ok(None);
     };
-    Ok(Some(search.bench.report(&best.cells_mps2, predicted_m)?))
+    let cells_mps2 = &best.profile.cells_mps2;
+    let report = search.bench.report(cells_mps2, best.predicted_margin_m)?;
+    Ok(Some(report))
 }
 
 struct AttackSearch<'s, 'a> {
@@ -78,6 +79,15 @@ struct AttackSearch<'s, 'a> {
 }
 
 impl AttackSearch<'_, '_> {
+    fn is_better(&self, profile: &SimulatedBraking, best: &SimulatedBraking) -> bool {
+        match self.objective {
+            AttackObjective::Severest => profile.margin_m < best.margin_m,
+            AttackObjective::Mildest | AttackObjective::LeastPeak => {
+                self.cost(&profile.cells_mps2) < self.cost(&best.cells_mps2)
+            }
+        }
+    }
+
     fn simulate_profiles(
         &mut self,
         all: Vec<Vec<f64>>,
@@ -112,34 +122,39 @@ impl AttackSearch<'_, '_> {
                 .take(MAX_STARTS)
                 .collect());
         }
-        let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
-        all.retain(|(_, point)| point.collides);
-        all.sort_by(|(_, a), (_, b)| {
-            self.cost(&a.cells_mps2)
-                .total_cmp(&self.cost(&b.cells_mps2))
-        });
-        // One depth of each form, length and onset.
-        let mut mildest: Vec<(Pulse, SimulatedBraking)> = Vec::new();
-        for (pulse, point) in all {
-            if mildest.len() < most
-                && mildest
-                    .iter()
-                    .all(|(other, _)| !other.differs_in_depth_only(&pulse))
-            {
-                mildest.push((pulse, point));
-            }
-        }
+        let mut mildest = self.select_mildest(all);
         self.bisect(&mut mildest)?;
         let mut points: Vec<SimulatedBraking> = mildest
             .into_iter()
             .map(|(_, point)| self.trim(point))
             .collect();
-        points.sort_by(|a, b| {
-            self.cost(&a.cells_mps2)
-                .total_cmp(&self.cost(&b.cells_mps2))
-        });
+        points.sort_by(|a, b| self.compare_costs(a, b));
         points.truncate(MAX_STARTS);
         Ok(points)
+    }
+
+    /// Returns the mildest of the pulses that collide, one depth of each form, length and onset.
+    fn select_mildest(
+        &self,
+        mut all: Vec<(Pulse, SimulatedBraking)>,
+    ) -> Vec<(Pulse, SimulatedBraking)> {
+        let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
+        all.retain(|(_, point)| point.collides);
+        all.sort_by(|(_, a), (_, b)| self.compare_costs(a, b));
+        let mut mildest: Vec<(Pulse, SimulatedBraking)> = Vec::new();
+        for (pulse, point) in all {
+            let mut others = mildest.iter();
+            if mildest.len() < most && others.all(|(other, _)| !other.differs_in_depth_only(&pulse))
+            {
+                mildest.push((pulse, point));
+            }
+        }
+        mildest
+    }
+
+    fn compare_costs(&self, a: &SimulatedBraking, b: &SimulatedBraking) -> Ordering {
+        self.cost(&a.cells_mps2)
+            .total_cmp(&self.cost(&b.cells_mps2))
     }
 
     /// Reduces the depth of colliding pulses while they collide.
@@ -175,61 +190,91 @@ impl AttackSearch<'_, '_> {
         Ok(())
     }
 
-    /// Steps from one profile until `until` simulations or no improvement. Returns it with the last predicted margin.
-    fn descend(
-        &mut self,
-        mut at: SimulatedBraking,
-        until: usize,
-    ) -> Result<(SimulatedBraking, f64), AttackError> {
+    /// Steps from one profile until `until` simulations or no improvement.
+    fn descend(&mut self, mut at: SimulatedBraking, until: usize) -> Result<Descent, AttackError> {
         let [success, failure] = TRUST_REGION_FACTORS;
-        let (mut region, mut predicted_m, mut phase) = (TRUST_REGION_MPS2[0], at.margin_m, 0.0);
-        while region > TRUST_REGION_MPS2[1] && self.bench.evaluations < until {
-            let wants_cost = at.collides && self.objective != AttackObjective::Severest;
-            let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
-            let slope = self.gradient(&at, &hats)?;
-            // Try several depths, because the linear prediction is not exact.
-            let goals: Vec<StepGoal> = match wants_cost {
-                true => [-1e-3, -0.05, -0.3, -1.0]
-                    .map(|margin_m| StepGoal::Cost {
-                        objective: self.objective,
-                        margin_m,
-                    })
-                    .into(),
-                false => vec![StepGoal::Margin],
-            };
-            let step = EnvelopeStep {
-                profile_mps2: &at.cells_mps2,
-                margin_m: at.margin_m,
-                gradient: &slope,
-                hats: &hats,
-                trust_region_mps2: region,
-            };
-            let steps: Vec<_> = goals
-                .into_iter()
-                .filter_map(|goal| step.solve(self.bench, goal))
-                .collect();
-            let tried =
-                self.simulate_profiles(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
-            let gain = |point: &SimulatedBraking| match wants_cost {
-                true if !point.collides => f64::NEG_INFINITY,
-                true => 1.0 - self.cost(&point.cells_mps2) / self.cost(&at.cells_mps2),
-                false => at.margin_m - point.margin_m,
-            };
-            let best = tried
-                .into_iter()
-                .zip(steps)
-                .max_by(|(a, _), (b, _)| gain(a).total_cmp(&gain(b)));
-            match best.filter(|(point, _)| gain(point) > MIN_GAIN) {
-                Some((point, (_, predicted))) => {
-                    (at, predicted_m) = (self.trim(point), predicted);
-                    region = (region * success).min(TRUST_REGION_MPS2[0]);
+        let [largest_mps2, smallest_mps2] = TRUST_REGION_MPS2;
+        let mut trust_region_mps2 = largest_mps2;
+        let mut predicted_margin_m = at.margin_m;
+        let mut phase = 0.0;
+        while trust_region_mps2 > smallest_mps2 && self.bench.evaluations < until {
+            match self.step(&at, trust_region_mps2, phase)? {
+                Some(next) => {
+                    at = next.profile;
+                    predicted_margin_m = next.predicted_margin_m;
+                    trust_region_mps2 = (trust_region_mps2 * success).min(largest_mps2);
                 }
-                None => region *= failure,
+                None => trust_region_mps2 *= failure,
             }
             // The knots of the next round lie between those of this one.
             phase = 0.5 - phase;
         }
-        Ok((at, predicted_m))
+        Ok(Descent {
+            profile: at,
+            predicted_margin_m,
+        })
+    }
+
+    /// Returns the best profile after one step; `None` if no step improves the profile.
+    fn step(
+        &mut self,
+        at: &SimulatedBraking,
+        trust_region_mps2: f64,
+        phase: f64,
+    ) -> Result<Option<Descent>, AttackError> {
+        let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
+        let gradient = self.gradient(at, &hats)?;
+        let step = EnvelopeStep {
+            profile_mps2: &at.cells_mps2,
+            margin_m: at.margin_m,
+            gradient: &gradient,
+            hats: &hats,
+            trust_region_mps2,
+        };
+        let goals = self.goals(at);
+        let proposed: Vec<ProposedProfile> = goals
+            .into_iter()
+            .filter_map(|goal| step.solve(self.bench, goal))
+            .collect();
+        let profiles = proposed.iter().map(|profile| profile.cells_mps2.clone());
+        let simulated = self.simulate_profiles(profiles.collect())?;
+        let best = simulated
+            .into_iter()
+            .zip(proposed)
+            .max_by(|(a, _), (b, _)| self.gain(at, a).total_cmp(&self.gain(at, b)));
+        let best = best.filter(|(profile, _)| self.gain(at, profile) > MIN_GAIN);
+        Ok(best.map(|(profile, proposed)| Descent {
+            profile: self.trim(profile),
+            predicted_margin_m: proposed.predicted_margin_m,
+        }))
+    }
+
+    /// Returns whether milder profiles than this one are wanted, and not smaller margins.
+    fn reduces_cost(&self, at: &SimulatedBraking) -> bool {
+        at.collides && self.objective != AttackObjective::Severest
+    }
+
+    /// Returns the goals of a step. Several depths are tried, because the linear prediction is not exact.
+    fn goals(&self, at: &SimulatedBraking) -> Vec<StepGoal> {
+        if !self.reduces_cost(at) {
+            return vec![StepGoal::Margin];
+        }
+        STEP_MARGINS_M
+            .map(|margin_m| StepGoal::Cost {
+                objective: self.objective,
+                margin_m,
+            })
+            .into()
+    }
+
+    fn gain(&self, at: &SimulatedBraking, profile: &SimulatedBraking) -> f64 {
+        if !self.reduces_cost(at) {
+            at.margin_m - profile.margin_m
+        } else if profile.collides {
+            1.0 - self.cost(&profile.cells_mps2) / self.cost(&at.cells_mps2)
+        } else {
+            f64::NEG_INFINITY
+        }
     }
 
     /// Returns the profile with a release as fast as the jerk allows after the end of the simulation.
