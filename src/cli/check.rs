@@ -1,6 +1,5 @@
 //! `crumple check`: accepts or rejects certificates by the checker alone, and repeats counted runs on request.
 
-use std::hash::{BuildHasher, RandomState};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -172,10 +171,13 @@ impl Check {
         let cannot = |error: RerunError| CliError::at(path, error);
         let rerun =
             Rerun::new(certificate, &self.controller, global.controllers).map_err(cannot)?;
-        // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
-        let seed = self
-            .rerun_seed
-            .unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
+        let seed = match self.rerun_seed {
+            Some(seed) => seed,
+            // A random seed was unknown when the certificate was made.
+            None => getrandom::u64().map_err(|error| {
+                CliError::Environment(format!("no random seed for --rerun: {error}"))
+            })?,
+        };
         let sample = if percent < 100.0 {
             BlockSelection::Sample { percent, seed }
         } else {
