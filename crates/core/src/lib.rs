@@ -1,5 +1,5 @@
-//! Digests, rounded numbers, errors of fields, intervals of rates, quoted text, Markdown, progress, opening of files, and
-//! text files with errors that name a line, for every other crate of crumple.
+//! Digests, rounded numbers, errors of fields, intervals of rates, quoted text, Markdown, progress, opening of files,
+//! and text files with errors that name a line, for every other crate of crumple.
 //!
 //! Each module uses only modules above it:
 //!

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::copula::Copula;
 use super::field::{FieldTarget, VehicleField};
-use super::invalid::{InvalidSpace, reject};
+use super::invalid::{InvalidSpace, SpaceProblem, reject};
 use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec};
 use super::{ScenarioSpace, SpaceParameter};
@@ -220,44 +220,46 @@ fn load_base(
     match base {
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
-            let in_base = |InvalidField { field, problem }| {
-                InvalidSpace::new(format!("base.{field}"), problem)
-            };
             spec.read_drivers(folder, opener)
                 .and_then(|()| Scenario::new(spec))
-                .map_err(in_base)
+                .map_err(|InvalidField { field, problem }| {
+                    InvalidSpace::new(format!("base.{field}"), problem)
+                })
         }
         Base::Named(name) => match built_in_scenario(name) {
             Some(scenario) => Ok(scenario),
-            None if Path::new(name).extension().is_none() => {
-                let known: Vec<_> = built_in_scenario_names()
-                    .iter()
-                    .map(|(name, _)| *name)
-                    .collect();
-                let known = known.join(", ");
-                reject(
-                    "base",
-                    format!(
-                        "`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"
-                    ),
-                )
-            }
-            None => file::load(&folder.join(name), opener).map_err(|error| match error {
-                ScenarioFileError::Invalid {
-                    path,
-                    line,
-                    invalid:
-                        InvalidField {
-                            field,
-                            problem: FieldProblem::StartRefused(StartRefusal { location: place }),
-                        },
-                } => {
-                    let place = format!("{}:{line}: {field}: {place}", path.display());
-                    InvalidSpace::new("base", StartRefusal { location: place })
-                }
-                other => InvalidSpace::new("base", other.to_string()),
-            }),
+            None if Path::new(name).extension().is_none() => reject("base", unknown_base(name)),
+            None => file::load(&folder.join(name), opener)
+                .map_err(|error| InvalidSpace::new("base", base_file_problem(error))),
         },
+    }
+}
+
+fn unknown_base(name: &str) -> String {
+    let known: Vec<_> = built_in_scenario_names()
+        .iter()
+        .map(|(name, _)| *name)
+        .collect();
+    let known = known.join(", ");
+    format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file")
+}
+
+/// Returns the problem of a base scenario in a file. A program that it names is refused with the line of its name.
+fn base_file_problem(error: ScenarioFileError) -> SpaceProblem {
+    match error {
+        ScenarioFileError::Invalid {
+            path,
+            line,
+            invalid:
+                InvalidField {
+                    field,
+                    problem: FieldProblem::StartRefused(StartRefusal { location }),
+                },
+        } => StartRefusal {
+            location: format!("{}:{line}: {field}: {location}", path.display()),
+        }
+        .into(),
+        other => other.to_string().into(),
     }
 }
 
