@@ -9,8 +9,49 @@ struct StateMotion {
     state: [f64; AXIS_COUNT],
     /// Smallest growth of the gap, in metres.
     growth_m: f64,
-    /// Range of the change along each axis.
+    /// Range of the change along each axis, within the table.
     changes: [[f64; 2]; AXIS_COUNT],
+    /// Range of the state during the motion, also outside of the table.
+    reached: [[f64; 2]; AXIS_COUNT],
+}
+
+impl StateMotion {
+    fn new(
+        axes: &[TableAxis; AXIS_COUNT],
+        state: [f64; AXIS_COUNT],
+        growth_m: f64,
+        changes: [[f64; 2]; AXIS_COUNT],
+    ) -> Self {
+        Self {
+            state,
+            growth_m,
+            changes: std::array::from_fn(|axis| {
+                let [low, high] = [axes[axis].low, axes[axis].high].map(|end| end - state[axis]);
+                changes[axis].map(|change| change.clamp(low, high))
+            }),
+            reached: std::array::from_fn(|axis| {
+                let [low, high] = changes[axis];
+                [state[axis] + low.min(0.0), state[axis] + high.max(0.0)]
+            }),
+        }
+    }
+}
+
+/// Position of a cell relative to the states along each axis. A motion away from a cell does not reach it.
+struct CellSides {
+    is_above: [bool; AXIS_COUNT],
+    is_below: [bool; AXIS_COUNT],
+}
+
+impl CellSides {
+    fn new(axes: &[TableAxis; AXIS_COUNT], cell: Node, extent: &[[f64; 2]; AXIS_COUNT]) -> Self {
+        Self {
+            is_above: std::array::from_fn(|axis| axes[axis].node(cell[axis]) >= extent[axis][1]),
+            is_below: std::array::from_fn(|axis| {
+                axes[axis].cells > 0 && axes[axis].node(cell[axis] + 1) <= extent[axis][0]
+            }),
+        }
+    }
 }
 
 /// Cells of an axis, with both ends.
@@ -29,7 +70,7 @@ impl BoundarySearch<'_> {
         command: [f64; 2],
         above_m: f64,
     ) -> Shortfall {
-        let motions = self.state_motions(points, command);
+        let motions = self.state_motions(table.axes(), points, command);
         let [first_axis, second_axis] = touched_cells(table.axes(), &motions);
         let extent = extent(&motions);
         let mut worst = Shortfall {
@@ -41,11 +82,12 @@ impl BoundarySearch<'_> {
         for i in first_axis.first..=first_axis.last {
             for j in second_axis.first..=second_axis.last {
                 let cell = [i, j];
+                let sides = CellSides::new(table.axes(), cell, &extent);
                 for (order, axes_in_order) in table.orders().iter().enumerate() {
                     let slopes = simplex_slopes(table, cell, axes_in_order);
                     for motion in &motions {
-                        let change = worst_change(table.axes(), cell, slopes, motion, extent);
-                        let missing_m = missing_height_m(slopes, change, motion, above_m);
+                        let change = worst_change(slopes, motion, &sides);
+                        let missing_m = missing_height_m(slopes, change, motion.growth_m, above_m);
                         if missing_m > worst.missing_m {
                             worst = Shortfall {
                                 missing_m,
@@ -61,14 +103,21 @@ impl BoundarySearch<'_> {
         worst
     }
 
-    fn state_motions(&self, points: &[Point], command: [f64; 2]) -> Vec<StateMotion> {
-        let motion = match self.claim.motion {
-            MotionModel::Relative => Self::relative_motion,
-            MotionModel::Absolute => Self::absolute_motion,
-        };
+    fn state_motions(
+        &self,
+        axes: &[TableAxis; AXIS_COUNT],
+        points: &[Point],
+        command: [f64; 2],
+    ) -> Vec<StateMotion> {
         points
             .iter()
-            .map(|(state, _)| motion(self, *state, command))
+            .map(|&(state, _)| {
+                let (growth_m, changes) = match self.claim.motion {
+                    MotionModel::Relative => self.relative_motion(state, command),
+                    MotionModel::Absolute => self.absolute_motion(state, command),
+                };
+                StateMotion::new(axes, state, growth_m, changes)
+            })
             .collect()
     }
 
@@ -76,8 +125,12 @@ impl BoundarySearch<'_> {
         self.claim.step_s * f64::from(self.claim.decision_steps)
     }
 
-    /// Returns the motion of a closing speed, which is the first coordinate.
-    fn relative_motion(&self, state: [f64; AXIS_COUNT], command: [f64; 2]) -> StateMotion {
+    /// Returns the smallest growth of the gap, and the changes of a closing speed, which is the first coordinate.
+    fn relative_motion(
+        &self,
+        [closing_mps, _]: [f64; AXIS_COUNT],
+        command: [f64; 2],
+    ) -> (f64, [[f64; 2]; AXIS_COUNT]) {
         let time_s = self.decision_time_s();
         let [low_mps2, high_mps2] = command;
         let [leader_brakes_mps2, leader_accelerates_mps2] = self.claim.leader_mps2;
@@ -85,30 +138,28 @@ impl BoundarySearch<'_> {
             low_mps2 - leader_accelerates_mps2,
             high_mps2 - leader_brakes_mps2,
         ];
-        StateMotion {
-            state,
-            growth_m: -state[0] * time_s - 0.5 * closing_mps2[1] * time_s * time_s,
-            changes: [closing_mps2.map(|change| change * time_s), [0.0; 2]],
-        }
+        let growth_m = -closing_mps * time_s - 0.5 * closing_mps2[1] * time_s * time_s;
+        (
+            growth_m,
+            [closing_mps2.map(|change| change * time_s), [0.0; 2]],
+        )
     }
 
-    /// Returns the motion of the speeds of two vehicles.
-    fn absolute_motion(&self, state: [f64; AXIS_COUNT], command: [f64; 2]) -> StateMotion {
+    /// Returns the smallest growth of the gap, and the changes of the speeds of two vehicles.
+    fn absolute_motion(
+        &self,
+        [own, leader]: [f64; AXIS_COUNT],
+        command: [f64; 2],
+    ) -> (f64, [[f64; 2]; AXIS_COUNT]) {
         let time_s = self.decision_time_s();
-        let [own, leader] = state;
         let [slow, fast] = command.map(|held| advance(own, held, time_s));
         let leader_ends = self
             .claim
             .leader_mps2
             .map(|held| advance(leader, held, time_s));
-        StateMotion {
-            state,
-            growth_m: leader_ends[0][0] - fast[0],
-            changes: [
-                [slow[1] - own, fast[1] - own],
-                leader_ends.map(|end| end[1] - leader),
-            ],
-        }
+        let own_changes = [slow, fast].map(|end| end[1] - own);
+        let leader_changes = leader_ends.map(|end| end[1] - leader);
+        (leader_ends[0][0] - fast[0], [own_changes, leader_changes])
     }
 }
 
@@ -128,11 +179,7 @@ fn touched_cells(
     motions: &[StateMotion],
 ) -> [CellRange; AXIS_COUNT] {
     std::array::from_fn(|axis| {
-        let reached = motions.iter().map(|motion| {
-            let [low, high] = motion.changes[axis];
-            let at = motion.state[axis];
-            [at + low.min(0.0), at + high.max(0.0)]
-        });
+        let reached = motions.iter().map(|motion| motion.reached[axis]);
         CellRange::new(
             axes[axis],
             reached.fold([f64::INFINITY, f64::NEG_INFINITY], hull),
@@ -170,22 +217,22 @@ fn simplex_slopes(table: &HeightTable, cell: Node, axes_in_order: &[usize]) -> [
 
 /// Returns the change within a simplex along which the boundary rises most.
 fn worst_change(
-    axes: &[TableAxis; AXIS_COUNT],
-    cell: Node,
     slopes: [f64; AXIS_COUNT],
     motion: &StateMotion,
-    extent: [[f64; 2]; AXIS_COUNT],
+    sides: &CellSides,
 ) -> [f64; AXIS_COUNT] {
     std::array::from_fn(|axis| {
-        let along = axes[axis];
-        let at = motion.state[axis];
-        let [low, high] =
-            motion.changes[axis].map(|change| change.clamp(along.low - at, along.high - at));
-        // A motion away from a cell does not reach it.
-        let is_above = along.node(cell[axis]) >= extent[axis][1];
-        let low = if is_above { low.max(0.0) } else { low };
-        let is_below = along.cells > 0 && along.node(cell[axis] + 1) <= extent[axis][0];
-        let high = if is_below { high.min(0.0) } else { high };
+        let [low, high] = motion.changes[axis];
+        let low = if sides.is_above[axis] {
+            low.max(0.0)
+        } else {
+            low
+        };
+        let high = if sides.is_below[axis] {
+            high.min(0.0)
+        } else {
+            high
+        };
         match slopes[axis] {
             0.0 => 0.0_f64.max(low).min(high),
             slope if slope > 0.0 => high,
@@ -198,7 +245,7 @@ fn worst_change(
 fn missing_height_m(
     slopes: [f64; AXIS_COUNT],
     change: [f64; AXIS_COUNT],
-    motion: &StateMotion,
+    growth_m: f64,
     above_m: f64,
 ) -> f64 {
     let rise_m: f64 = slopes
@@ -206,7 +253,7 @@ fn missing_height_m(
         .zip(change)
         .map(|(slope, change)| slope * change)
         .sum();
-    let is_still = rise_m == 0.0 && motion.growth_m >= 0.0;
+    let is_still = rise_m == 0.0 && growth_m >= 0.0;
     let above_m = if is_still { above_m.max(0.0) } else { above_m };
-    rise_m - motion.growth_m - above_m
+    rise_m - growth_m - above_m
 }
