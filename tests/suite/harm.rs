@@ -36,7 +36,7 @@ fn the_count_of_harm_is_that_of_its_runs() {
         .skip(1)
         .map(|line| line.rsplit(',').collect())
         .collect();
-    let groups = &report.harm.as_ref().expect("counted").groups;
+    let groups = &report.results.harm.as_ref().expect("counted").groups;
     assert_eq!(rows.len(), 120);
     let (all, rest) = groups.split_first().expect("a group");
     assert_eq!(

@@ -192,6 +192,7 @@ fn suites_are_evidence_of_an_assessment() {
     );
     // The escape of an avoidable failure is next to it.
     let outcomes = found
+        .results
         .suites
         .iter()
         .flat_map(|part| &part.suites)

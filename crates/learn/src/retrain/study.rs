@@ -68,8 +68,11 @@ impl Study for RetrainingPlan {
     type Report = RetrainingReport;
     type Error = RetrainError;
 
+    fn check(&self) -> Result<(), RetrainError> {
+        self.check_policy()
+    }
+
     fn configuration(&self) -> Result<String, RetrainError> {
-        self.check_policy()?;
         self.to_toml()
     }
 

@@ -121,7 +121,7 @@ impl TuningPlan {
     }
 
     /// Checks everything that would fail later, before any file is written.
-    pub(super) fn check(&self) -> Result<(), TuneError> {
+    pub(super) fn check_spaces(&self) -> Result<(), TuneError> {
         let error = |space: &str, problem| {
             Err(TuneError::Space {
                 space: space.to_owned(),

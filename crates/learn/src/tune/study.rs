@@ -46,8 +46,11 @@ impl Study for TuningPlan {
     type Report = TuningReport;
     type Error = TuneError;
 
+    fn check(&self) -> Result<(), TuneError> {
+        self.check_spaces()
+    }
+
     fn configuration(&self) -> Result<String, TuneError> {
-        self.check()?;
         self.to_toml()
     }
 
