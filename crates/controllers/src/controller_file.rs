@@ -13,6 +13,7 @@ use std::sync::Arc;
 use serde::de::{Deserializer, Error, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
+use crumple_core::format_version::check_version;
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
 use crumple_networks::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crumple_networks::{
@@ -352,13 +353,8 @@ fn load_controller_file(
     let file: ControllerFile = parse_toml(&text, path)?;
     let wrong =
         |InvalidMapping { field, problem }| FileError::from_field(path, &text, &field, problem);
-    if file.version != CONTROLLER_FILE_VERSION {
-        let problem = format!(
-            "version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}",
-            file.version
-        );
-        return Err(wrong(InvalidMapping::new("version", problem)).into());
-    }
+    check_version(file.version, CONTROLLER_FILE_VERSION)
+        .map_err(|unsupported| wrong(InvalidMapping::new("version", unsupported.to_string())))?;
     let folder = path.with_file_name("");
     let permission = |field: &str| {
         named_by

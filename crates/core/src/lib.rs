@@ -9,6 +9,7 @@
 //! | [`digest`] | SHA-256 in the hexadecimal form of files and reports |
 //! | [`digits`] | numbers in messages and reports, for readers |
 //! | [`field_error`] | an invalid field, with its path and its problem |
+//! | [`format_version`] | the version of a file format, and the error of another one |
 //! | [`interval`] | exact confidence intervals of a rate |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
@@ -20,6 +21,7 @@ pub mod binomial;
 pub mod digest;
 pub mod digits;
 pub mod field_error;
+pub mod format_version;
 pub mod interval;
 pub mod markdown;
 pub mod observer;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
+use crate::format_version::check_version;
 use crate::regular_file;
 use named_fields::NamedFields;
 use position::{line_at, locate_in_toml};
@@ -135,14 +136,12 @@ pub fn parse_first_version<T: DeserializeOwned>(
     version: impl Fn(&T) -> u32,
 ) -> Result<T, FileError> {
     let parsed = parse_toml(text, path)?;
-    match version(&parsed) {
-        1 => Ok(parsed),
-        other => Err(FileError::Syntax {
-            path: path.to_owned(),
-            line: line_in_toml(text, "version"),
-            message: format!("version {other} is not supported: this release reads version 1"),
-        }),
-    }
+    check_version(version(&parsed), 1).map_err(|unsupported| FileError::Syntax {
+        path: path.to_owned(),
+        line: line_in_toml(text, "version"),
+        message: unsupported.to_string(),
+    })?;
+    Ok(parsed)
 }
 
 /// Parses a value from JSON text; `path` only names it in errors.

@@ -11,6 +11,7 @@ use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec};
 use super::{ScenarioSpace, SpaceParameter};
 use crumple_core::digits::format_compact;
+use crumple_core::format_version::check_version;
 use crumple_sim::control::StartRefusal;
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{
@@ -189,11 +190,8 @@ impl ScenarioSpace {
 }
 
 fn check_header(spec: &SpaceSpec) -> Result<(), InvalidSpace> {
-    let found = spec.version;
-    if found != SPACE_VERSION {
-        let problem =
-            format!("version {found} is not supported: this release reads version {SPACE_VERSION}");
-        return reject("version", problem);
+    if let Err(unsupported) = check_version(spec.version, SPACE_VERSION) {
+        return reject("version", unsupported.to_string());
     }
     let has_length = (1..=100).contains(&spec.name.chars().count());
     if !has_length || spec.name.chars().any(char::is_control) {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crumple_core::digits::format_compact;
 use crumple_core::field_error::FieldError;
+use crumple_core::format_version::{UnsupportedVersion, check_version};
 use crumple_core::text_file::FileError;
 use crumple_sim::scenario::InvalidField;
 
@@ -42,11 +43,8 @@ pub type InvalidSuite = FieldError<SuiteProblem>;
 #[non_exhaustive]
 pub enum SuiteProblem {
     /// The file is of another format version.
-    #[error("version {found} is not supported: this release reads version {SUITE_VERSION}")]
-    Version {
-        /// Version in the file.
-        found: u32,
-    },
+    #[error(transparent)]
+    Version(#[from] UnsupportedVersion),
     /// A name that is unsuitable for file names.
     #[error("must be 1 to 60 lower-case letters, digits and hyphens")]
     Name,
@@ -191,13 +189,8 @@ fn ensure(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> C
 }
 
 pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
-    ensure(
-        spec.version == SUITE_VERSION,
-        "version",
-        SuiteProblem::Version {
-            found: spec.version,
-        },
-    )?;
+    check_version(spec.version, SUITE_VERSION)
+        .map_err(|unsupported| InvalidSuite::new("version", SuiteProblem::from(unsupported)))?;
     check_name(&spec.name, "name")?;
     for (field, found) in [
         ("about", &spec.about),

@@ -6,6 +6,7 @@ use super::config::{
 };
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
+use crumple_core::format_version::check_version;
 
 const MAX_LAYERS: usize = 16;
 
@@ -65,12 +66,9 @@ impl TrainingConfig {
     }
 
     fn check_header(&self) -> Result<(), TrainingConfigError> {
-        let found = self.version;
-        if found != TRAINING_VERSION {
-            let problem =
-                format!("version {found} is not supported; this release reads {TRAINING_VERSION}");
-            return Err(TrainingConfigError::field("version", problem));
-        }
+        check_version(self.version, TRAINING_VERSION).map_err(|unsupported| {
+            TrainingConfigError::field("version", unsupported.to_string())
+        })?;
         if self.name.trim().is_empty() {
             return Err(TrainingConfigError::field("name", "must not be empty"));
         }

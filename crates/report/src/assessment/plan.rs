@@ -15,6 +15,7 @@ use super::parts::{self, EVERYDAY_SPACES};
 use super::planned_suite::PlannedSuite;
 use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
+use crumple_core::format_version::check_version;
 use crumple_core::{regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_sim::control::{BuiltInController, ControllerSource};
@@ -451,11 +452,9 @@ impl PlanLoader<'_> {
     }
 
     fn check_numbers(&self, config: &AssessConfig) -> Result<(), AssessConfigError> {
-        self.ensure(config.version == CONFIG_VERSION, "version", || {
-            format!(
-                "version {} is not supported: this release reads {CONFIG_VERSION}",
-                config.version
-            )
+        let version = check_version(config.version, CONFIG_VERSION);
+        self.ensure(version.is_ok(), "version", || {
+            version.map_or_else(|unsupported| unsupported.to_string(), |()| String::new())
         })?;
         for (field, draws) in [
             ("draws", config.draws),

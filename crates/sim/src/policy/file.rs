@@ -8,6 +8,7 @@ use safetensors::{SafeTensorError, SafeTensors};
 
 use super::header::{POLICY_VERSION, PolicyHeader};
 use super::{Network, Policy};
+use crumple_core::format_version::check_version;
 use crumple_core::regular_file;
 
 const METADATA_KEY: &str = "crumple_policy";
@@ -105,10 +106,9 @@ impl Policy {
             .ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
         let raw = serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
         let version = raw.get("version").and_then(serde_json::Value::as_u64);
-        if let Some(version) = version.filter(|&version| version != u64::from(POLICY_VERSION)) {
-            let problem =
-                format!("version {version} is not supported: this release reads {POLICY_VERSION}");
-            return Err(PolicyError::Header(problem));
+        if let Some(version) = version {
+            check_version(version, POLICY_VERSION)
+                .map_err(|unsupported| PolicyError::Header(unsupported.to_string()))?;
         }
         if raw.pointer("/action/departs_from").is_some() {
             let problem = "action.departs_from: residual policies were removed in crumple 0.3.0";
@@ -262,14 +262,8 @@ fn read_tensor(
 pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
     let wrong =
         |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
-    if header.version != POLICY_VERSION {
-        return wrong(
-            "version",
-            format!(
-                "{} is not supported: this release reads {POLICY_VERSION}",
-                header.version
-            ),
-        );
+    if let Err(unsupported) = check_version(header.version, POLICY_VERSION) {
+        return wrong("version", unsupported.to_string());
     }
     if header.hidden.len() > MAX_LAYERS {
         return wrong(

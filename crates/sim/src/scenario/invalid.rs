@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use super::SCENARIO_VERSION;
 use crate::control::StartRefusal;
 use crumple_core::digits::format_compact;
 use crumple_core::field_error::FieldError;
+use crumple_core::format_version::UnsupportedVersion;
 
 /// An invalid field of a scenario, with its path and its problem.
 pub type InvalidField = FieldError<FieldProblem>;
@@ -15,11 +15,8 @@ pub type InvalidField = FieldError<FieldProblem>;
 #[non_exhaustive]
 pub enum FieldProblem {
     /// Unsupported format version.
-    #[error("version {found} is not supported: this release reads version {SCENARIO_VERSION}")]
-    Version {
-        /// Version of the file.
-        found: u32,
-    },
+    #[error(transparent)]
+    Version(#[from] UnsupportedVersion),
     /// A number that is infinite or NaN.
     #[error("must be a finite number, found {}", format_compact(*found))]
     NotFinite {

@@ -2,6 +2,7 @@
 
 use super::invalid::{AllowedRange, FieldProblem, InvalidField};
 use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+use crumple_core::format_version::check_version;
 
 const fn range_from(min: f64, max: f64) -> AllowedRange {
     AllowedRange {
@@ -24,10 +25,8 @@ pub(crate) const MAX_VEHICLE_STEPS: usize = 5_000_000;
 
 pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     let root = FieldPath::ROOT;
-    if spec.version != SCENARIO_VERSION {
-        return root.field("version").reject(FieldProblem::Version {
-            found: spec.version,
-        });
+    if let Err(unsupported) = check_version(spec.version, SCENARIO_VERSION) {
+        return root.field("version").reject(unsupported.into());
     }
     root.field("name")
         .check_length(spec.name.chars().count(), 1, 200, "characters")?;

@@ -13,6 +13,7 @@ use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, read_regular_file, r
 use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::disk::{self, DiskError, none_if_missing};
 use crumple_core::digest::{Sha256, sha256};
+use crumple_core::format_version::check_version;
 
 /// Version of the format.
 const VERSION: u32 = 1;
@@ -104,12 +105,8 @@ impl Manifest {
                 error.column()
             ))
         })?;
-        if found.version != VERSION {
-            return Err(damaged(format!(
-                "version: {}, and this release reads {VERSION}",
-                found.version
-            )));
-        }
+        check_version(found.version, VERSION)
+            .map_err(|unsupported| damaged(format!("version: {unsupported}")))?;
         match found.to_json() {
             Ok(text) if text.as_bytes() == bytes && found.is_inside_folder() => Ok(Some(found)),
             _ => Err(damaged(

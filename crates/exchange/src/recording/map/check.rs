@@ -2,6 +2,7 @@
 
 use crumple_core::digits::format_number;
 use crumple_core::field_error::FieldError;
+use crumple_core::format_version::check_version;
 
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
@@ -20,14 +21,8 @@ const MAX_LANE_BLIP_S: f64 = 5.0;
 /// Checks a map. The error names the first invalid field.
 pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), FieldError> {
     let wrong = |field: &str, problem: String| Err(FieldError::new(field, problem));
-    if spec.version != MAP_VERSION {
-        return wrong(
-            "version",
-            format!(
-                "version {} is not supported: this release reads version 1",
-                spec.version
-            ),
-        );
+    if let Err(unsupported) = check_version(spec.version, MAP_VERSION) {
+        return wrong("version", unsupported.to_string());
     }
     let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
     if spec.name.is_empty() || spec.name.len() > 40 || !spec.name.chars().all(is_plain) {

@@ -6,6 +6,7 @@ use super::config::{CampaignRecord, with_reference_methods};
 use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, SearchObjective};
 use crate::falsify::{Method, UnitCube};
 use crumple_controllers::Controllers;
+use crumple_core::format_version::check_version;
 use crumple_measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
@@ -34,12 +35,8 @@ impl ResolvedConfig {
         record: CampaignRecord,
         controllers: Controllers,
     ) -> Result<Self, String> {
-        if record.version != CAMPAIGN_VERSION {
-            return Err(format!(
-                "version: {} is not supported: this release reads {CAMPAIGN_VERSION}",
-                record.version
-            ));
-        }
+        check_version(record.version, CAMPAIGN_VERSION)
+            .map_err(|unsupported| format!("version: {unsupported}"))?;
         let subject = &record.subject;
         // The record contains the space with its base scenario, so no folder is searched.
         let space = ScenarioSpace::new(subject.space.clone(), Path::new(""), &controllers)

@@ -8,6 +8,7 @@ use super::{Avoidability, AvoidabilityClass};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord};
 use crumple_controllers::{Controllers, UnknownController};
+use crumple_core::format_version::check_version;
 use crumple_core::text_file::{self, FileError};
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_sim::engine::NamedController;
@@ -158,18 +159,12 @@ impl ExpectedFile {
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let text = text_file::read(path)?;
         let read: Self = text_file::parse_toml(&text, path)?;
-        if read.version == EXPECTED_VERSION {
-            return Ok(read);
-        }
-        let message = format!(
-            "version: version {} is not supported: this release reads {EXPECTED_VERSION}",
-            read.version
-        );
-        Err(FileError::Syntax {
+        check_version(read.version, EXPECTED_VERSION).map_err(|unsupported| FileError::Syntax {
             path: path.to_owned(),
             line: text_file::line_in_toml(&text, "version"),
-            message,
-        })
+            message: format!("version: {unsupported}"),
+        })?;
+        Ok(read)
     }
 }
 

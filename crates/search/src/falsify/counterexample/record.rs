@@ -242,7 +242,11 @@ impl CounterexampleText {
         Self {
             file: format!("{place:02}-{slug}.toml"),
             original_file: format!("originals/{place:02}-{slug}.toml"),
-            name: format!("{}-{}-{place:02}", config.space.name(), config.record.subject.seed),
+            name: format!(
+                "{}-{}-{place:02}",
+                config.space.name(),
+                config.record.subject.seed
+            ),
             about: about_original.clone() + &describe_result(failure, changed),
             about_original,
             kind,
