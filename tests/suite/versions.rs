@@ -1,9 +1,12 @@
-//! Files of version 0.1.0 are read, or refused by an error that says why.
+//! Files of earlier versions are read, or refused by an error that says why.
 
 use std::fs;
 use std::path::Path;
 
+use tempfile::TempDir;
+
 use crate::command_line::{exit_code, run_crumple, stderr, stdout, temp_folder};
+use crate::damage::{assert_same_contents, read_files};
 
 /// Copies a folder, so that commands that resume cannot change the committed one.
 fn copy_folder(from: &Path, to: &Path) {
@@ -18,8 +21,10 @@ fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// Each command with its exit code, and a part of its output or error.
-const COMMANDS: [(&str, i32, &str); 16] = [
+/// A command with its exit code, and a part of its output or error.
+type ExpectedOutput = (&'static str, i32, &'static str);
+
+const COMMANDS_0_1_0: [ExpectedOutput; 16] = [
     (
         "simulate scenarios/escape.toml --expect safe",
         0,
@@ -95,19 +100,98 @@ const COMMANDS: [(&str, i32, &str); 16] = [
     ),
 ];
 
-#[test]
-fn files_of_0_1_0_are_read_or_refused() {
+/// A finished study of another version is read; an unfinished one is refused with what to do.
+const COMMANDS_0_3_0: [ExpectedOutput; 9] = [
+    (
+        "falsify --controller match-leader --space paper --budget 60 --seed 3 --out campaign --resume",
+        0,
+        "FALSIFIED: 3 distinct failures",
+    ),
+    (
+        "simulate campaign/counterexamples/01-2-hits-1.toml --controller match-leader --expect collision",
+        0,
+        "vehicle 2 hits vehicle 1",
+    ),
+    (
+        "verify rate --controller idm --space paper --runs 300 --seed 3 --confidence 0.9 --out count --resume",
+        0,
+        "0 failures, of 300 runs",
+    ),
+    (
+        "verify rate --rare --controller match-leader --space paper --samples 50 --repetitions 5 --seed 3 --out \
+         estimate --resume",
+        0,
+        "probability of a failure 0.009442",
+    ),
+    (
+        "tune --controller idm --space paper --evaluations 8 --runs 5 --test-runs 5 --out tuning --resume",
+        0,
+        "# Tuning of `idm",
+    ),
+    (
+        "train --preset training-preset.toml --seed 3 --episodes 12 --out training --resume",
+        0,
+        "6c624085cb37",
+    ),
+    (
+        "retrain --policy policy --space paper --preset retraining-preset.toml --rounds 1 --episodes 12 --method \
+         uniform --budget 5 --draws 5 --kept-aside 3 --nominal 3 --regression none --judge 3 --seed 3 --out retraining \
+         --resume",
+        0,
+        "c168ff6345c2fe83665fc9b64051e0730571fd71b7cb696a7ca6bfe09ac3d98f",
+    ),
+    (
+        "falsify --controller predictive --space paper --budget 20000 --method cma-es --seed 3 --out unfinished --resume",
+        2,
+        "another build of crumple started this work: resume it with that build, or start again without --resume in \
+         another --out",
+    ),
+    (
+        "explore unfinished",
+        2,
+        "the campaign is not complete: `crumple falsify --resume` completes it",
+    ),
+];
+
+fn check_commands(version: &str, commands: &[ExpectedOutput]) -> TempDir {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let policy = root.join("corpora/scenarios/policies/reference-94021f6edd21.safetensors");
     let folder = temp_folder();
-    copy_folder(&root.join("corpora/versions/0.1.0"), folder.path());
-    for (line, code, expected) in COMMANDS {
+    copy_folder(&root.join("corpora/versions").join(version), folder.path());
+    for (line, code, expected) in commands {
         let output = run_crumple(
             folder.path(),
             &line.replace("POLICY", &format!("'{}'", policy.display())),
         );
         let printed = format!("{}{}", stdout(&output), stderr(&output));
-        assert_eq!(exit_code(&output), code, "{line}: {printed}");
+        assert_eq!(exit_code(&output), *code, "{line}: {printed}");
         assert!(printed.contains(expected), "{line}: {printed}");
+    }
+    folder
+}
+
+#[test]
+fn files_of_0_1_0_are_read_or_refused() {
+    check_commands("0.1.0", &COMMANDS_0_1_0);
+}
+
+/// Reading changes no file.
+#[test]
+fn studies_of_0_3_0_are_read_or_refused() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = check_commands("0.3.0", &COMMANDS_0_3_0);
+    for kind in [
+        "campaign",
+        "count",
+        "estimate",
+        "tuning",
+        "retraining",
+        "unfinished",
+    ] {
+        assert_same_contents(
+            &read_files(&folder.path().join(kind)),
+            &read_files(&root.join("corpora/versions/0.3.0").join(kind)),
+            kind,
+        );
     }
 }

@@ -31,10 +31,12 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_core::digest::sha256;
+use crumple_core::text_file;
 use manifest::{Manifest, sorted_entries};
 use state::FileState;
 
@@ -280,7 +282,7 @@ impl RunFolderOptions<'_> {
         }
         let text = existing.read_contents(folder, name)?;
         let is_of_other_version = text.is_some_and(|text| {
-            differs_in_version_only(&String::from_utf8_lossy(&text), self.configuration)
+            differs_in_version_only(name, &String::from_utf8_lossy(&text), self.configuration)
         });
         match (is_of_other_version, is_of_other_build) {
             (true, true) => Err(RunFolderError::OtherBuild { path }),
@@ -293,20 +295,44 @@ impl RunFolderOptions<'_> {
     }
 }
 
-/// Returns true if two configurations, in TOML or in JSON with one field on each line, are equal but for the version of
-/// crumple.
-fn differs_in_version_only(existing: &str, asked: &str) -> bool {
-    let is_other_field = |line: &&str| {
-        let line = line.trim_start().trim_start_matches('"');
-        let rest = line
-            .strip_prefix("crumple")
-            .map(|rest| rest.trim_start_matches('"'));
-        !rest.is_some_and(|rest| rest.trim_start().starts_with(['=', ':']))
+/// Returns true if two configurations, in TOML or JSON as the name of their file says, are equal but for the version of
+/// crumple and the order of fields.
+fn differs_in_version_only(file: &str, existing: &str, asked: &str) -> bool {
+    match (parse_fields(file, existing), parse_fields(file, asked)) {
+        (Some(mut existing), Some(mut asked)) => {
+            existing.remove(VERSION_FIELD);
+            asked.remove(VERSION_FIELD);
+            existing == asked
+        }
+        _ => false,
+    }
+}
+
+/// Field with the version of crumple.
+const VERSION_FIELD: &str = "crumple";
+
+/// Parses the fields of a configuration. Those of a registration are in a table of their own.
+fn parse_fields(file: &str, text: &str) -> Option<serde_json::Map<String, Value>> {
+    let path = Path::new(file);
+    let fields: Value = if path
+        .extension()
+        .is_some_and(|extension| extension == "json")
+    {
+        text_file::parse_json(text, path).ok()?
+    } else {
+        text_file::parse_toml(text, path).ok()?
     };
-    existing
-        .lines()
-        .filter(is_other_field)
-        .eq(asked.lines().filter(is_other_field))
+    match fields {
+        Value::Object(mut fields) => match fields.remove("configuration") {
+            Some(Value::Object(inner)) => {
+                fields.extend(inner);
+                Some(fields)
+            }
+            Some(_) => None,
+            None => Some(fields),
+        },
+        _ => None,
+    }
 }
 
 impl RunFolder {

@@ -68,9 +68,8 @@ proptest! {
 
     /// The excess is (h - l)²/4 wide for positive members.
     #[test]
-    fn a_square_is_as_near_its_chord_as_can_be(low in -3.0..3.0_f64, width in 0.01..4.0_f64) {
-        let high = low + width;
-        prop_assume!(high > 0.01);
+    fn a_square_is_as_near_its_chord_as_can_be(high in 0.011..7.0_f64, width in 0.01..4.0_f64) {
+        let low = high - width;
         let (slope, [middle, off]) = slope_and_offset(relu_squared, low, high);
         let square = |x: f64| x.max(0.0).powi(2);
         let chord = (square(high) - square(low)) / width;
