@@ -143,6 +143,9 @@ pub struct HarmConfig {
     pub avoid_draws: u64,
 }
 
+/// The built-in spaces of everyday traffic and of dangerous scenarios.
+pub(super) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
+
 /// Controllers of the built-in report, the baseline first.
 const COMPARED: [&str; 7] = [
     "baseline",

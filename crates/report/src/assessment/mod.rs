@@ -47,7 +47,17 @@ pub use config::{
 };
 pub use gate::AssessmentGate;
 pub use gate_rules::GateResult;
-pub use parts::*;
+pub use parts::{
+    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits,
+    AssessmentProvenance, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow,
+    ClaimSummary, ControllerHarm, ControllerSample, ControllerUsefulness, DistinctFailure,
+    EarlierAssessment, EscapeFile, FailureSearch, FailureSearches, FileScenarios, FirstPage,
+    GainCurve, Glossary, HarmGroup, HarmReport, LargestGain, LimitingAssumption,
+    MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
+    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer,
+    ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
+    SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
+};
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use report::{AssessmentReport, EVIDENCE_VERSION, REPORT_FOLDERS, REPORT_KIND};

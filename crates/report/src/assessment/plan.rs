@@ -9,9 +9,9 @@ use crumple_verify::Certificate;
 use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
-use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
+use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION, EVERYDAY_SPACES};
 use super::gate::AssessmentGate;
-use super::parts::{self, EVERYDAY_SPACES};
+use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;

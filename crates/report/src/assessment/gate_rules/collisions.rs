@@ -2,7 +2,7 @@
 
 use super::{ConfigProblem, GateInputs, GateRule, GateVerdict, require};
 use crate::assessment::case::CaseVerdict;
-use crate::assessment::parts::EVERYDAY_SPACES;
+use crate::assessment::config::EVERYDAY_SPACES;
 use crate::assessment::{AssessConfig, RunEnds, ScenarioCases};
 
 pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {

@@ -53,5 +53,4 @@ pub use share::PercentInterval;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
-pub(super) use usefulness::EVERYDAY_SPACES;
 pub use usefulness::{ControllerUsefulness, UsefulnessReport};

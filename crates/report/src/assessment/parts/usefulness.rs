@@ -11,6 +11,7 @@ use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
+use crate::assessment::config::EVERYDAY_SPACES;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
@@ -27,9 +28,6 @@ use crumple_sim::scenario::Scenario;
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 
 const ANCHOR: &str = "usefulness";
-
-/// The built-in spaces of everyday traffic and of dangerous scenarios.
-pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
 
 /// Every controller in everyday traffic, in danger, and in a line.
 #[derive(Debug, Clone, Serialize, Deserialize)]
