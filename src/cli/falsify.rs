@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
-use super::{CliError, args, interrupt, output, progress, value_enums};
+use super::{CliError, args, output, progress, study, value_enums};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
@@ -21,7 +21,6 @@ use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_store::disk::StagedFiles;
-use crumple_store::study::Study;
 
 /// Search for scenarios in which a controller fails
 #[derive(Args)]
@@ -211,15 +210,7 @@ impl Falsify {
                 quiet,
             );
         }
-        let kept = format!("the evaluations so far are in {}", self.out.display());
-        let resume_note = match campaign.controller.source.identity() {
-            Some(_) => format!("{kept}: the same command with --resume continues"),
-            None => {
-                format!("{kept}; the controller states no identity, so the campaign cannot resume")
-            }
-        };
-        interrupt::set_exit_message(resume_note, quiet);
-        output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        let study = study::open(&campaign, &self.out, self.resume, quiet)?;
         let bar = progress::campaign_bar(
             self.budget.saturating_mul(campaign.methods().len() as u64),
             quiet,
@@ -247,7 +238,7 @@ impl Falsify {
         } else {
             ""
         };
-        let summary = campaign.run(&self.out, self.resume, &observer);
+        let summary = study.run(&observer);
         bar.finish_and_clear();
         let summary = summary?;
         let found = if summary.counterexamples.is_empty() {

@@ -43,6 +43,7 @@ mod run_total;
 mod shell;
 mod show;
 mod simulate;
+mod study;
 mod suite;
 mod suite_folder;
 mod train;

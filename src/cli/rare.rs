@@ -6,10 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use indicatif::ProgressBar;
 
 use super::output_format::OutputFormat;
-use super::{CliError, interrupt, output, progress};
+use super::{CliError, output, progress, study};
 use crumple_core::observer::Listener;
 use crumple_evidence::rare::{ESTIMATE_FILE, RarePlan, RareProgress, RareStage};
-use crumple_store::study::StudyFolder;
 
 /// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it continues from the existing
 /// results.
@@ -20,12 +19,9 @@ pub(super) fn estimate(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
-    let study = StudyFolder::open(plan, folder, resume)?;
+    let study = study::open(plan, folder, resume, quiet)?;
     let path = study.path(ESTIMATE_FILE);
     let is_unfinished = study.state().is_some();
-    if is_unfinished {
-        interrupt::set_exit_message(resume_hint(plan, folder), quiet);
-    }
     let bar = StageBar::new(quiet);
     let report = study.run(&Listener(|progress: &RareProgress| bar.show(progress)));
     bar.clear();
@@ -80,12 +76,5 @@ impl StageBar {
         if let Some((_, bar)) = &*current {
             bar.finish_and_clear();
         }
-    }
-}
-
-fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
-    match plan.controller.source.identity() {
-        Some(_) => format!("the results so far are in {}: the same command with --resume continues", folder.display()),
-        None => "the controller states no identity, so the work cannot resume: start again with a new --out".to_owned(),
     }
 }

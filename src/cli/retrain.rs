@@ -14,7 +14,7 @@ use progress_line::ProgressLine;
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
-use super::{CliError, args, interrupt, output, progress};
+use super::{CliError, args, output, progress, study};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
@@ -24,7 +24,6 @@ use crumple_learn::retrain::{
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::falsify::Method;
 use crumple_sim::engine::NamedController;
-use crumple_store::study::Study;
 
 const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 
@@ -192,8 +191,8 @@ impl Retrain {
             },
         };
         let out = self.out.display();
-        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
-        output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        let study = study::open(&plan, &self.out, self.resume, quiet)
+            .map_err(|error| with_preset_name(error, preset))?;
         let bar = progress::status_line(quiet);
         let line = Mutex::new(ProgressLine {
             bar: &bar,
@@ -205,7 +204,7 @@ impl Retrain {
                 .unwrap_or_else(PoisonError::into_inner)
                 .show(state)
         };
-        let report = plan.run(&self.out, self.resume, &Listener(show));
+        let report = study.run(&Listener(show));
         bar.finish_and_clear();
         let report = report.map_err(|error| with_preset_name(error, preset))?;
         output::note(&report.ending_sentence(), quiet);

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
-use super::{CliError, args, interrupt, output, progress, value_enums};
+use super::{CliError, args, output, progress, study, value_enums};
 use crumple_core::observer::Listener;
 use crumple_learn::tune::{
     SettingRequest, SettingSearch, TuneError, TuningConfig, TuningObjective, TuningPlan,
@@ -14,7 +14,6 @@ use crumple_learn::tune::{
 };
 use crumple_search::falsify::Method;
 use crumple_sim::observation::EstimatorKind;
-use crumple_store::study::Study;
 
 /// Fit the settings of a built-in controller to scenario spaces and everyday traffic
 #[derive(Args)]
@@ -168,8 +167,7 @@ impl Tune {
             },
         };
         let out = self.out.display();
-        interrupt::set_resume_message("the candidates so far are in", &self.out, quiet);
-        output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        let study = study::open(&plan, &self.out, self.resume, quiet).map_err(with_option)?;
         let bar = progress::campaign_bar(0, quiet);
         let show = |state: &TuningProgress| {
             bar.set_length(state.total);
@@ -179,7 +177,7 @@ impl Tune {
                 state.candidates, state.best
             ));
         };
-        let report = plan.run(&self.out, self.resume, &Listener(show));
+        let report = study.run(&Listener(show));
         bar.finish_and_clear();
         let report = report.map_err(with_option)?;
         output::note(

@@ -11,7 +11,7 @@ use crumple_verify::Certificate;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
-use super::{CliError, args, exposure, interrupt, invariant, progress, rare, reach, value_enums};
+use super::{CliError, args, exposure, invariant, progress, rare, reach, study, value_enums};
 use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
     CERTIFICATE_FILE, CertificateReport, CountProgress, CountReport, RateConfig, RateFolderError,
@@ -21,7 +21,6 @@ use crumple_measure::Specification;
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::ScenarioSpace;
-use crumple_store::study::StudyFolder;
 
 /// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]
@@ -220,14 +219,12 @@ impl RateCommand {
             self.resamples.unwrap_or(200),
             self.resample_runs.unwrap_or(500),
         );
-        output::note_nothing_to_resume(self.resume, &out, quiet);
-        let study = StudyFolder::open(&plan, &out, self.resume)?;
+        let study = study::open(&plan, &out, self.resume, quiet)?;
         let path = study.path(CERTIFICATE_FILE);
         output::note(
             &format!("registered as {}", plan.registration().digest()),
             quiet,
         );
-        interrupt::set_resume_message("the counts so far are in", &out, quiet);
         let bar = progress::run_bar("counting", runs, quiet);
         let counted = study.run(&Listener(|done: &CountProgress| {
             bar.set_position(done.runs)
@@ -269,7 +266,6 @@ impl RateCommand {
             },
             resamples: self.resamples.unwrap_or(80),
         };
-        output::note_nothing_to_resume(self.resume, &self.out, quiet);
         rare::estimate(&plan, &self.out, self.resume, self.format, quiet)
     }
 

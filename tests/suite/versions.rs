@@ -141,7 +141,8 @@ const COMMANDS_0_3_0: [ExpectedOutput; 9] = [
         "c168ff6345c2fe83665fc9b64051e0730571fd71b7cb696a7ca6bfe09ac3d98f",
     ),
     (
-        "falsify --controller predictive --space paper --budget 20000 --method cma-es --seed 3 --out unfinished --resume",
+        "falsify --controller predictive --space paper --budget 20000 --method cma-es --seed 3 --out unfinished \
+         --resume",
         2,
         "another build of crumple started this work: resume it with that build, or start again without --resume in \
          another --out",

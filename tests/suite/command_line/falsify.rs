@@ -345,7 +345,7 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
         &run_crumple(folder.path(), arguments),
         "busy: another process is working on the campaign there",
     );
-    let message = "interrupted: the evaluations so far are in busy: the same command with --resume";
+    let message = "interrupted: the results so far are in busy: the same command with --resume";
     assert_reports(&interrupt(child), 130, message);
     // An existing file in the place of a result is an error before any work.
     fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
