@@ -7,7 +7,10 @@
 
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use crumple_core::observer::Observer;
+use crumple_core::text_file;
 
 use crate::run_folder::{
     self, CompletedRun, FolderTransaction, MANIFEST_FILE, RunFolder, RunFolderError,
@@ -61,6 +64,14 @@ pub trait Study {
     /// [`Self::Error`] if it cannot be encoded.
     fn configuration_file(&self) -> Result<Option<String>, Self::Error> {
         self.configuration().map(Some)
+    }
+
+    /// Returns true if a finished study with the configuration `existing` has the results of this one. By default, only
+    /// the version of crumple and the order of fields may differ.
+    fn is_configured_by(&self, existing: &str) -> bool {
+        let file = Self::CONFIGURATION_FILE;
+        self.configuration()
+            .is_ok_and(|asked| differs_in_version_only(file, existing, &asked))
     }
 
     /// Returns the name of a controller without an identity. Such a study cannot be resumed.
@@ -228,7 +239,10 @@ pub fn open_run_folder<S: Study>(
     folder: &Path,
     resume: bool,
 ) -> Result<RunFolder, S::Error> {
-    let configuration = study.configuration()?;
+    let configuration = match existing_configuration(study, folder) {
+        Some(existing) if resume => existing,
+        _ => study.configuration()?,
+    };
     let options = RunFolderOptions {
         kind: S::KIND,
         configuration: &configuration,
@@ -237,6 +251,57 @@ pub fn open_run_folder<S: Study>(
         outputs: S::OUTPUTS,
     };
     Ok(RunFolder::open(folder, options)?)
+}
+
+/// Returns the configuration of a finished study in a folder, if the study has its results.
+fn existing_configuration<S: Study>(study: &S, folder: &Path) -> Option<String> {
+    match run_folder::read_state(folder) {
+        Ok(RunState::Complete(finished)) if finished.kind() == S::KIND => {
+            let existing = finished.read_configuration(S::CONFIGURATION_FILE).ok()?;
+            study.is_configured_by(&existing).then_some(existing)
+        }
+        _ => None,
+    }
+}
+
+/// Returns true if two configurations, in TOML or JSON as the name of their file says, are equal but for the version of
+/// crumple and the order of fields.
+fn differs_in_version_only(file: &str, existing: &str, asked: &str) -> bool {
+    match (parse_fields(file, existing), parse_fields(file, asked)) {
+        (Some(mut existing), Some(mut asked)) => {
+            existing.remove(VERSION_FIELD);
+            asked.remove(VERSION_FIELD);
+            existing == asked
+        }
+        _ => false,
+    }
+}
+
+/// Field with the version of crumple.
+const VERSION_FIELD: &str = "crumple";
+
+/// Parses the fields of a configuration. Those of a registration are in a table of their own.
+fn parse_fields(file: &str, text: &str) -> Option<serde_json::Map<String, Value>> {
+    let path = Path::new(file);
+    let fields: Value = if path
+        .extension()
+        .is_some_and(|extension| extension == "json")
+    {
+        text_file::parse_json(text, path).ok()?
+    } else {
+        text_file::parse_toml(text, path).ok()?
+    };
+    match fields {
+        Value::Object(mut fields) => match fields.remove("configuration") {
+            Some(Value::Object(inner)) => {
+                fields.extend(inner);
+                Some(fields)
+            }
+            Some(_) => None,
+            None => Some(fields),
+        },
+        _ => None,
+    }
 }
 
 /// Opens a finished study for reading, without a lock. `command` is the command that makes such studies.

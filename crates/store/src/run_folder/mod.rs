@@ -31,12 +31,10 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
 
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_core::digest::sha256;
-use crumple_core::text_file;
 use manifest::{Manifest, sorted_entries};
 use state::FileState;
 
@@ -260,16 +258,15 @@ impl RunFolderOptions<'_> {
             });
         }
         // Any build may read a complete run.
-        let is_of_other_build = existing
+        if existing
             .program
             .as_deref()
-            .is_some_and(|existing| existing != program);
+            .is_some_and(|existing| existing != program)
+        {
+            return Err(RunFolderError::OtherBuild { path });
+        }
         if existing.configuration_sha256 == sha256(self.configuration) {
-            return if is_of_other_build {
-                Err(RunFolderError::OtherBuild { path })
-            } else {
-                Ok(())
-            };
+            return Ok(());
         }
         let name = self.configuration_file;
         if existing.check_file(folder, name).is_err() {
@@ -280,58 +277,10 @@ impl RunFolderOptions<'_> {
                 format!("the `{name}` {problem}"),
             ));
         }
-        let text = existing.read_contents(folder, name)?;
-        let is_of_other_version = text.is_some_and(|text| {
-            differs_in_version_only(name, &String::from_utf8_lossy(&text), self.configuration)
-        });
-        match (is_of_other_version, is_of_other_build) {
-            (true, true) => Err(RunFolderError::OtherBuild { path }),
-            (true, false) => Ok(()),
-            (false, _) => Err(RunFolderError::OtherConfiguration {
-                path: folder.join(name),
-                kind,
-            }),
-        }
-    }
-}
-
-/// Returns true if two configurations, in TOML or JSON as the name of their file says, are equal but for the version of
-/// crumple and the order of fields.
-fn differs_in_version_only(file: &str, existing: &str, asked: &str) -> bool {
-    match (parse_fields(file, existing), parse_fields(file, asked)) {
-        (Some(mut existing), Some(mut asked)) => {
-            existing.remove(VERSION_FIELD);
-            asked.remove(VERSION_FIELD);
-            existing == asked
-        }
-        _ => false,
-    }
-}
-
-/// Field with the version of crumple.
-const VERSION_FIELD: &str = "crumple";
-
-/// Parses the fields of a configuration. Those of a registration are in a table of their own.
-fn parse_fields(file: &str, text: &str) -> Option<serde_json::Map<String, Value>> {
-    let path = Path::new(file);
-    let fields: Value = if path
-        .extension()
-        .is_some_and(|extension| extension == "json")
-    {
-        text_file::parse_json(text, path).ok()?
-    } else {
-        text_file::parse_toml(text, path).ok()?
-    };
-    match fields {
-        Value::Object(mut fields) => match fields.remove("configuration") {
-            Some(Value::Object(inner)) => {
-                fields.extend(inner);
-                Some(fields)
-            }
-            Some(_) => None,
-            None => Some(fields),
-        },
-        _ => None,
+        Err(RunFolderError::OtherConfiguration {
+            path: folder.join(name),
+            kind,
+        })
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::config::CampaignRecord;
 use super::findings::{CampaignFindings, MethodResults};
 use super::journal::Journal;
 use super::resolved_config::ResolvedConfig;
@@ -104,6 +105,16 @@ impl Study for Campaign {
 
     fn configuration(&self) -> Result<String, CampaignError> {
         self.to_toml()
+    }
+
+    /// Specifications are compared by their meaning: 0.3.0 wrote `no contact`.
+    fn is_configured_by(&self, existing: &str) -> bool {
+        let asked = CampaignRecord::from_campaign(self);
+        let existing: Result<CampaignRecord, _> = toml::from_str(existing);
+        match (asked, existing) {
+            (Ok(asked), Ok(existing)) => asked.has_results_of(&existing, &self.specification),
+            _ => false,
+        }
     }
 
     fn unidentified_controller(&self) -> Option<&str> {
