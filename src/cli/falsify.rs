@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
@@ -13,10 +12,10 @@ use crumple_core::observer::Listener;
 use crumple_evidence::{MAX_SEEDS, MethodComparison};
 use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
-    Campaign, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET, MAX_SEED,
-    MethodSummary, SearchObjective, SearchSettings,
+    Campaign, CampaignProgress, CampaignReport, CampaignSummary, EvaluationLog, MAX_BUDGET,
+    MAX_SEED, SearchObjective, SearchSettings,
 };
-use crumple_search::falsify::{FailureCriterion, Method, non_finite};
+use crumple_search::falsify::{FailureCriterion, Method};
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{FindSpaceError, ScenarioSpace, find_space};
@@ -301,56 +300,8 @@ fn compare(
     output::print_result(format, &comparison, || comparison.to_text())
 }
 
-/// JSON summary. Some fields refer to the requested method and some to all methods; the two additional fields
-/// distinguish them.
-#[derive(Serialize)]
-struct SummaryReport<'a> {
-    #[serde(flatten)]
-    summary: &'a CampaignSummary,
-    #[serde(rename = "of_method_asked_for")]
-    requested_method: Option<&'a MethodSummary>,
-    #[serde(rename = "of_all_methods")]
-    all_methods: AllMethodsSummary,
-}
-
-/// Joint results of the requested method and the reference searches.
-#[derive(Serialize)]
-struct AllMethodsSummary {
-    methods: usize,
-    evaluations: u64,
-    failures: u64,
-    falsified: bool,
-    /// Failures after de-duplication, as listed in `counterexamples`.
-    distinct_failures: usize,
-    #[serde(serialize_with = "non_finite::optional::serialize")]
-    best_robustness: Option<f64>,
-}
-
-impl<'a> SummaryReport<'a> {
-    fn new(summary: &'a CampaignSummary) -> Self {
-        let methods = &summary.methods;
-        let best_robustness = methods
-            .iter()
-            .filter_map(|method| method.best_robustness)
-            .reduce(f64::min);
-        let of_all_methods = AllMethodsSummary {
-            methods: methods.len(),
-            evaluations: methods.iter().map(|method| method.evaluations).sum(),
-            failures: methods.iter().map(|method| method.failures).sum(),
-            falsified: summary.falsified,
-            distinct_failures: summary.counterexamples.len(),
-            best_robustness,
-        };
-        Self {
-            summary,
-            requested_method: methods.first(),
-            all_methods: of_all_methods,
-        }
-    }
-}
-
 fn print_summary(summary: &CampaignSummary, format: OutputFormat) -> Result<(), CliError> {
-    output::print_result(format, &SummaryReport::new(summary), || summary.to_text())
+    output::print_result(format, &CampaignReport::new(summary), || summary.to_text())
 }
 
 fn format_failure_count(count: u64) -> String {

@@ -55,7 +55,7 @@ pub(super) struct SpecificationResult {
     pub(super) specification: String,
     pub(super) satisfied: bool,
     /// Negative if and only if the specification is violated.
-    #[serde(with = "crumple_search::falsify::non_finite")]
+    #[serde(with = "crumple_core::non_finite")]
     pub(super) robustness: f64,
     /// The formula and its parts, of `--parts`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -73,7 +73,7 @@ pub(super) struct PartReport {
 }
 
 #[derive(Serialize)]
-struct Robustness(#[serde(with = "crumple_search::falsify::non_finite")] f64);
+struct Robustness(#[serde(with = "crumple_core::non_finite")] f64);
 
 impl From<FormulaPart> for PartReport {
     fn from(part: FormulaPart) -> Self {

@@ -11,6 +11,7 @@
 //! | [`field_error`] | an invalid field, with its path and its problem |
 //! | [`format_version`] | the version of a file format, and the error of another one |
 //! | [`interval`] | exact confidence intervals of a rate |
+//! | [`non_finite`] | numbers that may be infinite, in JSON |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
 //! | [`markdown`] | a writer of Markdown, with all text escaped |
@@ -24,6 +25,7 @@ pub mod field_error;
 pub mod format_version;
 pub mod interval;
 pub mod markdown;
+pub mod non_finite;
 pub mod observer;
 pub mod quoting;
 pub mod regular_file;

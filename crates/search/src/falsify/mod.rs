@@ -23,7 +23,6 @@ mod failure_criterion;
 mod halton;
 mod leader_descent;
 mod method;
-pub mod non_finite;
 mod plateau_bisection;
 mod simple_points;
 mod surrogate;

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::run::next_points;
 use super::{Campaign, CampaignError, CampaignProgress, ResolvedConfig};
-use crate::falsify::non_finite;
+use crumple_core::non_finite;
 use crumple_core::observer::Observer;
 
 /// Result of a search that ends at its first failure.

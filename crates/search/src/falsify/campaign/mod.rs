@@ -41,8 +41,8 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CampaignProgress, CampaignState, ExaminationStep, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary,
-    FailuresByMethod, MethodSummary,
+    AllMethodsSummary, AvoidabilitySummary, CampaignReport, CampaignSummary, ConfirmationSummary,
+    FailureKindSummary, FailuresByMethod, MethodSummary,
 };
 
 use std::ops::RangeInclusive;

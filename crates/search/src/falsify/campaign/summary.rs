@@ -9,6 +9,7 @@ use crate::StudySubject;
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crumple_core::non_finite;
 use crumple_core::quoting::TerminalText;
 use crumple_measure::Specification;
 use crumple_sim::engine::FailedControllerRuns;
@@ -44,7 +45,7 @@ pub struct CampaignSummary {
     /// Number of the first failing evaluation of the requested method, from 1.
     pub first_falsification: Option<u64>,
     /// Smallest robustness that the requested method found.
-    #[serde(with = "crate::falsify::non_finite::optional")]
+    #[serde(with = "non_finite::optional")]
     pub best_robustness: Option<f64>,
     /// Distinct failures, the severest first.
     pub counterexamples: Vec<Counterexample>,
@@ -153,7 +154,7 @@ pub struct MethodSummary {
     /// Number of failing evaluations.
     pub failures: u64,
     /// Smallest robustness.
-    #[serde(with = "crate::falsify::non_finite::optional")]
+    #[serde(with = "non_finite::optional")]
     pub best_robustness: Option<f64>,
     /// Evaluations whose partner simulation gave no answer; they do not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -192,6 +193,69 @@ pub struct FailuresByMethod {
     pub count: u64,
     /// Number of its first failing evaluation, from 1.
     pub first: u64,
+}
+
+/// Report of a campaign, for programs. Some fields of the summary refer to the requested method and some to all
+/// methods; the two additional fields distinguish them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CampaignReport<'a> {
+    /// Summary of the campaign.
+    #[serde(flatten)]
+    pub summary: &'a CampaignSummary,
+    /// Results of the requested method.
+    #[serde(rename = "of_method_asked_for")]
+    pub requested_method: Option<&'a MethodSummary>,
+    /// Results of all methods.
+    #[serde(rename = "of_all_methods")]
+    pub all_methods: AllMethodsSummary,
+}
+
+/// Joint results of the requested method and the reference searches.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AllMethodsSummary {
+    /// Number of methods.
+    pub methods: usize,
+    /// Number of evaluations.
+    pub evaluations: u64,
+    /// Number of failing evaluations.
+    pub failures: u64,
+    /// True if any method found a failure.
+    pub falsified: bool,
+    /// Failures after de-duplication, as listed in `counterexamples`.
+    pub distinct_failures: usize,
+    /// Smallest robustness.
+    #[serde(serialize_with = "non_finite::optional::serialize")]
+    pub best_robustness: Option<f64>,
+}
+
+impl<'a> CampaignReport<'a> {
+    /// Creates the report of a campaign.
+    #[must_use]
+    pub fn new(summary: &'a CampaignSummary) -> Self {
+        Self {
+            summary,
+            requested_method: summary.methods.first(),
+            all_methods: AllMethodsSummary::new(summary),
+        }
+    }
+}
+
+impl AllMethodsSummary {
+    fn new(summary: &CampaignSummary) -> Self {
+        let methods = &summary.methods;
+        let best_robustness = methods
+            .iter()
+            .filter_map(|method| method.best_robustness)
+            .reduce(f64::min);
+        Self {
+            methods: methods.len(),
+            evaluations: methods.iter().map(|method| method.evaluations).sum(),
+            failures: methods.iter().map(|method| method.failures).sum(),
+            falsified: summary.falsified,
+            distinct_failures: summary.counterexamples.len(),
+            best_robustness,
+        }
+    }
 }
 
 impl CampaignSummary {

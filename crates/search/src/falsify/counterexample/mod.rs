@@ -52,7 +52,7 @@ pub struct Counterexample {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
     /// Robustness of the file.
-    #[serde(with = "crate::falsify::non_finite")]
+    #[serde(with = "crumple_core::non_finite")]
     pub robustness: f64,
     /// Time of the first collision, in seconds; `None` if a formula is violated without a collision.
     pub contact_time_s: Option<f64>,
@@ -72,7 +72,7 @@ pub struct Counterexample {
     /// Number of vehicles in any impact, if the simulation continues after the collision.
     pub vehicles_involved: usize,
     /// Logarithm of the density under the space's distribution, relative to the uniform density.
-    #[serde(with = "crate::falsify::non_finite")]
+    #[serde(with = "crumple_core::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference relative to the range.
     #[serde(rename = "departure")]
