@@ -14,7 +14,8 @@ use crate::values::{parse_choice, serialize_to_python};
 
 const MAX_SIMULATIONS: u32 = 10_000_000;
 
-/// Searches for a braking profile of the leader. Returns its scenario and `crumple worst-case`'s report.
+/// Searches for a braking profile of the leader. Returns its scenario, and the report of `crumple worst-case` as data
+/// and as text.
 #[pyfunction]
 #[expect(
     clippy::too_many_arguments,
@@ -30,7 +31,7 @@ pub(crate) fn worst_case<'py>(
     jerk_mps3: Option<f64>,
     budget: u32,
     progress: Option<Py<PyAny>>,
-) -> PyResult<(Option<PyScenario>, Bound<'py, PyAny>)> {
+) -> PyResult<(Option<PyScenario>, Bound<'py, PyAny>, String)> {
     if !(1..=MAX_SIMULATIONS).contains(&budget) {
         let problem = format!("budget: must be from 1 to {MAX_SIMULATIONS}, found {budget}");
         return Err(errors::exception(py, ExceptionClass::Run, &problem));
@@ -64,12 +65,11 @@ pub(crate) fn worst_case<'py>(
     let name = &scenario.spec().name;
     let result = result
         .map_err(|error| errors::exception(py, ExceptionClass::Run, &format!("{name}: {error}")))?;
-    let report = serialize_to_python(
-        py,
-        &AttackReport::new(name, &controller, estimator, aim, &result),
-    )?;
+    let budget = budget as usize;
+    let report = AttackReport::new(name, &controller, estimator, aim, budget, &result);
     Ok((
         result.attack.map(|attack| PyScenario(attack.scenario)),
-        report,
+        serialize_to_python(py, &report)?,
+        report.to_text(),
     ))
 }

@@ -28,3 +28,14 @@ def command_line_json(crumple_binary):
         return json.loads(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout)
 
     return run
+
+
+@pytest.fixture
+def command_line_text(crumple_binary):
+    """Returns a function that runs the program and returns its text."""
+
+    def run(*arguments):
+        arguments = [crumple_binary, *map(str, arguments), "--quiet"]
+        return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
+
+    return run

@@ -1,21 +1,17 @@
 //! `crumple avoid`: decides whether any driver could have avoided a collision.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::global_options::GlobalOptions;
 use clap::Args;
 use crumple_verify::Certificate;
-use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::output;
 use super::{CliError, args};
-use crumple_core::quoting::TerminalText;
-use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy,
-    Optimality, UndecidedReason, avoid, certify,
+    AvoidError, AvoidOptions, AvoidReport, Avoidance, AvoidanceVerdict, UndecidedReason, avoid,
+    certify,
 };
 use crumple_sim::scenario::Scenario;
 use crumple_store::disk::StagedFiles;
@@ -59,34 +55,6 @@ pub(super) struct Avoid {
     finding: ArtifactArgs,
 }
 
-/// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "the largest smallest gap found on this grid, over all trigger times of \
-    the follower's emergency brake";
-
-#[derive(Serialize)]
-struct AvoidReport<'a> {
-    scenario: &'a str,
-    verdict: &'static str,
-    best_min_gap_m: Option<f64>,
-    escape_min_gap_m: Option<f64>,
-    min_gap_bound_m: Option<f64>,
-    min_gap_bound_is_certified: bool,
-    /// Reason why no driver keeps a larger gap: `bound` or `initial-gap`; `best-found` if that is not shown.
-    optimality: Option<&'static str>,
-    trigger_time_s: Option<f64>,
-    /// True if the follower's emergency brake fires in the replay; `None` if a driver behind is unknown.
-    emergency_brake_fires: Option<bool>,
-    effort_m2ps3: Option<f64>,
-    escape_is_best_for: Option<String>,
-    /// `programs`, or `closed-loop` if the programs do not model every driver.
-    escape_found_by: Option<&'static str>,
-    programs: usize,
-    simulations: usize,
-    /// True if the escape has no collision with the multi-body plant either.
-    escape_survives_multi_body: Option<bool>,
-    reason: Option<&'a UndecidedReason>,
-}
-
 impl Avoid {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
@@ -117,8 +85,8 @@ impl Avoid {
                 .note_nothing_to_write("no escape was found, so there is nothing", quiet),
         }
         files.commit()?;
-        self.finding
-            .print_report(&report(&scenario, &avoidance), describe)
+        let report = AvoidReport::new(&scenario, &avoidance);
+        self.finding.print_report(&report, AvoidReport::to_text)
     }
 
     fn stage_certificates(
@@ -145,45 +113,6 @@ impl Avoid {
             )?;
         }
         Ok(())
-    }
-}
-
-fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'a> {
-    let escape = avoidance.verdict.escape();
-    let reason = match &avoidance.verdict {
-        AvoidanceVerdict::Undecided(reason) => Some(reason),
-        AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
-    };
-    AvoidReport {
-        scenario: &scenario.spec().name,
-        verdict: avoidance.verdict.name(),
-        best_min_gap_m: avoidance.best_min_gap_m,
-        escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
-        min_gap_bound_m: avoidance.min_gap_bound_m,
-        min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
-        optimality: escape.map(|_| avoidance.optimality.name()),
-        trigger_time_s: escape.and_then(Escape::trigger_time_s),
-        emergency_brake_fires: escape.and_then(|escape| match escape.emergency_brake {
-            EmergencyBrake::Fires { .. } => Some(true),
-            EmergencyBrake::NeverFires => Some(false),
-            _ => None,
-        }),
-        effort_m2ps3: escape.map(Escape::effort_m2ps3),
-        escape_is_best_for: escape.map(|escape| match escape.found_by {
-            FoundBy::Programs => LARGEST_GAP.to_owned(),
-            FoundBy::ClosedLoop { simulations } => format!(
-                "the largest smallest gap with the drivers of all other vehicles in the loop, best of \
-                     {simulations} simulated profiles"
-            ),
-        }),
-        escape_found_by: escape.map(|escape| escape.found_by.name()),
-        programs: avoidance.programs,
-        simulations: escape.map_or(0, |escape| match escape.found_by {
-            FoundBy::Programs => 0,
-            FoundBy::ClosedLoop { simulations } => simulations,
-        }),
-        escape_survives_multi_body: escape.and_then(|escape| escape_survives(scenario, &escape.acceleration_mps2)),
-        reason,
     }
 }
 
@@ -218,72 +147,4 @@ fn stage_certificate(
         ),
     }
     Ok(())
-}
-
-fn describe(report: &AvoidReport<'_>) -> String {
-    let AvoidReport {
-        scenario,
-        verdict,
-        escape_min_gap_m,
-        min_gap_bound_m,
-        programs,
-        reason,
-        ..
-    } = report;
-    let mut text = format!("{}: {verdict}\n", TerminalText(scenario));
-    if let Some(gap_m) = escape_min_gap_m {
-        let optimality = match report.optimality {
-            Some(name) if name == Optimality::BestFound.name() => ", best found",
-            Some(name) if name == Optimality::InitialGap.name() => {
-                ", optimal: equals the initial gap"
-            }
-            _ => ", optimal: equals the bound",
-        };
-        let _ = writeln!(
-            text,
-            "  smallest gap of the escape {:.2} m{optimality}",
-            (100.0 * gap_m).floor() / 100.0
-        );
-    }
-    if let Some(bound_m) = min_gap_bound_m {
-        let _ = writeln!(
-            text,
-            "  no driver keeps more than {:.2} m, {}",
-            (100.0 * bound_m).ceil() / 100.0,
-            if report.min_gap_bound_is_certified {
-                "proved"
-            } else {
-                "computed, without a certificate"
-            }
-        );
-    }
-    match (report.trigger_time_s, report.emergency_brake_fires) {
-        (Some(time_s), _) => {
-            let _ = writeln!(
-                text,
-                "  the follower's emergency brake fires at {time_s:.2} s"
-            );
-        }
-        (None, Some(false)) => text.push_str("  no emergency brake behind fires\n"),
-        (None, _) => {}
-    }
-    if let (Some(best_for), Some(effort)) = (&report.escape_is_best_for, report.effort_m2ps3) {
-        let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
-    }
-    if let Some(survives) = report.escape_survives_multi_body {
-        let replay = if survives {
-            "no collision either"
-        } else {
-            "a COLLISION: it depends on the point mass"
-        };
-        let _ = writeln!(
-            text,
-            "  with the multi-body plant, this escape has {replay}"
-        );
-    }
-    if let Some(reason) = reason {
-        let _ = writeln!(text, "  {reason}");
-    }
-    let _ = writeln!(text, "  {programs} convex programs");
-    text
 }

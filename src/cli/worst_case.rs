@@ -1,23 +1,19 @@
 //! `crumple worst-case`: finds the mildest braking of the leader, or the mildest sensor fault, that makes a controller
 //! fail.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::global_options::GlobalOptions;
 use super::{CliError, args, progress, value_enums};
 use crumple_core::observer::Quiet;
-use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault,
-    SearchedSizes, SensorAttackResult, SensorFailure, attack, attack_sensors,
-    max_sensor_simulations,
+    AttackError, AttackObjective, AttackReport, Envelope, SensorAttackReport, attack,
+    attack_sensors, max_sensor_simulations,
 };
-use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
 use crumple_store::disk::StagedFiles;
 
@@ -130,18 +126,10 @@ impl WorstCase {
         })
         .map_err(|error| CliError::at(&self.scenario, error))?;
         self.controller.ensure_trusted()?;
-        let report = SensorAttackReport {
-            scenario: &scenario.spec().name,
-            controller: &self.controller.name,
-            mildest_collision: result.mildest(SensorFailure::Collision),
-            mildest_unnecessary_braking: result.mildest(SensorFailure::UnnecessaryBraking),
-            result: &result,
-        };
+        let name = &scenario.spec().name;
+        let report = SensorAttackReport::new(name, &self.controller.name, &result);
         let mut files = StagedFiles::default();
-        match report
-            .mildest_collision
-            .or(report.mildest_unnecessary_braking)
-        {
+        match report.mildest() {
             Some(fault) => {
                 let faulty = scenario.edited(|spec| {
                     spec.name =
@@ -163,7 +151,8 @@ impl WorstCase {
                 .note_nothing_to_write("no fault was found, so there is nothing", quiet),
         }
         files.commit()?;
-        self.finding.print_report(&report, describe_sensor_attack)
+        self.finding
+            .print_report(&report, SensorAttackReport::to_text)
     }
 
     fn attack_by_braking(&self, global: GlobalOptions) -> Result<(), CliError> {
@@ -174,10 +163,8 @@ impl WorstCase {
                 "--jerk: must be above 0, found {jerk_mps3}"
             )));
         }
-        let (aim, budget) = (
-            self.aim.unwrap_or(AttackObjective::Mildest),
-            self.budget.unwrap_or(DEFAULT_BUDGET),
-        );
+        let aim = self.aim.unwrap_or(AttackObjective::Mildest);
+        let budget = self.budget.unwrap_or(DEFAULT_BUDGET) as usize;
         let scenario = args::load_scenario(&self.scenario, controllers)?;
         let envelope = Envelope {
             max_brake_mps2: self
@@ -187,7 +174,7 @@ impl WorstCase {
         };
         let options =
             RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
-        let result = attack(&scenario, &options, aim, envelope, budget as usize, &Quiet);
+        let result = attack(&scenario, &options, aim, envelope, budget, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
                 AttackError::EmptyEnvelope { .. } => Path::new("--max-brake"),
@@ -215,207 +202,8 @@ impl WorstCase {
         }
         files.commit()?;
         let name = &scenario.spec().name;
-        let report = AttackReport::new(name, &self.controller, self.estimator, aim, &result);
-        let is_over_budget = report.evaluations > budget as usize;
-        let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
-        self.finding.print_report(
-            &WorstCaseReport {
-                report,
-                budget,
-                is_over_budget,
-                over_budget_because,
-            },
-            describe,
-        )
+        let report =
+            AttackReport::new(name, &self.controller, self.estimator, aim, budget, &result);
+        self.finding.print_report(&report, AttackReport::to_text)
     }
-}
-
-const OVER_BUDGET_REASON: &str =
-    "the method completes its round and always runs its first and last simulations";
-
-#[derive(Serialize)]
-struct SensorAttackReport<'a> {
-    scenario: &'a str,
-    controller: &'a str,
-    mildest_collision: Option<&'a MildestFault>,
-    mildest_unnecessary_braking: Option<&'a MildestFault>,
-    #[serde(flatten)]
-    result: &'a SensorAttackResult,
-}
-
-fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
-    let SensorAttackReport {
-        scenario,
-        controller,
-        result,
-        ..
-    } = report;
-    let mut text = format!(
-        "{}: {}, faults of sensors\n",
-        TerminalText(scenario),
-        TerminalText(controller)
-    );
-    for (failure, found, happens_anyway) in [
-        (
-            "a collision",
-            report.mildest_collision,
-            result.collides_without_fault,
-        ),
-        (
-            "unnecessary braking",
-            report.mildest_unnecessary_braking,
-            result.brakes_unnecessarily_without_fault,
-        ),
-    ] {
-        let _ = match found {
-            _ if happens_anyway => writeln!(text, "  {failure} happens without a further fault"),
-            None => writeln!(text, "  no simulated fault causes {failure}"),
-            Some(fault) => {
-                let MildestFault {
-                    kind,
-                    share,
-                    amount,
-                    unit,
-                    ..
-                } = fault;
-                let percent = 100.0 * share;
-                writeln!(
-                    text,
-                    "  mildest fault that causes {failure}: {kind}, {amount} {unit}, {percent:.1} % of its limit"
-                )
-            }
-        };
-    }
-    let _ = writeln!(
-        text,
-        "  {:<16} {:<26} {:<16} {:>16} {:>20}",
-        "fault", "limit", "sizes searched", "collision", "unnecessary braking"
-    );
-    for FaultKindResult {
-        kind,
-        limit,
-        sizes,
-        collision,
-        unnecessary_braking,
-    } in &result.kinds
-    {
-        let [collision, braking] = [
-            (collision, result.collides_without_fault),
-            (
-                unnecessary_braking,
-                result.brakes_unnecessarily_without_fault,
-            ),
-        ]
-        .map(|(found, happens_anyway)| match found {
-            Some(fault) => format!("{} {}", fault.amount, fault.unit),
-            None if happens_anyway => "not searched".to_owned(),
-            None => format!("none of {}", sizes.count),
-        });
-        let SearchedSizes {
-            smallest,
-            largest,
-            unit,
-            ..
-        } = sizes;
-        let sizes = format!("{smallest} to {largest} {unit}");
-        let _ = writeln!(
-            text,
-            "  {kind:<16} {limit:<26} {sizes:<16} {collision:>16} {braking:>20}"
-        );
-    }
-    let _ = writeln!(
-        text,
-        "  mildest faults found; {} simulations",
-        result.evaluations
-    );
-    text
-}
-
-#[derive(Serialize)]
-struct WorstCaseReport {
-    #[serde(flatten)]
-    report: AttackReport,
-    budget: u32,
-    is_over_budget: bool,
-    over_budget_because: Option<&'static str>,
-}
-
-fn describe(hunted: &WorstCaseReport) -> String {
-    let mut text = describe_report(&hunted.report);
-    if let Some(why) = hunted.over_budget_because {
-        let _ = writeln!(
-            text,
-            "  more simulations than --budget {}: {why}",
-            hunted.budget
-        );
-    }
-    text
-}
-
-fn describe_report(report: &AttackReport) -> String {
-    let AttackReport {
-        scenario,
-        controller,
-        estimator,
-        aim,
-        ..
-    } = report;
-    let mut text = format!(
-        "{}: {}, estimator {estimator}, {aim}\n",
-        TerminalText(scenario),
-        TerminalText(controller)
-    );
-    if report.nondeterministic {
-        text += "  the controller declares that it is not deterministic: another attack may give another result\n";
-    }
-    let (Some(effort), Some(peak)) = (report.effort_m2ps3, report.peak_brake_mps2) else {
-        let AttackReport {
-            evaluations,
-            programs,
-            ..
-        } = report;
-        return text
-            + &format!(
-                "  no collision found in {evaluations} simulations and {programs} convex programs\n"
-            );
-    };
-    if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
-        let _ = writeln!(
-            text,
-            "  CONTROLLER FAILED and gave no valid command: {failed}"
-        );
-    }
-    if let Some(Outcome::Collision(contact)) = &report.outcome {
-        let _ = writeln!(
-            text,
-            "  COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-            contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
-        );
-    }
-    let _ = writeln!(
-        text,
-        "  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²"
-    );
-    if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
-        let _ = writeln!(
-            text,
-            "  margin {margin:.3} m; the last program predicted {predicted:.3} m"
-        );
-    }
-    let AttackReport {
-        evaluations,
-        programs,
-        ..
-    } = report;
-    let _ = match report.method {
-        Some(_) => writeln!(
-            text,
-            "  best found; {evaluations} simulations, {programs} convex programs"
-        ),
-        None => writeln!(
-            text,
-            "  found in {evaluations} simulations and {programs} convex programs"
-        ),
-    };
-    text
 }

@@ -269,7 +269,7 @@ def worst_case(
     jerk_mps3: float | None,
     budget: int,
     progress: Callable[[int, int, int], object] | None,
-) -> tuple[Scenario | None, dict[str, Any]]: ...
+) -> tuple[Scenario | None, dict[str, Any], str]: ...
 def assess(
     path: str | PathLike[str] | None,
     toml: str | None,

@@ -103,6 +103,8 @@ class WorstCase:
     """Scenario with the profile as the leader's script; None if no collision was found."""
     facts: dict[str, Any] = field(repr=False)
     """Output of ``crumple worst-case --format json``."""
+    text: str = field(repr=False)
+    """Output of ``crumple worst-case``."""
     _controller: ControllerLike = field(repr=False)
     _estimator: Literal["kalman", "truth"] = field(repr=False)
 
@@ -127,6 +129,9 @@ class WorstCase:
         """Draws position, speed and gap over time."""
         return self.replay().plot(layout)
 
+    def __str__(self) -> str:
+        return self.text
+
 
 def worst_case(
     scenario: ScenarioLike,
@@ -146,10 +151,10 @@ def worst_case(
     """
     budget = whole_number("budget", budget, 1, 10_000_000, RunError)
     resolved_scenario, resolved_controller = find_scenario(scenario), as_controller(controller)
-    found, facts = _worst_case(
+    found, facts, text = _worst_case(
         resolved_scenario, resolved_controller, aim, estimator, max_brake_mps2, jerk_mps3, budget, progress
     )
-    return WorstCase(found, facts, controller, estimator)
+    return WorstCase(found, facts, text, controller, estimator)
 
 
 def assess(

@@ -18,7 +18,9 @@
 //! No solution is trusted: each profile is replayed, and each proof is checked from its multipliers.
 
 mod attack;
+mod attack_report;
 mod avoid;
+mod avoid_report;
 mod avoidance;
 mod avoidance_problem;
 mod certificate;
@@ -33,16 +35,18 @@ mod profile_simulator;
 mod program;
 mod pulses;
 mod reason;
-mod report;
 mod scripted_leader;
 mod sensor_attack;
+mod sensor_report;
 mod sequential;
 
 pub use attack::{
     Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
     MAX_VEHICLE_STEPS, attack,
 };
+pub use attack_report::AttackReport;
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
+pub use avoid_report::AvoidReport;
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
 pub use certificate::{build_certificate, covers_scenario};
 pub use closed_loop::SearchEffort;
@@ -50,8 +54,8 @@ pub(crate) use descent::{StepSchedule, TrustRegionDescent, VariableBounds};
 pub use emergency_brake::EmergencyBrake;
 pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
-pub use report::AttackReport;
 pub use sensor_attack::{
     FaultKindResult, MildestFault, SearchedSizes, SensorAttackResult, SensorFailure,
     attack_sensors, max_sensor_simulations,
 };
+pub use sensor_report::SensorAttackReport;
