@@ -38,8 +38,6 @@ mod rare;
 mod reach;
 mod replay;
 mod retrain;
-mod run_report;
-mod run_total;
 mod shell;
 mod show;
 mod simulate;

@@ -8,21 +8,16 @@ use clap::{Args, ValueEnum};
 use super::global_options::GlobalOptions;
 use super::output;
 use super::output_format::OutputFormat;
-use super::run_report::{
-    PartReport, RunReport, SpecificationResult, describe, describe_briefly, fell_behind,
-    lane_changes, unnecessary_braking,
-};
-use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, feature, value_enums};
 use crumple_controllers::Controllers;
-use crumple_measure::{Specification, SpecificationError};
+use crumple_measure::{RunEnd, RunFindings, RunReport, RunTotal, SpecificationResult, TotalReport};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_sim::engine::{
-    Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
+    Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace,
     simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
@@ -248,7 +243,7 @@ impl Simulate {
         let total = RunTotal::new(&findings, !self.spec.is_empty());
         match self.format {
             OutputFormat::Text if has_folder || results.len() > 1 => {
-                Ok(total.describe(&self.controller.name, self.estimator.name()))
+                Ok(total.to_text(&self.controller.name, self.estimator.name()))
             }
             OutputFormat::Json if has_folder => {
                 Ok(serde_json::to_string(&TotalReport { total }).map_err(CliError::input)? + "\n")
@@ -266,22 +261,10 @@ impl Simulate {
         is_brief: bool,
     ) -> Result<RenderedRun, CliError> {
         let report = self.report(run, simulated)?;
-        let evaluated = &report.unnecessary_braking;
-        let findings = RunFindings {
-            end: RunEnd::new(&simulated.outcome, run.scenario()),
-            brakes_unnecessarily: evaluated.iter().any(|one| !one.braking.is_empty()),
-            fell_behind: !report.fell_behind.is_empty(),
-            violated: report
-                .specifications
-                .iter()
-                .any(|evaluated| !evaluated.satisfied),
-        };
-        let is_useful =
-            !evaluated.is_empty() && !findings.brakes_unnecessarily && !findings.fell_behind;
         let text = match self.format {
             OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
-            OutputFormat::Text if is_brief => describe_briefly(&report),
-            OutputFormat::Text => describe(&report, run.scenario()),
+            OutputFormat::Text if is_brief => report.to_line(),
+            OutputFormat::Text => report.to_text(),
         };
         let mut files = Vec::new();
         if let Some(trace) = &simulated.trace {
@@ -310,9 +293,9 @@ impl Simulate {
         Ok(RenderedRun {
             text,
             files,
-            is_useful,
+            is_useful: report.is_useful(),
             collided: !simulated.impacts.is_empty(),
-            findings,
+            findings: RunFindings::new(&report),
         })
     }
 
@@ -377,74 +360,16 @@ impl Simulate {
         run: &'a Run,
         result: &'a SimulationResult,
     ) -> Result<RunReport<'a>, CliError> {
-        let scenario = run.scenario();
-        let spec = scenario.spec();
-        let specifications = self
-            .check_specifications(scenario)
-            .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
-        Ok(RunReport {
-            scenario: &spec.name,
-            controller: &self.controller.name,
-            estimator: self.estimator.name(),
-            dt_s: run.dt_s(),
-            seed: spec.seed,
-            plant: self.plant.map(PlantKind::name),
-            nondeterministic: !self.controller.source.is_deterministic(),
-            outcome: result.outcome.clone(),
-            vehicles: &result.vehicles,
-            impacts: &result.impacts,
-            vehicles_involved: result.vehicles_involved(),
-            lane_changes: lane_changes(scenario, result),
-            interventions: &result.interventions,
-            unnecessary_braking: unnecessary_braking(scenario, result),
-            fell_behind: fell_behind(scenario, result),
-            specifications,
-        })
-    }
-
-    /// Evaluates the specifications; those that need the same kind of run share one.
-    fn check_specifications(
-        &self,
-        scenario: &Scenario,
-    ) -> Result<Vec<SpecificationResult>, SpecificationError> {
-        let mut runs: Vec<(Run, RecordingLevel, SimulationResult)> = Vec::new();
-        let evaluate = |text: &String| {
-            let specification = Specification::parse(text, scenario)?;
-            let (keep, after_contact) = (
-                specification.recording_level(),
-                specification.after_contact(),
-            );
-            let known = |(run, kept, _): &_| {
-                (*kept, Run::options(run).after_contact) == (keep, after_contact)
-            };
-            let index = match runs.iter().position(known) {
-                Some(index) => index,
-                None => {
-                    let run = Run::new(
-                        scenario,
-                        self.run_options().with_after_contact(after_contact),
-                    )?;
-                    let result = simulate(&run, keep);
-                    runs.push((run, keep, result));
-                    runs.len() - 1
-                }
-            };
-            let verdict = specification.evaluate(&runs[index].0, &runs[index].2)?;
-            let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
-            let parts = if self.parts {
-                specification.parts_over_time(&runs[index].0, &runs[index].2)?
-            } else {
-                Vec::new()
-            };
-            let parts = parts.into_iter().map(PartReport::from).collect();
-            Ok(SpecificationResult {
-                specification: specification.to_string(),
-                satisfied,
-                robustness,
-                parts,
-            })
-        };
-        self.spec.iter().map(evaluate).collect()
+        let specifications = SpecificationResult::evaluate_all(
+            &self.spec,
+            run.scenario(),
+            &self.run_options(),
+            self.parts,
+        )
+        .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
+        Ok(RunReport::new(run, &self.controller, result)
+            .with_plant(self.plant)
+            .with_specifications(specifications))
     }
 
     fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {

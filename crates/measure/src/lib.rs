@@ -25,6 +25,8 @@
 //! | `usefulness` | progress, comfort, and unnecessary braking |
 //! | `driving_rule` | rules of conduct towards followers and passengers |
 //! | `specification` | specifications of a controller, and the robustness of a run |
+//! | `run_report` | report of a run, as text and as JSON |
+//! | `run_total` | total of several runs |
 
 mod approach;
 mod comfort;
@@ -37,6 +39,8 @@ mod harm;
 #[cfg(test)]
 mod lane_tests;
 mod proximity;
+mod run_report;
+mod run_total;
 mod severity;
 mod specification;
 pub mod stl;
@@ -58,6 +62,10 @@ pub use gain::{
 };
 pub use harm::{harm, harm_of_pair, injury_probability};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
+pub use run_report::{
+    LaneChanges, PartReport, RunReport, SpecificationResult, UnnecessaryBrakingReport,
+};
+pub use run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{
     BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError,

@@ -1,0 +1,174 @@
+//! Report of a simulated run, as text and as JSON.
+
+mod lane_changes;
+mod specification_result;
+mod text;
+
+use serde::Serialize;
+
+pub use lane_changes::LaneChanges;
+pub use specification_result::{PartReport, SpecificationResult};
+
+use super::usefulness::{UnnecessaryBraking, UsefulnessMeasures};
+use crumple_sim::engine::{
+    Impact, Intervention, NamedController, Outcome, Run, SimulationResult, VehicleSummary,
+};
+use crumple_sim::scenario::{PlantKind, Scenario};
+
+/// Report of a simulated run.
+#[derive(Debug, Clone, Serialize)]
+pub struct RunReport<'a> {
+    /// Name of the scenario.
+    pub scenario: &'a str,
+    /// The scenario.
+    #[serde(skip)]
+    pub simulated_scenario: &'a Scenario,
+    /// Name of the controller.
+    pub controller: &'a str,
+    /// Estimator of the vehicles under test.
+    pub estimator: &'static str,
+    /// Integration step, in seconds.
+    pub dt_s: f64,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// Plant of the vehicles that a controller drives, if it is not that of the scenario.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plant: Option<&'static str>,
+    /// True if the controller declares that it is not deterministic.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub nondeterministic: bool,
+    /// The first collision, or the end of the run without one.
+    pub outcome: Outcome,
+    /// Summaries, one per vehicle, front to rear.
+    pub vehicles: &'a [VehicleSummary],
+    /// Impacts in order of time.
+    pub impacts: &'a [Impact],
+    /// Number of vehicles with at least one impact.
+    pub vehicles_involved: usize,
+    /// Lane changes, including scheduled ones that did not happen.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lane_changes: Vec<LaneChanges>,
+    /// Interventions of shields, by vehicle and time.
+    #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
+    pub interventions: &'a [Intervention],
+    /// One entry per vehicle under test; empty without a trace.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(rename = "braking_without_cause")]
+    pub unnecessary_braking: Vec<UnnecessaryBrakingReport>,
+    /// Vehicles under test that are far slower than their leader at the end; empty without a trace.
+    #[serde(rename = "left_behind", skip_serializing_if = "Vec::is_empty")]
+    pub fell_behind: Vec<usize>,
+    /// Results of the specifications.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub specifications: Vec<SpecificationResult>,
+}
+
+/// Unnecessary braking of a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct UnnecessaryBrakingReport {
+    /// Index of the vehicle, from the front.
+    pub vehicle: usize,
+    /// Measure of the braking.
+    #[serde(flatten)]
+    pub braking: UnnecessaryBraking,
+}
+
+impl<'a> RunReport<'a> {
+    /// Creates the report of a run's result, without specifications. `controller` is that of the run.
+    #[must_use]
+    pub fn new(
+        run: &'a Run,
+        controller: &'a NamedController,
+        result: &'a SimulationResult,
+    ) -> Self {
+        let scenario = run.scenario();
+        Self {
+            scenario: &scenario.spec().name,
+            simulated_scenario: scenario,
+            controller: &controller.name,
+            estimator: run.options().estimator.name(),
+            dt_s: run.dt_s(),
+            seed: scenario.spec().seed,
+            plant: None,
+            nondeterministic: !controller.source.is_deterministic(),
+            outcome: result.outcome.clone(),
+            vehicles: &result.vehicles,
+            impacts: &result.impacts,
+            vehicles_involved: result.vehicles_involved(),
+            lane_changes: LaneChanges::list(scenario, result),
+            interventions: &result.interventions,
+            unnecessary_braking: unnecessary_braking(scenario, result),
+            fell_behind: fell_behind(scenario, result),
+            specifications: Vec::new(),
+        }
+    }
+
+    /// States the plant that replaces that of the scenario.
+    #[must_use]
+    pub fn with_plant(self, plant: Option<PlantKind>) -> Self {
+        let plant = plant.map(PlantKind::name);
+        Self { plant, ..self }
+    }
+
+    /// Adds results of specifications.
+    #[must_use]
+    pub fn with_specifications(self, specifications: Vec<SpecificationResult>) -> Self {
+        Self {
+            specifications,
+            ..self
+        }
+    }
+
+    /// Returns true if a vehicle under test brakes unnecessarily.
+    #[must_use]
+    pub fn brakes_unnecessarily(&self) -> bool {
+        self.unnecessary_braking
+            .iter()
+            .any(|vehicle| !vehicle.braking.is_empty())
+    }
+
+    /// Returns true if a vehicle was evaluated, none brakes unnecessarily, and none falls behind.
+    #[must_use]
+    pub fn is_useful(&self) -> bool {
+        let is_evaluated = !self.unnecessary_braking.is_empty();
+        is_evaluated && !self.brakes_unnecessarily() && self.fell_behind.is_empty()
+    }
+
+    /// Returns true if a specification is violated.
+    #[must_use]
+    pub fn violates_specification(&self) -> bool {
+        self.specifications.iter().any(|result| !result.satisfied)
+    }
+}
+
+/// Returns the unnecessary braking of the vehicles under test, front to rear.
+fn unnecessary_braking(
+    scenario: &Scenario,
+    result: &SimulationResult,
+) -> Vec<UnnecessaryBrakingReport> {
+    let Some(trace) = &result.trace else {
+        return Vec::new();
+    };
+    let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
+    let measure = |vehicle| {
+        let braking = UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)?;
+        Some(UnnecessaryBrakingReport { vehicle, braking })
+    };
+    under_test.filter_map(measure).collect()
+}
+
+/// Returns the vehicles under test that fall behind their leader.
+fn fell_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
+    let Some(trace) = &result.trace else {
+        return Vec::new();
+    };
+    let falls_behind = |&vehicle: &usize| {
+        UsefulnessMeasures::from_trace(trace, &result.impacts, vehicle)
+            .and_then(|measures| measures.following)
+            .is_some_and(|following| following.fell_behind)
+    };
+    (0..trace.vehicles.len())
+        .filter(|&vehicle| scenario.is_under_test(vehicle))
+        .filter(falls_behind)
+        .collect()
+}

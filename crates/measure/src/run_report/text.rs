@@ -1,0 +1,266 @@
+//! Text of the report of a run.
+
+use std::path::Path;
+
+use super::{RunReport, SpecificationResult, UnnecessaryBrakingReport};
+use crate::usefulness::BrakeInstant;
+use crumple_core::quoting::TerminalText;
+use crumple_sim::engine::{Contact, Impact, Intervention, Outcome, VehicleSummary};
+use crumple_sim::scenario::{Driver, VehicleSpec};
+
+const NONDETERMINISTIC: &str = "  the controller declares that it is not deterministic: another run may give another \
+                                result";
+
+impl RunReport<'_> {
+    /// Returns the report for a reader, as lines.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let mut lines = vec![self.heading()];
+        if self.nondeterministic {
+            lines.push(NONDETERMINISTIC.to_owned());
+        }
+        lines.extend(self.outcome_line());
+        lines.extend(self.impact_lines());
+        lines.extend(self.lane_change_lines());
+        lines.extend(self.braking_lines());
+        lines.extend(self.describe_fell_behind().map(|line| format!("  {line}")));
+        lines.extend(self.specification_lines());
+        lines.extend(self.shield_lines());
+        lines.extend(self.vehicle_lines());
+        lines
+            .iter()
+            .map(|line| format!("{}\n", TerminalText(line.trim_end())))
+            .collect()
+    }
+
+    /// Returns one line for a reader: the end of the run, and everything that is wrong.
+    #[must_use]
+    pub fn to_line(&self) -> String {
+        let mut parts = vec![format!("{}: {}", self.scenario, self.describe_end())];
+        if self.impacts.len() > 1 {
+            parts.push(self.describe_involved());
+        }
+        let brakings = self
+            .unnecessary_braking
+            .iter()
+            .filter(|vehicle| !vehicle.braking.is_empty());
+        parts.extend(brakings.map(|vehicle| {
+            let time_s = vehicle.braking.time_s;
+            format!(
+                "vehicle {} brakes unnecessarily for {time_s:.2} s",
+                vehicle.vehicle
+            )
+        }));
+        parts.extend(self.describe_fell_behind());
+        let violated = self
+            .specifications
+            .iter()
+            .filter(|result| !result.satisfied);
+        parts.extend(violated.map(SpecificationResult::describe));
+        format!("{}\n", TerminalText(&parts.join("; ")))
+    }
+
+    fn heading(&self) -> String {
+        let plant = self
+            .plant
+            .map_or_else(String::new, |plant| format!(", plant {plant}"));
+        format!(
+            "{}: {}, estimator {}, dt {} s, seed {}{plant}",
+            self.scenario, self.controller, self.estimator, self.dt_s, self.seed
+        )
+    }
+
+    fn outcome_line(&self) -> Option<String> {
+        match &self.outcome {
+            Outcome::ControllerFailed(failed) => Some(format!("  CONTROLLER FAILED: {failed}")),
+            _ if self.impacts.is_empty() => Some("  no collision".to_owned()),
+            _ => None,
+        }
+    }
+
+    fn impact_lines(&self) -> Vec<String> {
+        let words = std::iter::once("COLLISION").chain(std::iter::repeat("then     "));
+        let mut lines: Vec<_> = words
+            .zip(self.impacts)
+            .map(|(word, impact)| format!("  {word} {}", describe_impact(impact)))
+            .collect();
+        if self.impacts.len() > 1 {
+            lines.push(format!("  {}", self.describe_involved()));
+        }
+        lines
+    }
+
+    fn describe_involved(&self) -> String {
+        let involved = self.vehicles_involved;
+        format!("{involved} of {} vehicles involved", self.vehicles.len())
+    }
+
+    fn lane_change_lines(&self) -> impl Iterator<Item = String> {
+        self.lane_changes
+            .iter()
+            .map(|change| format!("  {}", change.describe(self.simulated_scenario)))
+    }
+
+    fn braking_lines(&self) -> impl Iterator<Item = String> {
+        self.unnecessary_braking
+            .iter()
+            .filter_map(UnnecessaryBrakingReport::describe)
+            .map(|line| format!("  {line}"))
+    }
+
+    fn describe_fell_behind(&self) -> impl Iterator<Item = String> {
+        self.fell_behind
+            .iter()
+            .map(|vehicle| format!("vehicle {vehicle} is left behind by its leader"))
+    }
+
+    fn specification_lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for result in &self.specifications {
+            lines.push(format!("  {}", result.describe()));
+            lines.extend(result.parts.iter().map(|part| part.describe(self.dt_s)));
+        }
+        lines
+    }
+
+    fn shield_lines(&self) -> impl Iterator<Item = String> {
+        (0..self.vehicles.len()).filter_map(|index| shield_line(self.interventions, index))
+    }
+
+    fn vehicle_lines(&self) -> Vec<String> {
+        let heading = format!(
+            "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
+            "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
+        );
+        let mut lines = vec![heading];
+        for (index, summary) in self.vehicles.iter().enumerate() {
+            if let Some(vehicle) = self.simulated_scenario.vehicles().get(index) {
+                lines.push(self.vehicle_line(index, summary, vehicle));
+            }
+        }
+        lines
+    }
+
+    fn vehicle_line(
+        &self,
+        index: usize,
+        summary: &VehicleSummary,
+        vehicle: &VehicleSpec,
+    ) -> String {
+        let class = vehicle.class.name();
+        let driver = describe_driver(&vehicle.driver, self.controller);
+        let min_gap_m = two_decimals(summary.min_gap_m);
+        let min_ttc_s = two_decimals(summary.min_ttc_s);
+        let max_brake_mps2 = summary.max_brake_mps2;
+        let end = if summary.stopped {
+            "standing"
+        } else {
+            "moving"
+        };
+        format!(
+            "  {index:>3}  {class:<6} {driver:<20} {min_gap_m:>11} {min_ttc_s:>11} {max_brake_mps2:>15.2}  {end}"
+        )
+    }
+
+    fn describe_end(&self) -> String {
+        if let Outcome::ControllerFailed(failed) = &self.outcome {
+            return format!("CONTROLLER FAILED: {failed}");
+        }
+        if let Some(impact) = self.impacts.first() {
+            return format!("COLLISION {}", describe_contact(&impact.contact));
+        }
+        let gaps_m = self.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+        match gaps_m.reduce(f64::min) {
+            Some(gap_m) => format!("no collision, smallest gap {gap_m:.2} m"),
+            None => "no collision".to_owned(),
+        }
+    }
+}
+
+impl UnnecessaryBrakingReport {
+    /// Describes the hardest unnecessary braking; `None` if there is none.
+    fn describe(&self) -> Option<String> {
+        let BrakeInstant {
+            time_s,
+            brake_mps2,
+            justified_mps2,
+        } = self.braking.hardest?;
+        Some(format!(
+            "vehicle {} brakes unnecessarily for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
+             {justified_mps2:.1} was necessary",
+            self.vehicle, self.braking.time_s
+        ))
+    }
+}
+
+impl SpecificationResult {
+    fn describe(&self) -> String {
+        let verdict = if self.satisfied { "holds" } else { "VIOLATED" };
+        format!(
+            "{verdict}, robustness {:.3}: {}",
+            self.robustness, self.specification
+        )
+    }
+}
+
+fn describe_contact(contact: &Contact) -> String {
+    format!(
+        "at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
+        contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+    )
+}
+
+fn describe_impact(impact: &Impact) -> String {
+    let contact = &impact.contact;
+    format!(
+        "{} ({:.1} against {:.1} m/s)",
+        describe_contact(contact),
+        contact.rear_speed_mps,
+        contact.front_speed_mps
+    )
+}
+
+fn describe_driver(driver: &Driver, controller: &str) -> String {
+    match driver {
+        Driver::UnderTest => controller.to_owned(),
+        Driver::Controller(spec) => spec.to_arg(),
+        Driver::Profile(profile) => profile.name().to_owned(),
+        Driver::File(file) => Path::new(file.path())
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned(),
+    }
+}
+
+fn two_decimals(value: Option<f64>) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.2}"))
+}
+
+/// Summarises the interventions of a vehicle's shield in one line; `None` without interventions.
+fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
+    let own: Vec<_> = interventions
+        .iter()
+        .filter(|intervention| intervention.vehicle == vehicle)
+        .collect();
+    let first_s = own.first()?.from_s;
+    let braked_s: f64 = own.iter().map(|one| one.to_s - one.from_s).sum();
+    let times = match own.len() {
+        1 => "once".to_owned(),
+        count => format!("{count} times"),
+    };
+    let outside = if own.iter().any(|one| one.outside_kernel) {
+        "; the state was outside the safety kernel"
+    } else {
+        ""
+    };
+    let rear = if own.iter().any(|one| one.rear_conflict) {
+        "; while it braked, no command was safe for both the leader and the follower"
+    } else {
+        ""
+    };
+    Some(format!(
+        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} \
+         s{outside}{rear}"
+    ))
+}
