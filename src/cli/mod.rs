@@ -37,6 +37,7 @@ mod progress;
 mod rare;
 mod reach;
 mod replay;
+mod replay_report;
 mod retrain;
 mod shell;
 mod show;
