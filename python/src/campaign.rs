@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crumple_evidence::MethodComparison;
 use crumple_measure::Specification;
 use crumple_search::falsify::FailureCriterion;
-use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
+use crumple_search::falsify::campaign::{Campaign, CampaignProgress, CampaignReport};
 use crumple_store::study::Study;
 use pyo3::prelude::*;
 
@@ -17,7 +17,7 @@ use crate::search_method::{RaisedException, resolve_method};
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// Searches a space for counterexamples. Returns the campaign's summary as data and as text.
+/// Searches a space for counterexamples. Returns the report of `crumple falsify` as data and as text.
 #[pyfunction]
 #[expect(
     clippy::too_many_arguments,
@@ -54,7 +54,8 @@ pub(crate) fn falsify<'py>(
     })?;
     raised.take()?;
     let summary = summary.map_err(|error| wrong(py, &error))?;
-    Ok((serialize_to_python(py, &summary)?, summary.to_text()))
+    let report = CampaignReport::new(&summary);
+    Ok((serialize_to_python(py, &report)?, summary.to_text()))
 }
 
 /// Compares search methods. Returns the results as data and as text.

@@ -50,9 +50,9 @@ class Campaign:
     failures: list[Failure]
     """Distinct failures, the severest first."""
     summary: dict[str, Any] = field(repr=False)
-    """Content of ``summary.json`` in the campaign's folder."""
+    """Output of ``crumple falsify --format json``."""
     text: str = field(repr=False)
-    """Summary as text."""
+    """Output of ``crumple falsify``."""
 
     @property
     def falsified(self) -> bool:
