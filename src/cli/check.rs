@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use super::global_options::GlobalOptions;
 use clap::Args;
 use crumple_verify::{Certificate, CertificateParseError, ClaimSubject, WorkLimit};
-use serde::Serialize;
 
 use super::output_format::OutputFormat;
 use super::{CliError, args, file_kind, interrupt, output, progress};
@@ -14,8 +13,8 @@ use crumple_controllers::NameOrigin;
 use crumple_controllers::controller_file::{self, ControllerFileError};
 use crumple_core::regular_file;
 use crumple_evidence::{
-    BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario,
-    checker_file, report_json, report_text,
+    BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, UncheckedCertificate,
+    check_covers_scenario, checker_file, report_json, report_text, unchecked_json,
 };
 use crumple_networks::network::NetworkFile;
 use crumple_sim::engine::NamedController;
@@ -237,23 +236,12 @@ impl Check {
     }
 }
 
-#[derive(Serialize)]
-struct UncheckedCertificate<'a> {
-    certificate: &'a str,
-    accepted: bool,
-    error: String,
-}
-
 fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> {
-    let line = |(certificate, failure): &(String, CliError)| {
-        let line = UncheckedCertificate {
-            certificate,
-            accepted: false,
-            error: failure.to_string(),
-        };
-        Ok(serde_json::to_string(&line).map_err(CliError::input)? + "\n")
-    };
-    others.iter().map(line).collect()
+    let files: Vec<_> = others
+        .iter()
+        .map(|(path, failure)| UncheckedCertificate::new(path.clone(), failure.to_string()))
+        .collect();
+    unchecked_json(&files).map_err(CliError::input)
 }
 
 fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {

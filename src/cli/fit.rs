@@ -1,14 +1,12 @@
 //! `crumple fit`: fits a scenario space to recorded episodes.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::fs::Metadata;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use serde_json::json;
 
 use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
@@ -16,13 +14,8 @@ use super::output_format::OutputFormat;
 use super::progress::read_bar;
 use super::simulate::path_ending_in;
 use super::{CliError, args, output, value_enums};
-use crumple_core::digits;
-use crumple_core::quoting::TerminalText;
 use crumple_core::regular_file;
-use crumple_evidence::fit::{
-    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize,
-    FittedSpace, MAX_VEHICLES, fit, format_p_value,
-};
+use crumple_evidence::fit::{EpisodeCollector, ExtractionConfig, FitReport, MAX_VEHICLES, fit};
 use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_report::figures;
 use crumple_spaces::file;
@@ -177,185 +170,8 @@ impl Fit {
             )?;
         }
         files.commit()?;
-        output::print_result(self.format, &to_json(&sample, &fitted), || {
-            format_fit(&sample, &fitted)
-        })
+        let report = FitReport::new(&sample, &fitted);
+        let object = report.to_json().map_err(CliError::input)?;
+        output::print_result(self.format, &object, || report.to_text())
     }
-}
-
-fn to_json(sample: &EpisodeSample, fitted: &FittedSpace) -> serde_json::Value {
-    json!({
-        "space": fitted.space.name(),
-        "exposure": sample.exposure,
-        "waves": cluster_count(sample),
-        "left_out": sample.exclusions,
-        "numbers": fitted.features,
-        "sizes": fitted.sizes,
-        "depending": fitted.copula_parameters,
-        "correlation": fitted.correlation,
-    })
-}
-
-fn cluster_count(sample: &EpisodeSample) -> u32 {
-    sample
-        .observed
-        .braking_clusters
-        .iter()
-        .max()
-        .map_or(0, |last| last + 1)
-}
-
-fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
-    let mut text = String::new();
-    let _ = write_fit(sample, fitted, &mut text);
-    text
-}
-
-fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
-    let EpisodeSample {
-        exposure,
-        extraction: taken,
-        exclusions: left_out,
-        sizes,
-        most_out_of_range: outside_by,
-        ..
-    } = sample;
-    let clusters = cluster_count(sample);
-    writeln!(
-        out,
-        "{} braking episodes in {clusters} waves, of {} vehicles",
-        exposure.episodes, taken.vehicles
-    )?;
-    for source in &exposure.sources {
-        let (name, hours, kilometres) =
-            (TerminalText(&source.name), source.hours, source.kilometres);
-        writeln!(
-            out,
-            "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following",
-            source.episodes
-        )?;
-    }
-    if exposure.undescribed_brakings > 0 {
-        let all = exposure.episodes + exposure.undescribed_brakings;
-        writeln!(
-            out,
-            "  of {all} brakings in these hours {} could be used",
-            exposure.episodes
-        )?;
-    }
-    let left_out = left_out.sentences(taken.vehicles);
-    left_out
-        .iter()
-        .try_for_each(|words| writeln!(out, "  {words}"))?;
-    if let Some(by) = outside_by {
-        writeln!(out, "  Most often outside the ranges: {by}")?;
-    }
-    sizes
-        .iter()
-        .enumerate()
-        .try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.sentence(index)))?;
-    for number in &fitted.features {
-        write_feature(number, out)?;
-    }
-    for FittedSize { name, values, .. } in &fitted.sizes {
-        let each = values.iter().map(|value| {
-            let [low, high] = value.interval_95;
-            format!(
-                "{:.1} m in {:.4} ({low:.4} to {high:.4})",
-                value.at, value.probability
-            )
-        });
-        writeln!(out, "\n{name}: {}", each.collect::<Vec<_>>().join(", "))?;
-    }
-    writeln!(
-        out,
-        "\ndependence of the parameters: correlations of the Gaussian copula"
-    )?;
-    for (name, row) in fitted.copula_parameters.iter().zip(&fitted.correlation) {
-        let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
-        writeln!(out, "  {name:<18} {}", entries.join(" "))?;
-    }
-    writeln!(
-        out,
-        "\np-values: the share of {} samples of the fitted distribution, fitted again, that are at least as far from \
-         their fit. They tend to be too large, because the same values chose the family. A Gaussian copula has no tail \
-         dependence.",
-        fitted
-            .features
-            .first()
-            .map_or(0, |number| number.goodness.samples)
-    )
-}
-
-fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
-    let FittedFeature {
-        name,
-        unit,
-        point_mass,
-        chosen,
-        others,
-        impossible,
-        goodness,
-        tails,
-        sorted,
-        ..
-    } = number;
-    let unit = if *unit == "1" { "" } else { unit };
-    writeln!(
-        out,
-        "\n{name}: {}, {}",
-        chosen.family.name(),
-        format_estimates(chosen)
-    )?;
-    if let Some(point) = point_mass {
-        let ([low, high], all) = (point.interval_95, sorted.len());
-        writeln!(
-            out,
-            "  {} {unit} in {} of {all}: probability {:.4} ({low:.4} to {high:.4}); the fit describes the other \
-             episodes",
-            point.at, point.count, point.probability
-        )?;
-    }
-    let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
-    let (ks_p, cvm_p) = (
-        format_p_value(goodness.kolmogorov_smirnov_p),
-        format_p_value(goodness.cramer_von_mises_p),
-    );
-    writeln!(
-        out,
-        "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}"
-    )?;
-    writeln!(
-        out,
-        "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} \
-         {unit} ({} in the highest)",
-        digits::format_rounded(tails.below_smallest, 3),
-        sorted.len() as u64 - point_mass.map_or(0, |point| point.count),
-        tails.smallest,
-        tails.in_lower_tenth,
-        digits::format_rounded(tails.beyond_largest, 3),
-        tails.largest,
-        tails.in_upper_tenth
-    )?;
-    let row = |fit: &FamilyFit| format!("{} {:.1} / {:.1}", fit.family.name(), fit.aic, fit.bic);
-    let rows: Vec<_> = std::iter::once(chosen).chain(others).map(row).collect();
-    writeln!(out, "  AIC / BIC: {}", rows.join(", "))?;
-    for (family, why) in impossible {
-        writeln!(out, "  not {}: {why}", family.name())?;
-    }
-    Ok(())
-}
-
-fn format_estimates(fit: &FamilyFit) -> String {
-    let of = |which: usize| {
-        let estimate = format!("{} {:.4}", fit.parameter_names[which], fit.estimates[which]);
-        match fit.intervals_95 {
-            Some(intervals) => format!(
-                "{estimate} ({:.4} to {:.4})",
-                intervals[which][0], intervals[which][1]
-            ),
-            None => format!("{estimate} (no interval: the likelihood is flat, or at its limit)"),
-        }
-    };
-    format!("{}, {}", of(0), of(1))
 }

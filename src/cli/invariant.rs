@@ -6,9 +6,8 @@ use super::global_options::GlobalOptions;
 use clap::{Args, ValueEnum};
 use crumple_core::observer::Listener;
 use crumple_verify::invariant::MotionModel;
-use crumple_verify::{ProvedClaim, WorkLimit, check_with};
+use crumple_verify::{WorkLimit, check_with};
 use indicatif::ProgressBar;
-use serde::Serialize;
 
 use super::import::render_figure;
 use super::output;
@@ -17,7 +16,7 @@ use super::reach::write_certificate;
 use super::simulate::path_ending_in;
 use super::{CliError, args, progress};
 use crumple_evidence::{
-    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet,
+    InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantReport, InvariantSet,
     InvariantSpec, InvariantStage,
 };
 use crumple_report::figures::draw_invariant_set;
@@ -180,38 +179,10 @@ impl InvariantCommand {
         bar.set_message("searching for a leader that defeats the controller");
         let defeat = plan.defeat(&set.table).map_err(failed)?;
         bar.finish_and_clear();
-        let ProvedClaim::Invariant {
-            share,
-            min_gap_m,
-            own_speed_is_kept,
-        } = accepted
-        else {
-            return Err(CliError::Gate(
-                "the checker proved another claim".to_owned(),
-            ));
-        };
+        let report = InvariantReport::new(&self.controller.name, &set, &accepted, defeat)
+            .ok_or_else(|| CliError::Gate("the checker proved another claim".to_owned()))?;
         self.write_files(&plan, &set)?;
-        let report = InvariantReport {
-            controller: &self.controller.name,
-            scenario: &set.certificate.provenance.scenario,
-            certificate_sha256: set.certificate.digest(),
-            accepted: true,
-            share,
-            simulated_share: set.simulated_share,
-            smallest_gap_m: min_gap_m,
-            own_speed_is_kept,
-            defeat: defeat.clone(),
-        };
-        let words = || {
-            format!(
-                "{}\naccepted: {accepted}\nat most {:.2} % are possible with these cells: from the other nodes, a \
-                 leader that brakes, at once or after 1 s, defeats the controller in a simulation\n{}",
-                set.certificate.scope(),
-                (1e4 * set.simulated_share).ceil() / 1e2,
-                defeat_line(&set, defeat.as_ref())
-            )
-        };
-        output::print_result(self.format, &report, words)
+        output::print_result(self.format, &report, || report.to_text())
     }
 }
 
@@ -315,45 +286,4 @@ impl InvariantCommand {
             })
             .collect()
     }
-}
-
-fn defeat_line(set: &InvariantSet, defeat: Option<&Defeat>) -> String {
-    match defeat {
-        None if set.table.axes()[1].cells == 0 => {
-            "outside the set: nothing was searched\n".to_owned()
-        }
-        None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
-        Some(Defeat {
-            gap_m,
-            own_mps,
-            leader_mps,
-            leader_accelerates_s,
-        }) => {
-            let brakes = match *leader_accelerates_s {
-                0.0 => "brakes at once".to_owned(),
-                time_s => format!("accelerates for {time_s} s and then brakes"),
-            };
-            format!(
-                "outside the set: at {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s that \
-                 {brakes}, the controller collides in a simulation\n"
-            )
-        }
-    }
-}
-
-#[derive(Serialize)]
-struct InvariantReport<'a> {
-    controller: &'a str,
-    scenario: &'a str,
-    certificate_sha256: String,
-    /// Always true: crumple prints no certificate that the checker rejects.
-    accepted: bool,
-    /// Proved share of the region.
-    share: f64,
-    /// Share of the region from which no simulated leader causes a collision.
-    simulated_share: f64,
-    smallest_gap_m: f64,
-    own_speed_is_kept: bool,
-    /// State outside the set with a leader that defeats the controller.
-    defeat: Option<Defeat>,
 }

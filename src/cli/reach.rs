@@ -5,15 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use crumple_core::observer::Listener;
 use crumple_store::disk::StagedFiles;
-use crumple_verify::{Certificate, ProvedClaim, WorkLimit, check_with};
-use serde::Serialize;
+use crumple_verify::{Certificate, WorkLimit, check_with};
 
 use super::output;
 use super::output_folder::stage;
 use super::output_format::OutputFormat;
 use super::{CliError, args, progress};
 use crumple_core::text_file;
-use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCounts, VolumeShares};
+use crumple_evidence::{BoxSpec, InvalidBox, ReachPlan, ReachReport, VolumeShares};
 use crumple_sim::engine::NamedController;
 
 /// Prove from which part of a box of initial states a policy or a network avoids every collision
@@ -82,12 +81,42 @@ fn load_box_text(place: &Path) -> Result<String, CliError> {
 
 impl ReachCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let place = self.starts.display();
         let text = load_box_text(&self.starts)?;
-        let failed = |error: InvalidBox| match error {
+        let plan = ReachPlan::new(
+            self.controller.source.clone(),
+            &BoxSpec::from_toml(&text, &self.starts)?,
+        )
+        .map_err(|error| self.describe_refusal(error, &text))?;
+        let bar = progress::depth_line("cutting", u64::from(self.depth), quiet);
+        let observer = Listener(|shares: &VolumeShares| {
+            bar.set_position(u64::from(shares.depth));
+            bar.set_message(shares.to_line());
+        });
+        let partition = plan
+            .partition(self.depth, &observer)
+            .map_err(|error| self.describe_refusal(error, &text))?;
+        bar.finish_and_clear();
+        let policy = plan.policy_bytes();
+        let accepted = check_with(&partition.certificate, Some(policy), WorkLimit::UNLIMITED)
+            .map_err(|rejection| {
+                CliError::Gate(format!("the checker rejected the proof: {rejection}"))
+            })?;
+        if let Some(path) = &self.certificate {
+            write_certificate(path, &partition.certificate, policy)?;
+        }
+        let report = ReachReport::new(&self.controller.name, &self.starts, &partition, &accepted)
+            .with_certificate(self.certificate.as_deref());
+        let printed = output::print_result(self.format, &report, || report.to_text());
+        CliError::gate_first(self.check_verified(&report), printed)
+    }
+
+    /// Describes an error with the option or the line of the box that caused it.
+    fn describe_refusal(&self, error: InvalidBox, text: &str) -> CliError {
+        let place = self.starts.display();
+        match error {
             InvalidBox::Field { ref field, .. } => CliError::Input(format!(
                 "{place}:{}: {error}",
-                text_file::line_in_toml(&text, field)
+                text_file::line_in_toml(text, field)
             )),
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
@@ -97,141 +126,23 @@ impl ReachCommand {
                 ))
             }
             other => CliError::Input(format!("{place}: {other}")),
-        };
-        let plan = ReachPlan::new(
-            self.controller.source.clone(),
-            &BoxSpec::from_toml(&text, &self.starts)?,
-        )
-        .map_err(failed)?;
-        let bar = progress::depth_line("cutting", u64::from(self.depth), quiet);
-        let observer = Listener(|now: &VolumeShares| {
-            bar.set_position(u64::from(now.depth));
-            bar.set_message(format_depth(now, false));
-        });
-        let partition = plan.partition(self.depth, &observer).map_err(failed)?;
-        bar.finish_and_clear();
-        let accepted = check_with(
-            &partition.certificate,
-            Some(plan.policy_bytes()),
-            WorkLimit::UNLIMITED,
-        )
-        .map_err(|rejection| {
-            CliError::Gate(format!("the checker rejected the proof: {rejection}"))
-        })?;
-        if let Some(path) = &self.certificate {
-            write_certificate(path, &partition.certificate, plan.policy_bytes())?;
         }
-        let Partition {
-            shares,
-            undecided: doubts,
-            ..
-        } = &partition;
-        let is_verified = is_positive(shares, |now| now.verified);
-        let words = || {
-            let last = shares.len().saturating_sub(1);
-            let lines: String = shares
-                .iter()
-                .enumerate()
-                .map(|(index, now)| format_depth(now, index == last) + "\n")
-                .collect();
-            let UndecidedCounts {
-                ahead,
-                behind,
-                too_wide,
-            } = doubts;
-            let falsified = match is_positive(shares, |now| now.falsified) {
-                true => {
-                    "falsified: boxes in which a simulated initial state ends with a collision\n"
-                }
-                false => "",
-            };
-            let verdict = if is_verified {
-                "accepted"
-            } else {
-                "nothing verified"
-            };
-            format!(
-                "{lines}{falsified}undecided boxes: {ahead} with a possible collision ahead, {behind} behind, \
-                 {too_wide} with bounds that are too wide\n{verdict}: {accepted}\n"
-            )
-        };
-        let printed = output::print_result(self.format, &self.report(&partition, &accepted), words);
-        let deeper = if is_positive(shares, |now| now.undecided) {
+    }
+
+    fn check_verified(&self, report: &ReachReport<'_>) -> Result<(), CliError> {
+        if report.is_verified() {
+            return Ok(());
+        }
+        let deeper = if report.is_undecided() {
             "; try a larger --depth"
         } else {
             ""
         };
-        let problem = format!("{place}: no part of the box was verified{deeper}");
-        CliError::gate_first(
-            if is_verified {
-                Ok(())
-            } else {
-                Err(CliError::Gate(problem))
-            },
-            printed,
-        )
+        Err(CliError::Gate(format!(
+            "{}: no part of the box was verified{deeper}",
+            self.starts.display()
+        )))
     }
-
-    /// Returns the report. Fields of the certificate have the names of `crumple check`.
-    fn report<'a>(&'a self, partition: &'a Partition, accepted: &ProvedClaim) -> ReachReport<'a> {
-        let Partition {
-            certificate,
-            shares,
-            undecided: doubts,
-        } = partition;
-        let (smallest_gap_m, verified_share) = match *accepted {
-            ProvedClaim::Reach {
-                min_gap_m: smallest_gap_m,
-                verified_share,
-                ..
-            } => {
-                // `None` if no initial state is verified; JSON has no infinity.
-                (
-                    Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()),
-                    Some(verified_share),
-                )
-            }
-            _ => (None, None),
-        };
-        ReachReport {
-            controller: &self.controller.name,
-            policy_sha256: certificate.policy_reference().map(|(_, digest)| digest),
-            starts: &self.starts,
-            scenario: &certificate.provenance.scenario,
-            certificate: self.certificate.as_deref(),
-            certificate_sha256: certificate.digest(),
-            accepted: true,
-            verified_share,
-            smallest_gap_m,
-            horizon_s: certificate
-                .scope()
-                .horizon_s
-                .filter(|horizon_s| horizon_s.is_finite()),
-            shares,
-            doubts: *doubts,
-        }
-    }
-}
-
-#[derive(Serialize)]
-struct ReachReport<'a> {
-    controller: &'a str,
-    /// Digest of the policy or network of the certificate.
-    policy_sha256: Option<&'a str>,
-    #[serde(rename = "box")]
-    starts: &'a Path,
-    scenario: &'a str,
-    certificate: Option<&'a Path>,
-    certificate_sha256: String,
-    /// Always true: crumple prints no certificate that the checker rejects.
-    accepted: bool,
-    /// Proved share of the box.
-    verified_share: Option<f64>,
-    /// Smallest proved gap in that share; `None` if the share is 0.
-    smallest_gap_m: Option<f64>,
-    horizon_s: Option<f64>,
-    shares: &'a [VolumeShares],
-    doubts: UndecidedCounts,
 }
 
 /// Writes a certificate, and its network file next to it. Keeps another network in that place.
@@ -250,26 +161,4 @@ pub(super) fn write_certificate(
         stage(&mut files, &beside, network, |_| false, other)?;
     }
     Ok(files.commit()?)
-}
-
-/// Returns true if the last share is positive.
-fn is_positive(shares: &[VolumeShares], share: impl Fn(&VolumeShares) -> f64) -> bool {
-    shares.last().is_some_and(|last| share(last) > 0.0)
-}
-
-/// Formats the shares at a depth. Colliding initial states are searched for at the last depth only.
-fn format_depth(now: &VolumeShares, is_last: bool) -> String {
-    // Lower bounds, rounded down as in the checker.
-    let down = |share: f64| (1e4 * share).floor() / 1e2;
-    let (verified, falsified) = (down(now.verified), down(now.falsified));
-    let falsified_words = if is_last {
-        format!(" {falsified:6.2} % falsified,")
-    } else {
-        String::new()
-    };
-    let undecided = 100.0 - verified - if is_last { falsified } else { 0.0 };
-    format!(
-        "depth {:2}: {verified:6.2} % verified,{falsified_words} {undecided:6.2} % undecided; {} boxes, {:.2} s",
-        now.depth, now.boxes, now.seconds
-    )
 }

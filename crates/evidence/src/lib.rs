@@ -30,13 +30,15 @@ pub use binding::{
     BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles,
 };
 pub use block::CountedBlock;
-pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
+pub use certificate_report::{
+    CertificateReport, CountsStatus, UncheckedCertificate, report_json, report_text, unchecked_json,
+};
 pub use count_report::CountReport;
 pub use count_study::{CERTIFICATE_FILE, CountResult, CountState, RateFolderError};
 pub use crumple_core::interval::RateInterval;
 pub use invariant::{
-    Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
-    InvariantStage,
+    Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantReport, InvariantSet,
+    InvariantSpec, InvariantStage,
 };
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
@@ -44,7 +46,7 @@ pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use reach::{
-    BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts,
+    BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, ReachReport, UndecidedCounts,
     VolumeShares, checker_file,
 };
 pub use record::{CountRecord, CountTally};

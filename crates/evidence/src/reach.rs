@@ -3,6 +3,8 @@
 //! share of the uncertainty. Boxes are independent and are processed by depth, so the result does not depend on
 //! threads.
 
+mod report;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,6 +32,7 @@ use crumple_sim::scenario::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
     built_in_scenario_names, file,
 };
+pub use report::ReachReport;
 
 /// Allowance for rounding of the simulator in double precision, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;

@@ -7,6 +7,7 @@
 //! | `description` | `modelDescription.xml`: name and variables of the FMU |
 //! | `declarations`, `unit` | units and types of variables, and the conversion to SI units |
 //! | `xml` | elements and attributes that `description` needs, read in linear time |
+//! | `report` | description as text and as JSON |
 //! | `host` (feature `host`) | program that loads the library and answers crumple's requests |
 //!
 //! Only `host` runs code of an FMU and contains `unsafe` code. Only the program `crumple-fmu` calls it, because an FMU
@@ -18,6 +19,7 @@ mod description;
 #[cfg(feature = "host")]
 pub mod host;
 mod listing;
+mod report;
 mod unit;
 mod xml;
 
@@ -25,4 +27,5 @@ pub use archive::{Fmu, FmuError};
 pub use description::{
     Causality, FmiVersion, InvalidDescription, ModelDescription, Variable, VariableType,
 };
+pub use report::{FmuReport, FmuVariableReport};
 pub use unit::{Conversion, DeclaredUnit, UnitDimension};

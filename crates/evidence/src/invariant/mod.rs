@@ -3,6 +3,7 @@
 //! from states outside.
 
 mod refute;
+mod report;
 mod search;
 mod spec;
 
@@ -19,6 +20,7 @@ use crumple_sim::control::{BuiltInController, Controller, ControllerSource, Ego,
 use crumple_sim::scenario::file;
 use crumple_sim::scenario::{Driver, Scenario};
 pub use refute::Defeat;
+pub use report::InvariantReport;
 use search::BoundarySearch;
 pub use spec::InvariantSpec;
 

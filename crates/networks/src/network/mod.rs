@@ -13,6 +13,7 @@
 //! elementwise. Only an addition right after a product becomes its bias.
 
 mod archive;
+mod description;
 mod error;
 mod feed_forward;
 mod onnx;
@@ -29,6 +30,7 @@ use serde::Serialize;
 use crumple_core::regular_file;
 
 pub use crumple_sim::policy::Elementwise;
+pub use description::{FoundStatistics, NetworkDescription, SavedModelDescription};
 pub use error::NetworkError;
 pub use feed_forward::{FeedForward, Linear, NetworkStep};
 pub use sb3::{BoxSpace, Normalisation, SavedModel, VecNormalizeStats, VecNormalizeUse};
