@@ -6,7 +6,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use serde::Serialize;
 
 use super::CliError;
 use super::fit::ensure_distinct;
@@ -15,12 +14,11 @@ use super::output_folder::{OutputFolder, stage_unless_edited};
 use super::output_format::OutputFormat;
 use super::progress::read_bar;
 use super::{args, feature, output, simulate, value_enums};
-use crumple_core::quoting::TerminalText;
 use crumple_exchange::recording::guess::guess;
 use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
 use crumple_exchange::recording::{
-    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake,
-    Preview, TextFormat, hardest_braking, import, load_first_part, preview,
+    ImportOptions, ImportReport, ImportResult, ImportedScenario, LeaderSelection, MinBrake,
+    RecordingSummary, TextFormat, hardest_braking, import, load_first_part, preview,
 };
 use crumple_report::draw::Svg;
 use crumple_report::figures;
@@ -93,56 +91,6 @@ pub(super) struct Import {
     format: OutputFormat,
 }
 
-#[derive(Serialize)]
-struct RecordingSummary<'a> {
-    recording: &'a str,
-    format: &'a str,
-    text: String,
-    leads: usize,
-    samples: usize,
-    time_s: [f64; 2],
-    step_s: Option<f64>,
-    /// Minimum, median and maximum.
-    speed_mps: [f64; 3],
-    gap_m: Option<[f64; 3]>,
-    hardest_braking: String,
-    left_out: Vec<String>,
-}
-
-#[derive(Serialize)]
-struct ImportReport {
-    scenarios: Vec<String>,
-    recordings: Vec<RecordingImport>,
-    left_out: Vec<String>,
-}
-
-#[derive(Serialize)]
-struct RecordingImport {
-    recording: String,
-    format: String,
-    /// Detected encoding, and format of columns, numbers and times; empty for the defaults.
-    text: String,
-    scenarios: usize,
-    hardest_braking: String,
-}
-
-impl ImportReport {
-    fn new(imported: &ImportResult, scenarios: Vec<String>) -> Self {
-        let one = |source: &ImportedRecording| RecordingImport {
-            recording: source.path.display().to_string(),
-            format: source.format.clone(),
-            text: source.text.to_string(),
-            scenarios: source.scenarios,
-            hardest_braking: source.hardest.to_string(),
-        };
-        Self {
-            scenarios,
-            recordings: imported.sources.iter().map(one).collect(),
-            left_out: imported.dropped.iter().map(ToString::to_string).collect(),
-        }
-    }
-}
-
 /// Returns the built-in map of a name, or that of a file.
 pub(super) fn load_map(map: &Path) -> Result<RecordingMap, CliError> {
     let built_in = map.to_str().and_then(RecordingMap::built_in);
@@ -177,6 +125,19 @@ pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliErro
         Some(png) if png == "png" => feature::render_png(drawn),
         _ => Ok(drawn.document().into_bytes()),
     }
+}
+
+fn note_dropped(report: &ImportReport, quiet: bool) {
+    for dropped in &report.dropped {
+        output::note(dropped, quiet);
+    }
+}
+
+/// Result of an import whose files are not yet in place.
+struct StagedImport {
+    imported: ImportResult,
+    files: StagedFiles,
+    names: Vec<String>,
 }
 
 impl Import {
@@ -267,106 +228,32 @@ impl Import {
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
-        if self.format == OutputFormat::Json {
-            return output::print_json(&RecordingSummary {
-                recording: &name,
-                format: &recording.format,
-                text: recording.text.to_string(),
-                leads: seen.lead_vehicles,
-                samples: seen.samples,
-                time_s: seen.time_s,
-                step_s: seen.step_s,
-                speed_mps: seen.speed_mps,
-                gap_m: seen.gap_m,
-                hardest_braking: seen.hardest.to_string(),
-                left_out: recording.dropped.iter().map(ToString::to_string).collect(),
-            });
+        let summary = RecordingSummary::new(&name, &recording, &seen);
+        match self.format {
+            OutputFormat::Json => output::print_json(&summary),
+            OutputFormat::Text => output::print(&summary.to_text()),
         }
-        let Preview {
-            lead_vehicles: leads,
-            samples,
-            time_s: [from_s, to_s],
-            step_s,
-            speed_mps: [slow, typical, fast],
-            ..
-        } = seen;
-        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format);
-        let each = step_s.map_or("one per vehicle".to_owned(), |step_s| {
-            format!("one each {step_s:.3} s")
-        });
-        text += &format!(
-            "  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n"
-        );
-        text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {typical:.2}\n");
-        text += &match seen.gap_m {
-            Some([near, typical, far]) => {
-                format!("  bumper gap {near:.2} to {far:.2} m, median {typical:.2}\n")
-            }
-            None => "  no vehicle follows another\n".to_owned(),
-        };
-        text += &format!("  {}\n", TerminalText(&seen.hardest.to_string()));
-        output::print(&text)
     }
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
-        let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
-        // Scenarios are staged immediately: a long recording may have more than memory holds.
-        let (folder, mut files) = (
-            OutputFolder::without_listing(&self.out, self.force),
-            StagedFiles::default(),
-        );
-        let (mut names, mut refused) = (Vec::new(), None);
-        let mut take = |ImportedScenario {
-                            file_name, toml, ..
-                        }: ImportedScenario| {
-            refused = folder.stage(&mut files, &file_name, toml.as_bytes()).err();
-            names.push(file_name);
-            refused.is_none()
-        };
-        let is_new = !self.out.exists();
-        let (bar, progress) = read_bar(quiet);
-        let options = ImportOptions { min_brake, leaders };
-        let imported = import(&self.recordings, map, &options, Some(&progress), &mut take);
-        bar.finish_and_clear();
-        let imported = match refused {
-            Some(refused) => Err(refused),
-            None => imported.map_err(CliError::from),
-        };
-        let imported = match imported {
-            Err(error) => {
-                drop(files);
-                if is_new {
-                    // Staging created it. A folder that is not empty stays.
-                    let _ = fs::remove_dir(&self.out);
-                }
-                return Err(error);
-            }
-            Ok(imported) => imported,
-        };
-        imported
-            .sources
-            .iter()
-            .for_each(|source| note_text_format(&source.path, &source.text, quiet));
+        let min_brake = parse_min_brake(self.min_brake)?;
+        let StagedImport {
+            imported,
+            files,
+            names,
+        } = self.stage_scenarios(map, min_brake, quiet)?;
+        let report = ImportReport::new(&imported, &self.out, &names);
+        for source in &imported.sources {
+            note_text_format(&source.path, &source.text, quiet);
+        }
         if names.is_empty() {
-            imported
-                .dropped
-                .iter()
-                .for_each(|dropped| output::note(&dropped.to_string(), quiet));
-            let words = imported
-                .sources
-                .iter()
-                .map(|one| format!("{}: {}", one.path.display(), one.hardest));
-            let words: Vec<_> = words.collect();
-            let none = format!(
-                "no braking episode of at least {} m/s² gives a scenario; {}",
-                min_brake.mps2(),
-                words.join("; ")
-            );
+            note_dropped(&report, quiet);
             let printed = match self.format {
-                OutputFormat::Json => output::print_json(&ImportReport::new(&imported, names)),
+                OutputFormat::Json => output::print_json(&report),
                 OutputFormat::Text => Ok(()),
             };
-            return CliError::gate_first(Err(CliError::NothingFound(none)), printed);
+            let absence = CliError::NothingFound(report.describe_absence(min_brake));
+            return CliError::gate_first(Err(absence), printed);
         }
         files.commit()?;
         let others = self.count_other_scenarios(&names)?;
@@ -377,24 +264,54 @@ impl Import {
                 quiet,
             );
         }
-        for dropped in &imported.dropped {
-            output::note(&dropped.to_string(), quiet);
-        }
-        let line = |source: &ImportedRecording| {
-            let plural = if source.scenarios == 1 { "" } else { "s" };
-            let (path, format) = (source.path.display().to_string(), &source.format);
-            format!(
-                "{}: {} scenario{plural} ({format})\n",
-                TerminalText(&path),
-                source.scenarios
-            )
+        note_dropped(&report, quiet);
+        output::print_result(self.format, &report, || report.to_text())
+    }
+
+    /// Converts the recordings, and stages each scenario at once: a long recording may have more than memory holds.
+    fn stage_scenarios(
+        &self,
+        map: Option<&RecordingMap>,
+        min_brake: MinBrake,
+        quiet: bool,
+    ) -> Result<StagedImport, CliError> {
+        let folder = OutputFolder::without_listing(&self.out, self.force);
+        let is_new = !self.out.exists();
+        let mut files = StagedFiles::default();
+        let mut names = Vec::new();
+        let mut refused = None;
+        let mut take = |scenario: ImportedScenario| {
+            let staged = folder.stage(&mut files, &scenario.file_name, scenario.toml.as_bytes());
+            refused = staged.err();
+            names.push(scenario.file_name);
+            refused.is_none()
         };
-        let words = || imported.sources.iter().map(line).collect();
-        let paths = names
-            .iter()
-            .map(|name| self.out.join(name).display().to_string())
-            .collect();
-        output::print_result(self.format, &ImportReport::new(&imported, paths), words)
+        let (bar, progress) = read_bar(quiet);
+        let options = ImportOptions {
+            min_brake,
+            leaders: self.leaders,
+        };
+        let imported = import(&self.recordings, map, &options, Some(&progress), &mut take);
+        bar.finish_and_clear();
+        let imported = match refused {
+            Some(refused) => Err(refused),
+            None => imported.map_err(CliError::from),
+        };
+        match imported {
+            Ok(imported) => Ok(StagedImport {
+                imported,
+                files,
+                names,
+            }),
+            Err(error) => {
+                drop(files);
+                if is_new {
+                    // Staging created it. A folder that is not empty stays.
+                    let _ = fs::remove_dir(&self.out);
+                }
+                Err(error)
+            }
+        }
     }
 
     /// Counts scenario files in the folder that this import did not write, such as those of an earlier threshold.

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use serde::Serialize;
 
 use super::CliError;
 use super::output_folder::{EarlierFiles, OutputFolder};
@@ -11,14 +10,14 @@ use super::output_format::OutputFormat;
 use super::progress::{import_bar, show};
 use super::{export, output};
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
-use crumple_core::quoting::TerminalText;
 use crumple_core::text_file;
 use crumple_exchange::openscenario::{
-    ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError,
-    Variation,
+    ImportedLaneScenario, OpenScenarioReport, OpenScenarioSource, ParameterDistributionFile,
+    ScenarioImportError, Variation,
 };
 use crumple_sim::scenario::Scenario;
 use crumple_sim::scenario::file::{self, MAX_FOLDER_BYTES};
+use crumple_spaces::ScenarioSpace;
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -29,14 +28,6 @@ pub(super) struct OpenScenarioArgs {
     /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination
     #[arg(long, value_name = "D.xosc")]
     distribution: Option<PathBuf>,
-}
-
-#[derive(Serialize)]
-struct OpenScenarioReport {
-    files: Vec<String>,
-    /// Combinations of values that violate constraints of the file.
-    violating: usize,
-    notes: Vec<String>,
 }
 
 impl From<ScenarioImportError> for CliError {
@@ -67,41 +58,11 @@ impl OpenScenarioArgs {
         format: OutputFormat,
         quiet: bool,
     ) -> Result<(), CliError> {
-        let source = OpenScenarioSource::load(path)?;
-        let ego = self.ego.as_deref();
-        let (files, violating, notes) = match &self.distribution {
-            None => {
-                let imported = show(&import_bar(1, quiet), |_| source.scenario(ego, &[]));
-                let ImportedLaneScenario { scenario, notes } = imported?;
-                (vec![scenario_file(&scenario)?], 0, notes)
-            }
-            Some(distribution) => {
-                let distributions = ParameterDistributionFile::load(distribution, path)?;
-                if distributions.is_random() {
-                    let bar = import_bar(1 + 3 * distributions.random_count() as u64, quiet);
-                    let (space, notes) =
-                        show(&bar, |progress| source.space(ego, &distributions, progress))?;
-                    let text = readable(
-                        crumple_spaces::file::to_toml(&space).map_err(CliError::input)?,
-                        space.name(),
-                    )?;
-                    (
-                        vec![(
-                            format!("{}-space.toml", export::file_stem(space.name())),
-                            text.into_bytes(),
-                        )],
-                        0,
-                        notes,
-                    )
-                } else {
-                    let variations = distributions.variations()?;
-                    let bar = import_bar(variations.len() as u64, quiet);
-                    show(&bar, |progress| {
-                        import_variations(&source, ego, &variations, progress)
-                    })?
-                }
-            }
-        };
+        let ConvertedFiles {
+            files,
+            violating,
+            notes,
+        } = self.convert(path, quiet)?;
         OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;
         for note in &notes {
             output::note(&format!("note: {note}"), quiet);
@@ -112,25 +73,57 @@ impl OpenScenarioArgs {
             );
             output::note(&format!("note: {}: {problem}", path.display()), quiet);
         }
-        let files: Vec<String> = files
-            .iter()
-            .map(|(name, _)| out.join(name).display().to_string())
-            .collect();
-        let report = OpenScenarioReport {
-            files,
-            violating,
-            notes,
-        };
-        let words = || match report.files.as_slice() {
-            [file] => format!("{}\n", TerminalText(file)),
-            several => format!(
-                "{}: {} scenarios\n",
-                TerminalText(&out.display().to_string()),
-                several.len()
-            ),
-        };
-        output::print_result(format, &report, words)
+        let names = files.iter().map(|(name, _)| name.as_str());
+        let report = OpenScenarioReport::new(out, names, violating, notes);
+        output::print_result(format, &report, || report.to_text())
     }
+
+    /// Converts a file to a scenario, to all variations, or to a space.
+    fn convert(&self, path: &Path, quiet: bool) -> Result<ConvertedFiles, CliError> {
+        let source = OpenScenarioSource::load(path)?;
+        let ego = self.ego.as_deref();
+        let Some(distribution) = &self.distribution else {
+            let imported = show(&import_bar(1, quiet), |_| source.scenario(ego, &[]));
+            let ImportedLaneScenario { scenario, notes } = imported?;
+            return Ok(ConvertedFiles::single(scenario_file(&scenario)?, notes));
+        };
+        let distributions = ParameterDistributionFile::load(distribution, path)?;
+        if !distributions.is_random() {
+            let variations = distributions.variations()?;
+            let bar = import_bar(variations.len() as u64, quiet);
+            return show(&bar, |progress| {
+                import_variations(&source, ego, &variations, progress)
+            });
+        }
+        let bar = import_bar(1 + 3 * distributions.random_count() as u64, quiet);
+        let (space, notes) = show(&bar, |progress| source.space(ego, &distributions, progress))?;
+        Ok(ConvertedFiles::single(space_file(&space)?, notes))
+    }
+}
+
+/// Files of an import, each with its name.
+struct ConvertedFiles {
+    files: Vec<(String, Vec<u8>)>,
+    /// Number of combinations of values that violate constraints.
+    violating: usize,
+    notes: Vec<String>,
+}
+
+impl ConvertedFiles {
+    fn single(file: (String, Vec<u8>), notes: Vec<String>) -> Self {
+        Self {
+            files: vec![file],
+            violating: 0,
+            notes,
+        }
+    }
+}
+
+fn space_file(space: &ScenarioSpace) -> Result<(String, Vec<u8>), CliError> {
+    let text = crumple_spaces::file::to_toml(space).map_err(CliError::input)?;
+    let text = readable(text, space.name())?;
+    let stem = export::file_stem(space.name());
+    Ok((format!("{stem}-space.toml"), text.into_bytes()))
 }
 
 fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
@@ -156,14 +149,13 @@ fn readable(text: String, name: &str) -> Result<String, CliError> {
     )))
 }
 
-/// Returns the files of all variations, the number of those that violate constraints, and the notes of the first.
-#[expect(clippy::type_complexity, reason = "used once")]
+/// Returns the files of all variations, with the notes of the first.
 fn import_variations(
     source: &OpenScenarioSource,
     ego: Option<&str>,
     variations: &[Variation],
     progress: &dyn Observer<RunProgress>,
-) -> Result<(Vec<(String, Vec<u8>)>, usize, Vec<String>), CliError> {
+) -> Result<ConvertedFiles, CliError> {
     let (mut files, mut violating, mut notes) = (Vec::new(), 0, Vec::new());
     let (counter, mut bytes_left) = (
         ProgressCounter::new(progress, Some(variations.len() as u64)),
@@ -205,5 +197,9 @@ fn import_variations(
             "all combinations of values violate the constraints of the parameters".to_owned(),
         ));
     }
-    Ok((files, violating, notes))
+    Ok(ConvertedFiles {
+        files,
+        violating,
+        notes,
+    })
 }

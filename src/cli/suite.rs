@@ -1,6 +1,5 @@
 //! `crumple suite`: tests modelled on regulations.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -8,14 +7,12 @@ use clap::{Args, Subcommand, ValueEnum};
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, suite_folder, value_enums};
 use crumple_controllers::find_built_in;
-use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
 use crumple_sim::control::{BuiltInController, Role};
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{
-    ControllerResult, DISCLAIMER, FailedPoint, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
-    UNSHIPPED_DOCUMENTS, run,
+    ControllerResult, FailedPoint, SHIPPED_SUITES, SuiteList, SuiteResult, TestSuite, run,
 };
 
 /// Run suites of tests that are modelled on regulations
@@ -196,23 +193,8 @@ fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
 }
 
 fn list_suites(format: OutputFormat) -> Result<(), CliError> {
-    let mut suites = Vec::new();
-    let mut text = String::new();
-    for (name, _) in SHIPPED_SUITES {
-        let suite = find_suite(Path::new(name))?;
-        let spec = suite.spec();
-        let document = format!("{}, {}", spec.document, spec.edition);
-        let _ = writeln!(text, "  {name:<20}{} {document}", spec.about);
-        suites.push(serde_json::json!({ "name": name, "about": spec.about, "document": document }));
-    }
-    let mut absent = Vec::new();
-    for (document, why) in UNSHIPPED_DOCUMENTS {
-        let _ = writeln!(text, "Not shipped: {document}; {why}.");
-        absent.push(serde_json::json!({ "document": document, "why": why }));
-    }
-    let all =
-        serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
-    output::print_result(format, &all, || format!("{text}{DISCLAIMER}\n"))
+    let list = SuiteList::load()?;
+    output::print_result(format, &list, || list.to_text())
 }
 
 impl RunSuite {
@@ -226,12 +208,7 @@ impl RunSuite {
             suite_folder::write(&result, folder, quiet)?;
         }
         let text = render(&result, self.out.as_deref(), self.format)?;
-        let has_failed = result.tests().any(|(_, test)| {
-            test.controllers
-                .iter()
-                .any(|one| one.failures().next().is_some())
-        });
-        if has_failed && self.out.is_none() {
+        if self.out.is_none() && result.has_failures() {
             output::note(
                 "note: --out FOLDER writes the failed scenarios, for replay",
                 quiet,
@@ -245,18 +222,11 @@ impl RunSuite {
     }
 
     fn check_expectation(&self, result: &SuiteResult) -> Result<(), CliError> {
-        let missed = result.tests().flat_map(|(_, test)| {
-            let missed = test.controllers.iter().filter(|tested| {
-                !tested.is_passed()
-                    && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
-            });
-            missed.map(move |tested| format!("{} ({})", test.name, tested.controller))
-        });
-        let missed: Vec<_> = missed.collect();
+        let unpassed = result.unpassed_tests();
         match self.expect {
-            Some(SuiteExpectation::Passed) if !missed.is_empty() => Err(CliError::Gate(format!(
+            Some(SuiteExpectation::Passed) if !unpassed.is_empty() => Err(CliError::Gate(format!(
                 "expected every test to pass, but these fail: {}",
-                missed.join(", ")
+                unpassed.join(", ")
             ))),
             _ => Ok(()),
         }
@@ -269,33 +239,11 @@ fn render(
     format: SuiteFormat,
 ) -> Result<String, CliError> {
     let replay = |failed: &FailedPoint, tested: &ControllerResult| {
-        replay_command(out?, failed, tested, result.estimator)
+        failed.replay_command(out?, &tested.controller, result.estimator)
     };
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
         SuiteFormat::Text => suite::render_text(result, replay),
     })
-}
-
-fn replay_command(
-    out: &Path,
-    failed: &FailedPoint,
-    tested: &ControllerResult,
-    estimator: EstimatorKind,
-) -> Option<String> {
-    let path = out.join(format!("{}.toml", failed.scenario_name));
-    let words = [
-        "simulate",
-        path.to_str()?,
-        "--controller",
-        &tested.controller,
-        "--estimator",
-        estimator.name(),
-    ];
-    let words: Vec<_> = words
-        .iter()
-        .map(|word| ShellWord(word).to_string())
-        .collect();
-    Some(format!("crumple {}", words.join(" ")))
 }

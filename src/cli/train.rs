@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use clap::Args;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
 use super::global_options::GlobalOptions;
 use super::output_folder::{EarlierFiles, OutputFolder};
@@ -18,8 +17,8 @@ use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
     EvaluationSet, SeedResult, SeedTraining, SeedTrainingState, TrainingConfig,
-    TrainingConfigError, TrainingError, TrainingEvent, TrainingSpace, UNSEEN_DRAWS, learning_curve,
-    parallel_map, read_finished_trainings, seed_folder,
+    TrainingConfigError, TrainingError, TrainingEvent, TrainingResult, TrainingSpace, format_table,
+    learning_curve, parallel_map, read_finished_trainings, seed_folder,
 };
 use crumple_store::disk;
 use crumple_store::run_folder;
@@ -95,14 +94,6 @@ fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
         cost_multiplier: 1.0,
         uniform_share: 0.0,
     })
-}
-
-/// Contents of `training.json`: all finished trainings in the folder.
-#[derive(Serialize)]
-struct TrainingResult<'a> {
-    version: &'static str,
-    config: &'a TrainingConfig,
-    seeds: &'a [SeedResult],
 }
 
 impl Train {
@@ -266,11 +257,7 @@ fn write_results(
     let (results, logs): (Vec<_>, Vec<_>) = read_finished_trainings(out, config, held_out)?
         .into_iter()
         .unzip();
-    let all = TrainingResult {
-        version: env!("CARGO_PKG_VERSION"),
-        config,
-        seeds: &results,
-    };
+    let all = TrainingResult::new(config, &results);
     let curve = learning_curve(&config.name, &logs);
     let contents = [
         serde_json::to_string_pretty(&all).map_err(CliError::input)? + "\n",
@@ -369,51 +356,6 @@ impl<'a> SeedProgress<'a> {
             _ => {}
         }
     }
-}
-
-fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
-    let mut text = format!(
-        "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {:>10} {:>10} {:>7}  {}\n",
-        "seed",
-        "episodes",
-        "best",
-        "paper-1",
-        "paper-2",
-        "paper-3",
-        "validation",
-        "test",
-        "gap m",
-        "policy"
-    );
-    for result in results {
-        let Some(found) = &result.evaluation else {
-            continue;
-        };
-        let paper = found
-            .is_safe_in_paper
-            .map(|safe| if safe { "safe" } else { "COLLISION" });
-        let held_out = match found.ranking_contacts {
-            Some(contacts) => format!("{contacts}/{ranking_draws}"),
-            None => format!("{:.0} % safe", 100.0 * found.safe_share),
-        };
-        text += &format!(
-            "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {held_out:>10} {:>10} {:>7.2}  {}\n",
-            result.seed,
-            result.episodes,
-            result.best_episode.unwrap_or_default(),
-            paper[0],
-            paper[1],
-            paper[2],
-            format!("{}/{UNSEEN_DRAWS}", result.unseen_contacts),
-            found.smallest_gap_m,
-            result
-                .policy_sha256
-                .as_ref()
-                .and_then(|digest| digest.get(..12))
-                .unwrap_or("none: nothing learned")
-        );
-    }
-    text + "gap: smallest gap outside the test set\n"
 }
 
 impl From<TrainingError> for CliError {

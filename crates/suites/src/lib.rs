@@ -7,6 +7,7 @@
 //! The model has point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
 
 mod check;
+mod list;
 mod margin;
 mod parameter;
 mod prevention;
@@ -19,6 +20,7 @@ mod worst_in_tolerance;
 use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
+pub use list::{ShippedSuite, SuiteList, UnshippedDocument};
 pub use margin::{Margin, MarginEnd, SweepFailure};
 pub use parameter::{
     ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParameter, TestParameters,

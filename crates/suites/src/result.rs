@@ -1,5 +1,8 @@
 //! Results of a suite: clauses, tests, verdicts and margins.
 
+use std::path::Path;
+
+use crumple_core::quoting::ShellWord;
 use crumple_sim::engine::FailedControllerRuns;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
@@ -264,5 +267,48 @@ impl SuiteResult {
         self.clauses
             .iter()
             .flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)))
+    }
+    /// True if a controller failed a test.
+    #[must_use]
+    pub fn has_failures(&self) -> bool {
+        self.tests()
+            .flat_map(|(_, test)| &test.controllers)
+            .any(|tested| tested.failures().next().is_some())
+    }
+
+    /// Returns the tests that did not pass, each with its controller. Tests that cannot be run at any point do not
+    /// count.
+    #[must_use]
+    pub fn unpassed_tests(&self) -> Vec<String> {
+        let mut unpassed = Vec::new();
+        for (_, test) in self.tests() {
+            for tested in &test.controllers {
+                let cannot_run = tested.verdict.is_refusal() && tested.points == 0;
+                if !tested.is_passed() && !cannot_run {
+                    unpassed.push(format!("{} ({})", test.name, tested.controller));
+                }
+            }
+        }
+        unpassed
+    }
+}
+
+impl FailedPoint {
+    /// Returns the command that simulates the point again, from its scenario in a folder. `None` if the path of the
+    /// folder is not UTF-8.
+    #[must_use]
+    pub fn replay_command(
+        &self,
+        folder: &Path,
+        controller: &str,
+        estimator: EstimatorKind,
+    ) -> Option<String> {
+        let path = folder.join(format!("{}.toml", self.scenario_name));
+        Some(format!(
+            "crumple simulate {} --controller {} --estimator {}",
+            ShellWord(path.to_str()?),
+            ShellWord(controller),
+            ShellWord(estimator.name())
+        ))
     }
 }

@@ -21,6 +21,7 @@ mod parameters;
 mod path_actions;
 mod replay;
 mod replay_state;
+mod report;
 mod road;
 mod source;
 mod space;
@@ -37,6 +38,7 @@ use std::rc::Rc;
 pub use distribution::{MAX_VARIATIONS, ParameterDistributionFile, Variation};
 pub use entities::{DELAY_PROPERTIES, UNDER_TEST_CONTROLLER};
 pub use error::ScenarioImportError;
+pub use report::OpenScenarioReport;
 pub use xml::{MAX_XML_BYTES, MAX_XML_ITEMS};
 
 use self::lane_scenario::LaneScenarioBuilder;

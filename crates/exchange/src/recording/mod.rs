@@ -47,6 +47,7 @@ mod preview;
 pub mod replay;
 #[cfg(test)]
 mod replay_tests;
+mod report;
 mod series;
 #[cfg(feature = "mdf")]
 mod signal_rows;
@@ -81,6 +82,7 @@ pub use preview::{
     HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking,
     preview,
 };
+pub use report::{ImportReport, RecordingImport, RecordingSummary};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
 

@@ -17,12 +17,14 @@ mod examine;
 mod lock;
 mod manifest;
 mod pending;
+mod report;
 mod state;
 mod transaction;
 
 pub use completed_run::{CompletedRun, RunState, read_state};
 pub use examine::{FolderExamination, examine};
 pub use lock::{FolderLock, with_folder_lock};
+pub use report::{DamagedFile, FolderReport};
 pub use state::Prefix;
 pub use transaction::FolderTransaction;
 
