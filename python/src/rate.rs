@@ -2,9 +2,13 @@
 
 use std::path::PathBuf;
 
-use crumple_evidence::{CountProgress, RateConfig, RateFolderError, RatePlan};
+use crumple_core::observer::RunProgress;
+use crumple_evidence::exposure::RatePerExposure;
+use crumple_evidence::{
+    CERTIFICATE_FILE, CountProgress, CountReport, CountResult, RateConfig, RateFolderError,
+    RatePlan,
+};
 use crumple_store::study::Study;
-use crumple_verify::check;
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -14,8 +18,19 @@ use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// Tally, certificate if anything is shown, and the checker's conclusion or the reason why nothing is shown.
-type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
+/// Fields of the Python class `Rate`.
+#[derive(IntoPyObject)]
+pub(crate) struct RateFields<'py> {
+    tally: Bound<'py, PyAny>,
+    /// Certificate, if the counts show anything.
+    certificate: Option<Bound<'py, PyAny>>,
+    /// Conclusion of the checker, or the reason why the counts show nothing.
+    words: String,
+    /// Output of `crumple verify rate --format json`.
+    data: Bound<'py, PyAny>,
+    /// Output of `crumple verify rate`.
+    text: String,
+}
 
 /// Counts the failures of a controller, or of two on the same random scenarios, and certifies the result.
 #[pyfunction]
@@ -35,40 +50,71 @@ pub(crate) fn rate<'py>(
     folder: PathBuf,
     resume: bool,
     progress: Option<Py<PyAny>>,
-) -> PyResult<RateResult<'py>> {
+) -> PyResult<RateFields<'py>> {
     let stop = StopFlag::default();
-    let wrong = |error: &dyn std::fmt::Display| {
-        errors::exception(py, ExceptionClass::Rate, &error.to_string())
-    };
-    let second_controller = against
-        .map(|against| controller::resolve_controller(against, &stop))
-        .transpose()?;
-    let plan = RatePlan::new(RateConfig {
-        second_controller,
+    let controller = controller::resolve_controller(controller, &stop)?;
+    let config = RateConfig {
+        second_controller: against
+            .map(|against| controller::resolve_controller(against, &stop))
+            .transpose()?,
         seed,
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         confidence,
-        ..RateConfig::new(
-            controller::resolve_controller(controller, &stop)?,
-            space.0.clone(),
-            runs,
-        )
-    })
-    .map_err(|error| wrong(&error))?;
+        ..RateConfig::new(controller, space.0.clone(), runs)
+    };
+    let plan = RatePlan::new(config).map_err(|error| rate_error(py, &error))?;
     let counted = run_interruptible(py, &stop, progress.as_ref(), |say| {
         plan.run(&folder, resume, &|state: &CountProgress| {
             say((state.runs, runs, state.failures))
         })
     })?
-    .map_err(|error: RateFolderError| wrong(&error))?;
-    let tally = serialize_to_python(py, &counted.tally)?;
-    Ok(match counted.certificate {
-        Ok(certificate) => {
-            let words = check(&certificate)
-                .map(|accepted| accepted.to_string())
-                .unwrap_or_default();
-            (tally, Some(serialize_to_python(py, &certificate)?), words)
-        }
-        Err(rejection) => (tally, None, rejection.to_string()),
-    })
+    .map_err(|error: RateFolderError| rate_error(py, &error))?;
+    let exposed = rate_per_exposure(py, &plan, &counted, &stop, progress.as_ref())?;
+    let path = folder.join(CERTIFICATE_FILE);
+    let report = CountReport::new(&plan, &counted, folder, path).with_exposure(exposed);
+    RateFields::new(py, &counted, &report)
+}
+
+/// Returns failures per hour and per 1000 km, as `crumple verify rate` does after a proved count.
+fn rate_per_exposure(
+    py: Python<'_>,
+    plan: &RatePlan,
+    counted: &CountResult,
+    stop: &StopFlag,
+    progress: Option<&Py<PyAny>>,
+) -> PyResult<Option<RatePerExposure>> {
+    if counted.certificate.is_err() || plan.resampling().is_none() {
+        return Ok(None);
+    }
+    let tally = &counted.tally;
+    run_interruptible(py, stop, progress, |say| {
+        // The count is complete; a call may still stop the work.
+        let observer = |_: &RunProgress| say((tally.runs, tally.runs, tally.failures));
+        plan.rate_per_exposure(tally, &observer)
+    })?
+    .map_err(|error| rate_error(py, &error))
+}
+
+impl<'py> RateFields<'py> {
+    fn new(py: Python<'py>, counted: &CountResult, report: &CountReport) -> PyResult<Self> {
+        let certificate = counted.certificate.as_ref();
+        let words = match certificate {
+            Ok(_) => report.conclusion().unwrap_or_default().to_owned(),
+            Err(rejection) => rejection.to_string(),
+        };
+        Ok(Self {
+            tally: serialize_to_python(py, &counted.tally)?,
+            certificate: certificate
+                .ok()
+                .map(|certificate| serialize_to_python(py, certificate))
+                .transpose()?,
+            words,
+            data: serialize_to_python(py, report)?,
+            text: report.to_text(),
+        })
+    }
+}
+
+fn rate_error(py: Python<'_>, error: &dyn std::fmt::Display) -> PyErr {
+    errors::exception(py, ExceptionClass::Rate, &error.to_string())
 }

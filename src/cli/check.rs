@@ -106,24 +106,30 @@ impl Check {
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
         }
-        let printed = output::print_coloured(
-            self.format,
-            &match self.format {
-                OutputFormat::Json => {
-                    report_json(&all).map_err(CliError::input)? + &unchecked_to_json(&others)?
-                }
-                OutputFormat::Text => {
-                    let scenario = self.scenario.as_deref().map(Path::to_string_lossy);
-                    report_text(&all, scenario.as_deref())
-                }
-            },
-        );
+        let printed = output::print_coloured(self.format, &self.render(&all, &others)?);
         let gate = match refusal_message(&all) {
             Some(refusal) => Err(CliError::Gate(refusal)),
             None => others.pop().map_or(Ok(()), |(_, failure)| Err(failure)),
         };
         others.iter().for_each(|(_, failure)| failure.print());
         CliError::gate_first(gate, printed)
+    }
+
+    fn render(
+        &self,
+        all: &[CertificateReport<'_>],
+        others: &[(String, CliError)],
+    ) -> Result<String, CliError> {
+        match self.format {
+            OutputFormat::Json => {
+                let checked = report_json(all).map_err(CliError::input)?;
+                Ok(checked + &unchecked_to_json(others)?)
+            }
+            OutputFormat::Text => {
+                let scenario = self.scenario.as_deref().map(Path::to_string_lossy);
+                Ok(report_text(all, scenario.as_deref()))
+            }
+        }
     }
 
     fn check_certificate<'a>(

@@ -15,7 +15,10 @@ use super::progress::read_bar;
 use super::simulate::path_ending_in;
 use super::{CliError, args, output, value_enums};
 use crumple_core::regular_file;
-use crumple_evidence::fit::{EpisodeCollector, ExtractionConfig, FitReport, MAX_VEHICLES, fit};
+use crumple_evidence::fit::{
+    EpisodeCollector, EpisodeSample, ExtractionConfig, FitReport, FittedSpace, MAX_VEHICLES, fit,
+};
+use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_report::figures;
 use crumple_spaces::file;
@@ -134,17 +137,31 @@ fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
 impl Fit {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(load_map).transpose()?;
-        let taken = ExtractionConfig {
+        let extraction = ExtractionConfig {
             vehicles: usize::from(self.vehicles),
             min_brake: parse_min_brake(self.min_brake)?,
             leaders: self.leaders,
         };
         ensure_distinct(&self.recordings)?;
-        let mut collector = EpisodeCollector::new(taken).map_err(CliError::input)?;
+        let sample = self.collect_episodes(map.as_ref(), extraction, quiet)?;
+        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
+        self.write_files(&fitted)?;
+        let report = FitReport::new(&sample, &fitted);
+        let object = report.to_json().map_err(CliError::input)?;
+        output::print_result(self.format, &object, || report.to_text())
+    }
+
+    fn collect_episodes(
+        &self,
+        map: Option<&RecordingMap>,
+        extraction: ExtractionConfig,
+        quiet: bool,
+    ) -> Result<EpisodeSample, CliError> {
+        let mut collector = EpisodeCollector::new(extraction).map_err(CliError::input)?;
         for path in &self.recordings {
             let (bar, progress) = read_bar(quiet);
             let (mut dropped, mut added) = (Vec::new(), Ok(()));
-            let read = load_parts(path, map.as_ref(), Some(&progress), &mut |mut part| {
+            let read = load_parts(path, map, Some(&progress), &mut |mut part| {
                 merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
                 added = collector.add(&part);
                 Ok(added.is_ok())
@@ -156,8 +173,11 @@ impl Fit {
                 .iter()
                 .for_each(|dropped| output::note(&dropped.to_string(), quiet));
         }
-        let sample = collector.finish().map_err(CliError::input)?;
-        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
+        collector.finish().map_err(CliError::input)
+    }
+
+    /// Writes the space, and the plot if the arguments name its file.
+    fn write_files(&self, fitted: &FittedSpace) -> Result<(), CliError> {
         let text = file::to_toml(&fitted.space).map_err(CliError::input)?;
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;
@@ -165,13 +185,10 @@ impl Fit {
             stage_unless_edited(
                 &mut files,
                 path,
-                &render_figure(&figures::draw_fit(&fitted), path)?,
+                &render_figure(&figures::draw_fit(fitted), path)?,
                 self.force,
             )?;
         }
-        files.commit()?;
-        let report = FitReport::new(&sample, &fitted);
-        let object = report.to_json().map_err(CliError::input)?;
-        output::print_result(self.format, &object, || report.to_text())
+        Ok(files.commit()?)
     }
 }

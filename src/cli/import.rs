@@ -293,25 +293,19 @@ impl Import {
         };
         let imported = import(&self.recordings, map, &options, Some(&progress), &mut take);
         bar.finish_and_clear();
-        let imported = match refused {
-            Some(refused) => Err(refused),
-            None => imported.map_err(CliError::from),
-        };
-        match imported {
-            Ok(imported) => Ok(StagedImport {
-                imported,
-                files,
-                names,
-            }),
-            Err(error) => {
-                drop(files);
-                if is_new {
-                    // Staging created it. A folder that is not empty stays.
-                    let _ = fs::remove_dir(&self.out);
-                }
-                Err(error)
+        let imported = refused.map_or_else(|| Ok(imported?), Err);
+        if imported.is_err() {
+            drop(std::mem::take(&mut files));
+            if is_new {
+                // Staging created it. A folder that is not empty stays.
+                let _ = fs::remove_dir(&self.out);
             }
         }
+        Ok(StagedImport {
+            imported: imported?,
+            files,
+            names,
+        })
     }
 
     /// Counts scenario files in the folder that this import did not write, such as those of an earlier threshold.

@@ -157,14 +157,9 @@ impl InvariantCommand {
             self.spec(&scenario),
         )
         .map_err(failed)?;
-        let options = InvariantOptions {
-            cells: self.cells,
-            splits: self.splits,
-            smallest_gap_m: self.smallest_gap,
-        };
         let bar = progress::share_bar("", quiet);
         let observer = Listener(|now: &InvariantProgress| show_progress(&bar, now));
-        let Some(set) = plan.search(options, &observer).map_err(failed)? else {
+        let Some(set) = plan.search(self.options(), &observer).map_err(failed)? else {
             bar.finish_and_clear();
             return Err(CliError::Gate(format!(
                 "{}: no set found; try larger --cells, --splits or --smallest-gap",
@@ -205,6 +200,14 @@ fn show_progress(bar: &ProgressBar, now: &InvariantProgress) {
 }
 
 impl InvariantCommand {
+    fn options(&self) -> InvariantOptions {
+        InvariantOptions {
+            cells: self.cells,
+            splits: self.splits,
+            smallest_gap_m: self.smallest_gap,
+        }
+    }
+
     /// Returns the limits and the region that the arguments state.
     fn spec(&self, scenario: &Scenario) -> InvariantSpec {
         let (motion, region_leader_mps) = match self.plant {

@@ -104,49 +104,14 @@ impl Train {
             Some(count) => (0..count).collect(),
             None => vec![self.seed.unwrap_or(0)],
         };
-        let folder = |seed: &u64| seed_folder(&self.out, *seed);
-        if let Some(taken) = seeds
-            .iter()
-            .map(folder)
-            .find(|folder| !self.resume && folder.exists())
-        {
-            let taken = taken.display();
-            return Err(CliError::Input(format!(
-                "{taken} exists: use --resume, or another --out"
-            )));
-        }
+        self.refuse_existing_seeds(&seeds)?;
         disk::make_folder(&self.out)?;
         let held_out = EvaluationSet::from_config(&config)?;
-        // Fail before training if existing results conflict.
-        read_finished_trainings(&self.out, &config, &held_out)?;
-        let check = || results_folder(&self.out)?.check(&RESULT_FILES);
-        // Another training with the same --out may be writing them.
-        check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
-        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
-        refuse_other_work(&self.out)?;
-        // Seeds may be added to existing ones; without any, a misspelt --out is likely.
-        if !seeds
-            .iter()
-            .any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed)))
-        {
-            output::note_nothing_to_resume(self.resume, &self.out, quiet);
-        }
-        let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
-        let trained = parallel_map(&seeds, rayon::current_num_threads(), |seed| {
-            let training = SeedTraining {
-                config: &config,
-                seed: *seed,
-                held_out: &held_out,
-            };
-            let result = self.train(&training, &bar);
-            if let (Err(failure), true) = (&result, seeds.len() > 1) {
-                bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
-            }
-            result
-        });
-        bar.finish_and_clear();
+        self.check_folder(&config, &held_out, &seeds, quiet)?;
+        let trained = self.train_all(&config, &held_out, &seeds, quiet);
         // An error of one seed does not stop the others.
-        let (mut done, mut failure) = (Vec::new(), None);
+        let mut done = Vec::new();
+        let mut failure = None;
         for result in trained {
             match result {
                 Ok(result) => done.push(result),
@@ -163,6 +128,70 @@ impl Train {
             });
         }
         CliError::gate_first(failure.map_or_else(|| check_learned(&done), Err), printed)
+    }
+
+    fn refuse_existing_seeds(&self, seeds: &[u64]) -> Result<(), CliError> {
+        if self.resume {
+            return Ok(());
+        }
+        let mut folders = seeds.iter().map(|seed| seed_folder(&self.out, *seed));
+        match folders.find(|folder| folder.exists()) {
+            Some(existing) => Err(CliError::Input(format!(
+                "{} exists: use --resume, or another --out",
+                existing.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// Fails before the training if existing results conflict, and notes if there is nothing to resume.
+    fn check_folder(
+        &self,
+        config: &TrainingConfig,
+        held_out: &EvaluationSet,
+        seeds: &[u64],
+        quiet: bool,
+    ) -> Result<(), CliError> {
+        read_finished_trainings(&self.out, config, held_out)?;
+        let check = || results_folder(&self.out)?.check(&RESULT_FILES);
+        // Another training with the same --out may be writing them.
+        check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
+        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
+        refuse_other_work(&self.out)?;
+        // Seeds may be added to existing ones; without any, a misspelt --out is likely.
+        if !seeds
+            .iter()
+            .any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed)))
+        {
+            output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        }
+        Ok(())
+    }
+
+    /// Trains all seeds in parallel. Returns the result of each.
+    fn train_all(
+        &self,
+        config: &TrainingConfig,
+        held_out: &EvaluationSet,
+        seeds: &[u64],
+        quiet: bool,
+    ) -> Vec<Result<SeedResult, CliError>> {
+        let episodes = config.episodes.saturating_mul(seeds.len() as u64);
+        let bar = progress::training_bar(episodes, quiet);
+        let trained = parallel_map(seeds, rayon::current_num_threads(), |seed| {
+            let training = SeedTraining {
+                config,
+                seed: *seed,
+                held_out,
+            };
+            let result = self.train(&training, &bar);
+            if let (Err(failure), true) = (&result, seeds.len() > 1) {
+                bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
+            }
+            result
+        });
+        bar.finish_and_clear();
+        trained
     }
 
     fn config(&self, controllers: Controllers) -> Result<TrainingConfig, CliError> {

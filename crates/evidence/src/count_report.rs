@@ -83,6 +83,12 @@ impl CountReport {
         Self { exposed, ..self }
     }
 
+    /// Returns the conclusion of the checker; `None` if it accepted no certificate.
+    #[must_use]
+    pub fn conclusion(&self) -> Option<&str> {
+        self.accepted.as_deref()
+    }
+
     /// Describes why the counts prove nothing.
     #[must_use]
     pub fn describe_rejection(&self, rejection: &Rejection) -> String {

@@ -259,7 +259,7 @@ def rate(
     folder: str | PathLike[str],
     resume: bool,
     progress: Callable[[int, int, int], object] | None,
-) -> tuple[dict[str, Any], dict[str, Any] | None, str]: ...
+) -> dict[str, Any]: ...
 def worst_case(
     scenario: Scenario,
     controller: str | Controller,

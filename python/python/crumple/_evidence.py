@@ -32,6 +32,10 @@ class Rate:
     """Content of ``certificate.json``, for ``crumple check``; None if the counts show nothing."""
     words: str
     """Conclusion of the checker, or the reason why the counts show nothing."""
+    data: dict[str, Any] = field(repr=False, compare=False)
+    """Output of ``crumple verify rate --format json``. Without ``folder``, its paths no longer exist."""
+    text: str = field(repr=False, compare=False)
+    """Output of ``crumple verify rate``."""
 
     @property
     def runs(self) -> int:
@@ -51,6 +55,9 @@ class Rate:
         bound = self.certificate["statement"].get("rate", {}).get("rate_at_most")
         return None if bound is None else float(bound)
 
+    def __str__(self) -> str:
+        return self.text
+
 
 def rate(
     controller: ControllerLike,
@@ -69,7 +76,8 @@ def rate(
 
     With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often. A
     controller in Python needs an identity, to which the certificate refers. ``folder`` is the run folder with
-    registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000.
+    registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified
+    rate in a space that was fitted to recordings is also given per hour and per 1000 km, which takes 100 000 more runs.
     """
     runs = whole_number("runs", runs, 1, 1_000_000_000, RateError)
     seed = whole_number("seed", seed, 0, 2**64 - 1, RateError)
@@ -89,10 +97,10 @@ def rate(
             )
     reference = None if against is None else as_controller(against)
     resolved, resolved_space = as_controller(controller), find_space(space)
-    result = _rate(
+    fields = _rate(
         resolved, reference, resolved_space, runs, confidence, seed, estimator, Path(folder), resume, progress
     )
-    return Rate(*result)
+    return Rate(**fields)
 
 
 @dataclass(frozen=True)

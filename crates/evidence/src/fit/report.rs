@@ -149,9 +149,9 @@ impl<'a> FitReport<'a> {
         let samples = first.map_or(0, |feature| feature.goodness.samples);
         writeln!(
             out,
-            "\np-values: the share of {samples} samples of the fitted distribution, fitted again, that are at least as \
-             far from their fit. They tend to be too large, because the same values chose the family. A Gaussian copula \
-             has no tail dependence."
+            "\np-values: the share of {samples} samples of the fitted distribution, fitted again, that are at least \
+             as far from their fit. They tend to be too large, because the same values chose the family. A Gaussian \
+             copula has no tail dependence."
         )
     }
 }
