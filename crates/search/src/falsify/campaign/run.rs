@@ -150,7 +150,7 @@ impl Study for Campaign {
         let verdicts = self.evaluate_or_read(state, &points)?;
         // If the observer stops the campaign, this batch is dropped: some of its simulations may have ended early.
         observer.notify(&self.progress(&state.findings, Some(&current.results)))?;
-        if let Some(prefix) = state.journal.append(verdicts.new())? {
+        if let Some(prefix) = state.journal.append(verdicts.unlogged())? {
             folder.record_prefix(JOURNAL_FILE, prefix)?;
         }
         let costs = self.add_all(state, &mut current.results, points, verdicts, folder)?;
@@ -208,7 +208,7 @@ struct BatchVerdicts {
 }
 
 impl BatchVerdicts {
-    fn new(&self) -> &[RunVerdict] {
+    fn unlogged(&self) -> &[RunVerdict] {
         self.verdicts.get(self.known..).unwrap_or_default()
     }
 }
