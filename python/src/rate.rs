@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crumple_core::observer::RunProgress;
-use crumple_evidence::exposure::RatePerExposure;
+use crumple_evidence::exposure::{MIN_RESAMPLES, RatePerExposure};
 use crumple_evidence::{
     CERTIFICATE_FILE, CountProgress, CountReport, CountResult, RateConfig, RateFolderError,
     RatePlan,
@@ -17,6 +17,9 @@ use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
+
+/// Runs in each resample, as on the command line.
+const RUNS_PER_RESAMPLE: u32 = 500;
 
 /// Fields of the Python class `Rate`.
 #[derive(IntoPyObject)]
@@ -47,6 +50,7 @@ pub(crate) fn rate<'py>(
     confidence: f64,
     seed: u64,
     estimator: &str,
+    resamples: u32,
     folder: PathBuf,
     resume: bool,
     progress: Option<Py<PyAny>>,
@@ -62,7 +66,9 @@ pub(crate) fn rate<'py>(
         confidence,
         ..RateConfig::new(controller, space.0.clone(), runs)
     };
-    let plan = RatePlan::new(config).map_err(|error| rate_error(py, &error))?;
+    let plan = RatePlan::new(config)
+        .map_err(|error| rate_error(py, &error))?
+        .with_resampling(check_resamples(py, resamples)?, RUNS_PER_RESAMPLE);
     let counted = run_interruptible(py, &stop, progress.as_ref(), |say| {
         plan.run(&folder, resume, &|state: &CountProgress| {
             say((state.runs, runs, state.failures))
@@ -113,6 +119,15 @@ impl<'py> RateFields<'py> {
             text: report.to_text(),
         })
     }
+}
+
+fn check_resamples(py: Python<'_>, resamples: u32) -> PyResult<u32> {
+    if (1..MIN_RESAMPLES).contains(&resamples) {
+        let problem =
+            format!("resamples: must be 0 or at least {MIN_RESAMPLES}, found {resamples}");
+        return Err(rate_error(py, &problem));
+    }
+    Ok(resamples)
 }
 
 fn rate_error(py: Python<'_>, error: &dyn std::fmt::Display) -> PyErr {

@@ -1,6 +1,7 @@
 """Results that `crumple` and the Python package both offer: they have the same text and the same JSON."""
 
 import json
+import random
 import subprocess
 
 import pytest
@@ -88,6 +89,41 @@ def test_text_and_json_are_those_of_the_program(run_program, python_folder, resu
 def resume(arguments):
     """Returns the option to print the results in a folder again."""
     return ["--resume"] if "--out" in arguments else []
+
+
+def write_recording(path):
+    """Writes 40 episodes in which a leader brakes from 12 to 18 m/s with 2 to 5 m/s²."""
+    random.seed(0)
+    rows = ["event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps"]
+    for event in range(40):
+        leader_mps = random.uniform(12.0, 18.0)
+        follower_mps = leader_mps + random.uniform(-1.0, 1.0)
+        gap_m = follower_mps * random.uniform(1.0, 2.0)
+        brake_mps2 = random.uniform(2.0, 5.0)
+        last_mps = leader_mps * random.uniform(0.2, 0.6)
+        for step in range(80):
+            time_s = 0.1 * step
+            speeds = f"{follower_mps:.3f},{leader_mps - follower_mps:.3f},{leader_mps:.3f}"
+            rows.append(f"{event},{time_s:.1f},{gap_m:.3f},{speeds}")
+            gap_m += 0.1 * (leader_mps - follower_mps)
+            if time_s >= 2.0:
+                leader_mps = max(last_mps, leader_mps - 0.1 * brake_mps2)
+            follower_mps += 0.1 * max(-5.0, min(1.0, 0.2 * (gap_m - 2.0 - 1.2 * follower_mps)))
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_rates_per_hour_are_those_of_the_program(run_program, python_folder, tmp_path):
+    write_recording(tmp_path / "events.csv")
+    run_program(["fit", tmp_path / "events.csv", "--out", tmp_path / "fitted.toml", "--samples", 19], "text")
+    space = tmp_path / "fitted.toml"
+    counted = crumple.rate("idm", space, runs=500, confidence=0.9, resamples=0, folder="text")
+    arguments = ["verify", "rate", "--controller", "idm", "--space", space, "--runs", 500, "--confidence", 0.9]
+    arguments += ["--resamples", 0, "--out", "text"]
+    assert str(counted) == run_program(arguments, "text")
+    assert "failures per hour" in str(counted)
+    assert counted.data == json.loads(run_program([*arguments, "--resume"], "json"))
+    with pytest.raises(crumple.RateError, match="resamples: must be 0 or at least 79"):
+        crumple.rate("idm", space, runs=500, resamples=5)
 
 
 @pytest.mark.parametrize("scenario", ["paper-1", "paper-2"])

@@ -256,6 +256,7 @@ def rate(
     confidence: float,
     seed: int,
     estimator: str,
+    resamples: int,
     folder: str | PathLike[str],
     resume: bool,
     progress: Callable[[int, int, int], object] | None,
