@@ -28,8 +28,8 @@ The method and two reference searches (uniform points, a Halton sequence) get th
 replayed at the scenario's step and at a tenth of it, shrunk, de-duplicated and ranked. The folder contains every \
 evaluation as compressed CSV (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a \
 summary. --resume continues an interrupted campaign, even after `kill -9`, and gives the same bytes. `work.json` \
-lists all files with their hashes: --resume refuses a folder with truncated, edited, moved or additional files and \
-names them. This does not protect against a person who changes the files and `work.json` together.
+lists all files with their hashes: --resume refuses a folder with a truncated, edited or moved file, or with another \
+file among its results, and names it. This does not protect against a person who changes the files and `work.json` together.
 
 --compare prints for each method the falsification rate and the mean and median number of simulations up to the first \
 failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
@@ -98,17 +98,11 @@ pub(super) struct Falsify {
         conflicts_with_all = ["method", "aim", "log", "expect", "out", "resume"]
     )]
     compare: Vec<Method>,
-    /// Number of seeds of --compare, from --seed on: 1 to 1000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 30,
-        value_parser = args::whole_number::<u64>(1..=MAX_SEEDS),
-        requires = "compare"
-    )]
-    seeds: u64,
+    /// Number of seeds of --compare, from --seed on: 1 to 1000 [default: 30]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(1..=MAX_SEEDS))]
+    seeds: Option<u64>,
     /// Write the runs of --compare as a table, one row for each method and seed; replaces an existing file
-    #[arg(long, value_name = "F.csv", requires = "compare")]
+    #[arg(long, value_name = "F.csv")]
     table: Option<PathBuf>,
     /// Detail of the log of evaluations
     #[arg(long, value_name = "L", default_value = "full", value_parser = value_enums::one_of(value_enums::LOGS))]
@@ -179,9 +173,28 @@ impl SearchExpectation {
     }
 }
 
+/// Seeds of a comparison, unless the user gives their number.
+const DEFAULT_SEEDS: u64 = 30;
+
 impl Falsify {
+    /// Refuses options that apply to a comparison only. clap does not check this, because `--compare` conflicts with
+    /// options that have defaults.
+    fn check_options_of_comparison(&self) -> Result<(), CliError> {
+        let given = [
+            ("--seeds", self.seeds.is_some()),
+            ("--table", self.table.is_some()),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            Some((option, _)) if self.compare.is_empty() => {
+                Err(CliError::Input(format!("{option}: requires --compare")))
+            }
+            _ => Ok(()),
+        }
+    }
+
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
+        self.check_options_of_comparison()?;
         let space = load_space(&self.space, controllers)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
@@ -203,7 +216,7 @@ impl Falsify {
             return compare(
                 &campaign,
                 &self.compare,
-                self.seeds,
+                self.seeds.unwrap_or(DEFAULT_SEEDS),
                 self.table.as_deref(),
                 self.format,
                 quiet,

@@ -45,8 +45,8 @@ failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
-with any number of threads. The exit code is 1 if no round was accepted, or if the policy collides in a \
-scenario of the paper.
+with any number of threads. The exit code is 1 if rounds were made and none was accepted, or if the \
+policy collides in a scenario of the paper.
 
 Examples:
   crumple retrain --out runs/retrained

@@ -105,6 +105,7 @@ impl Train {
             None => vec![self.seed.unwrap_or(0)],
         };
         self.refuse_existing_seeds(&seeds)?;
+        self.refuse_linked_seeds(&seeds)?;
         disk::make_folder(&self.out)?;
         let held_out = EvaluationSet::from_config(&config)?;
         self.check_folder(&config, &held_out, &seeds, quiet)?;
@@ -140,6 +141,18 @@ impl Train {
                 "{} exists: use --resume, or another --out",
                 existing.display()
             ))),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses folders of seeds that are symbolic links: a training writes only inside its folder.
+    fn refuse_linked_seeds(&self, seeds: &[u64]) -> Result<(), CliError> {
+        let mut folders = seeds.iter().map(|seed| seed_folder(&self.out, *seed));
+        match folders.find(|folder| folder.is_symlink()) {
+            Some(link) => Err(CliError::at(
+                &link,
+                "is a symbolic link, and `train` writes only inside its folder: use another --out",
+            )),
             None => Ok(()),
         }
     }

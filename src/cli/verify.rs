@@ -207,6 +207,11 @@ impl RateCommand {
                 "{name}: requires --rare; a count only distinguishes runs with and without a collision"
             )));
         }
+        if self.failures.is_some() && self.rate_below.is_none() {
+            return Err(CliError::Input(
+                "--failures: requires --rate-below".to_owned(),
+            ));
+        }
         let out = self.out;
         let plan = RatePlan::new(RateConfig {
             second_controller: self.against,

@@ -101,7 +101,7 @@ const COMMANDS_0_1_0: [ExpectedOutput; 16] = [
 ];
 
 /// A finished study of another version is read; an unfinished one is refused with what to do.
-const COMMANDS_0_3_0: [ExpectedOutput; 9] = [
+const COMMANDS_0_3_0: [ExpectedOutput; 11] = [
     (
         "falsify --controller match-leader --space paper --budget 60 --seed 3 --out campaign --resume",
         0,
@@ -150,7 +150,18 @@ const COMMANDS_0_3_0: [ExpectedOutput; 9] = [
     (
         "explore unfinished",
         2,
-        "the campaign is not complete: `crumple falsify --resume` completes it",
+        "the campaign is not complete: another build of crumple started this work",
+    ),
+    (
+        "falsify --controller match-leader --space paper --budget 60 --seed 3 --out campaign --resume --format json",
+        0,
+        "\"specification\": \"no collision\"",
+    ),
+    (
+        "verify rate --rare --controller match-leader --space paper --samples 50 --repetitions 5 --seed 3 --out \
+         estimate --resume --format json",
+        0,
+        "\"specification\": \"no collision\"",
     ),
 ];
 

@@ -26,6 +26,15 @@ pub struct DiskError {
 }
 
 impl DiskError {
+    /// Returns true if the folder or file may be read, but not written.
+    #[must_use]
+    pub fn is_read_only(&self) -> bool {
+        matches!(
+            self.source.kind(),
+            io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::PermissionDenied
+        )
+    }
+
     /// Returns a function that adds a path to an error of the operating system.
     pub fn at(path: &Path) -> impl Fn(io::Error) -> Self + Copy + '_ {
         |source| Self {

@@ -12,6 +12,7 @@ use serde_json::Value;
 use crumple_core::observer::Observer;
 use crumple_core::text_file;
 
+use crate::program::OTHER_BUILD_MESSAGE;
 use crate::run_folder::{
     self, CompletedRun, FolderTransaction, MANIFEST_FILE, RunFolder, RunFolderError,
     RunFolderOptions, RunState,
@@ -319,11 +320,19 @@ pub fn open_finished<S: Study>(
     };
     match run_folder::read_state(folder)? {
         RunState::Missing => Err(refused(format!("the folder holds no {kind}"))),
-        RunState::InProgress(found) if found == kind => Err(refused(format!(
-            "the {kind} is not complete: `{command} --resume` completes it"
-        ))),
+        RunState::InProgress {
+            kind: found,
+            is_of_this_build,
+        } if found == kind => {
+            let advice = if is_of_this_build {
+                format!("`{command} --resume` completes it")
+            } else {
+                OTHER_BUILD_MESSAGE.to_owned()
+            };
+            Err(refused(format!("the {kind} is not complete: {advice}")))
+        }
         RunState::Complete(finished) if finished.kind() == kind => Ok(finished),
-        RunState::InProgress(found) => Err(other_kind(folder, found, kind)),
+        RunState::InProgress { kind: found, .. } => Err(other_kind(folder, found, kind)),
         RunState::Complete(finished) => Err(other_kind(folder, finished.kind().to_owned(), kind)),
     }
 }

@@ -211,6 +211,18 @@ fn files_that_cannot_be_read_are_named() {
 fn arguments_that_make_no_sense_are_named() {
     let cases = [
         (
+            "falsify --controller idm --table runs.csv",
+            "error: --table: requires --compare",
+        ),
+        (
+            "falsify --controller idm --seeds 3",
+            "error: --seeds: requires --compare",
+        ),
+        (
+            "verify rate --controller idm --failures 3 --runs 10",
+            "error: --failures: requires --rate-below",
+        ),
+        (
             "simulate paper-1 --controller hal",
             "error: invalid value 'hal' for '--controller <C>'",
         ),

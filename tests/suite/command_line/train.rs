@@ -265,3 +265,18 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
         "none.safetensors: No such file",
     );
 }
+
+/// A training writes only inside its folder.
+#[cfg(unix)]
+#[test]
+fn a_seed_folder_that_is_a_link_is_refused() {
+    let folder = temp_folder();
+    let elsewhere = folder.path().join("elsewhere");
+    fs::create_dir_all(&elsewhere).unwrap();
+    fs::create_dir_all(folder.path().join("out")).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, folder.path().join("out/seed-0")).unwrap();
+    let output = run_crumple(folder.path(), "train --episodes 1 --out out --resume");
+    assert_eq!(exit_code(&output), 2);
+    assert_contains(&stderr(&output), &["out/seed-0: is a symbolic link"]);
+    assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
+}

@@ -186,7 +186,9 @@ impl Study for RarePlan {
         folder: &RunFolder,
         observer: &dyn Observer<RareProgress>,
     ) -> Result<RareReport, RareError> {
-        let report: RareReport = folder.read_required_json(ESTIMATE_FILE)?;
+        let mut report: RareReport = folder.read_required_json(ESTIMATE_FILE)?;
+        // 0.3.0 has only the description of a failure.
+        report.subject.specification = self.specification.to_string();
         let report = report.with_gaps();
         let mut nothing_saved = SavedProgress::default();
         let exposure = self.exposure(&report.estimate, &mut nothing_saved, folder, observer)?;

@@ -254,10 +254,12 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
     } else {
         ""
     };
-    let rear = if own.iter().any(|one| one.rear_conflict) {
-        "; while it braked, no command was safe for both the leader and the follower"
-    } else {
-        ""
+    let conflicts = own.iter().filter(|one| one.rear_conflict).count();
+    let no_safe_command = "no command was safe for both the leader and the follower";
+    let rear = match conflicts {
+        0 => String::new(),
+        all if all == own.len() => format!("; while it braked, {no_safe_command}"),
+        some => format!("; in {some} of these, {no_safe_command}"),
     };
     Some(format!(
         "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} \

@@ -7,6 +7,7 @@ use super::lock::LOCK_FILE;
 use super::manifest::{MAX_BYTES, Manifest, sorted_entries};
 use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::disk::{self, DiskError};
+use crate::program;
 use crumple_core::digest::sha256;
 
 /// State of a folder.
@@ -14,8 +15,13 @@ use crumple_core::digest::sha256;
 pub enum RunState {
     /// No run; perhaps temporary files of a process that ended before it wrote its first file.
     Missing,
-    /// An incomplete run of this kind.
-    InProgress(String),
+    /// An incomplete run.
+    InProgress {
+        /// Kind of the run.
+        kind: String,
+        /// True if this build of crumple may resume it.
+        is_of_this_build: bool,
+    },
     /// A completed run.
     Complete(CompletedRun),
 }
@@ -48,8 +54,11 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
             false => Err(RunFolderError::missing(&path)),
         };
     };
-    if manifest.program.is_some() {
-        return Ok(RunState::InProgress(manifest.kind));
+    if let Some(program) = &manifest.program {
+        return Ok(RunState::InProgress {
+            is_of_this_build: program == program::identity()?,
+            kind: manifest.kind,
+        });
     }
     match manifest.unlisted_files(folder)?.first() {
         Some(unlisted_file) => Err(RunFolderError::damaged(

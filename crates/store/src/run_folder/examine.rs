@@ -1,6 +1,5 @@
 //! Read-only examination of a run folder.
 
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::lock::FolderLock;
@@ -70,11 +69,7 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
             });
         }
         // No process can run in a folder that is not writable.
-        Err(error)
-            if matches!(
-                error.source.kind(),
-                ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied
-            ) => {}
+        Err(error) if error.is_read_only() => {}
         lock => drop(lock?),
     }
     let state = |name: String| -> Result<_, RunFolderError> {

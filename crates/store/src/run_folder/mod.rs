@@ -99,7 +99,8 @@ pub struct RunFolder {
     folder: PathBuf,
     program: &'static str,
     manifest: Mutex<Manifest>,
-    _lock: FolderLock,
+    /// `None` for a complete run in a folder that cannot be written.
+    _lock: Option<FolderLock>,
 }
 
 /// An error of opening or changing a run folder.
@@ -237,6 +238,26 @@ pub struct RunFolderOptions<'a> {
 }
 
 impl RunFolderOptions<'_> {
+    /// Locks a folder. A complete run can be read without a lock, where the folder cannot be written.
+    fn lock(&self, folder: &Path) -> Result<Option<FolderLock>, RunFolderError> {
+        let error = match FolderLock::try_acquire(folder) {
+            Ok(Some(lock)) => return Ok(Some(lock)),
+            Ok(None) => RunFolderError::InUse {
+                folder: folder.to_owned(),
+                kind: self.kind.to_owned(),
+            },
+            Err(error) if self.resume && error.is_read_only() => {
+                let manifest = Manifest::read(&folder.join(MANIFEST_FILE))?;
+                if manifest.is_some_and(|manifest| manifest.program.is_none()) {
+                    return Ok(None);
+                }
+                error.into()
+            }
+            Err(error) => error.into(),
+        };
+        Err(error)
+    }
+
     /// Checks that an existing run may be resumed or read.
     fn check_existing(
         &self,
@@ -293,10 +314,7 @@ impl RunFolder {
     /// [`RunFolderError`] if the folder cannot be used, is in use, contains another run, or anything in it is damaged.
     pub fn open(folder: &Path, options: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
-        let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| RunFolderError::InUse {
-            folder: folder.to_owned(),
-            kind: options.kind.to_owned(),
-        })?;
+        let lock = options.lock(folder)?;
         let program = program::identity()?;
         let manifest = match Manifest::read(&folder.join(MANIFEST_FILE))? {
             // The first change writes the manifest, so that a run that cannot start leaves no file.

@@ -197,7 +197,10 @@ impl Study for Campaign {
         folder: &RunFolder,
         _: &dyn Observer<CampaignProgress>,
     ) -> Result<CampaignSummary, CampaignError> {
-        Ok(folder.read_required_json(SUMMARY_FILE)?)
+        let mut summary: CampaignSummary = folder.read_required_json(SUMMARY_FILE)?;
+        // 0.3.0 has another name for the specification.
+        summary.subject.specification = self.specification.to_string();
+        Ok(summary)
     }
 }
 

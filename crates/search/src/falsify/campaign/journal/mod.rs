@@ -69,7 +69,12 @@ impl Journal {
     /// Checks that a run with this identity can resume from a journal. Changes nothing.
     pub(super) fn verify(path: &Path, identity: &str) -> Result<(), RunFolderError> {
         let unusable = DiskError::at(path);
-        let mut records = BufReader::new(regular_file::open(path).map_err(unusable)?);
+        let file = match regular_file::open(path) {
+            // The process ended before it created the journal.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            file => file.map_err(unusable)?,
+        };
+        let mut records = BufReader::new(file);
         if !has_header(&mut records, identity)
             .map_err(unusable)?
             .ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))?
@@ -91,9 +96,9 @@ impl Journal {
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(unusable(error).into()),
         };
-        let Some(beyond) = length.checked_sub(HEADER_BYTES as u64) else {
+        if length < HEADER_BYTES as u64 {
             return Self::create(path, identity);
-        };
+        }
         let mut earlier = BufReader::new(regular_file::open(path).map_err(unusable)?);
         let is_begun = has_header(&mut earlier, identity).map_err(unusable)?;
         if !is_begun.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
@@ -101,8 +106,6 @@ impl Journal {
         }
         let file =
             regular_file::open_with(path, OpenOptions::new().append(true)).map_err(unusable)?;
-        file.set_len(length - beyond % RECORD_BYTES as u64)
-            .map_err(unusable)?;
         Ok(Self::new(file, path, identity, Some(earlier)))
     }
 
@@ -118,10 +121,9 @@ impl Journal {
                 self.digest.update(checksum);
                 Ok(Some(decode(&body)))
             }
-            found => {
-                if matches!(found, JournalEntry::Zeros) {
-                    self.file.set_len(self.length_bytes()).map_err(unusable)?;
-                }
+            // Cut off a truncated record only now, so that a journal with a damaged record stays as it is.
+            JournalEntry::Zeros | JournalEntry::Truncated => {
+                self.file.set_len(self.length_bytes()).map_err(unusable)?;
                 self.previous_records = None;
                 Ok(None)
             }
@@ -238,6 +240,24 @@ mod tests {
         for expected in [verdicts[0], verdicts[1], verdicts[0]] {
             assert_eq!(again.next_verdict().unwrap(), Some(expected));
         }
+    }
+
+    /// A campaign that refuses its journal changes nothing.
+    #[test]
+    fn a_damaged_journal_keeps_its_length() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        Journal::create(&path, &identity())
+            .unwrap()
+            .append(&[RunVerdict::new(1.0)])
+            .unwrap();
+        let mut damaged = std::fs::read(&path).unwrap();
+        damaged.extend([7; RECORD_BYTES + 5]);
+        std::fs::write(&path, &damaged).unwrap();
+        let mut journal = Journal::resume(&path, &identity()).unwrap();
+        assert!(journal.next_verdict().unwrap().is_some());
+        problem(journal.next_verdict().unwrap_err());
+        assert_eq!(std::fs::read(&path).unwrap(), damaged);
     }
 
     /// Tests a change of any bit of the header or a record, and an exchange of two records.
