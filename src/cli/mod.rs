@@ -37,7 +37,6 @@ mod progress;
 mod rare;
 mod reach;
 mod replay;
-mod replay_report;
 mod retrain;
 mod shell;
 mod show;

@@ -7,8 +7,8 @@ use clap::Args;
 use super::fit::ensure_distinct;
 use super::import::{load_map, note_text_format, parse_min_brake};
 use super::output_format::OutputFormat;
-use super::replay_report::{DriveOfRecording, ReplayReport};
 use super::{CliError, args, output, progress};
+use crumple_evidence::{DriveOfRecording, ReplayReport};
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::replay::{OpenLoopError, ReplayedDrive, replay};
 use crumple_exchange::recording::{

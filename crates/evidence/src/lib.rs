@@ -23,6 +23,7 @@ pub mod rare;
 mod rate;
 mod reach;
 mod record;
+mod replay_report;
 mod rerun;
 mod script;
 
@@ -50,6 +51,7 @@ pub use reach::{
     VolumeShares, checker_file,
 };
 pub use record::{CountRecord, CountTally};
+pub use replay_report::{DriveOfRecording, ReplayReport};
 pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};
 
 use crumple_verify::{Certificate, Statement};

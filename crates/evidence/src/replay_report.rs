@@ -1,18 +1,19 @@
-//! Report of an open-loop replay, as text and as JSON.
+//! Report of an open-loop replay of a controller on recorded drives, as text and as JSON.
 
 use serde::Serialize;
 
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::exposure::IntervalEstimate;
 use crumple_exchange::recording::replay::{ReplayedBraking, ReplayedDrive};
+
+use crate::exposure::IntervalEstimate;
 
 /// Maximum number of brakings that the text lists; the hardest ones.
 const MAX_LISTED: usize = 20;
 
 /// Report of an open-loop replay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct ReplayReport {
+pub struct ReplayReport {
     /// Name of the controller.
     controller: String,
     /// Deceleration from which braking of the controller counts, in m/s².
@@ -55,17 +56,19 @@ struct UnnecessaryReport {
     per_100_km: Option<IntervalEstimate>,
 }
 
-/// A drive of one of several recordings.
-pub(super) struct DriveOfRecording {
+/// A replayed drive with the name of its recording.
+#[derive(Debug, Clone)]
+pub struct DriveOfRecording {
     /// Path of the recording.
-    pub(super) recording: String,
+    pub recording: String,
     /// The drive.
-    pub(super) drive: ReplayedDrive,
+    pub drive: ReplayedDrive,
 }
 
 impl ReplayReport {
-    /// Creates the report of drives with a controller.
-    pub(super) fn new(controller: &str, min_brake_mps2: f64, drives: &[DriveOfRecording]) -> Self {
+    /// Creates the report of drives with a controller, whose braking counts from `min_brake_mps2`.
+    #[must_use]
+    pub fn new(controller: &str, min_brake_mps2: f64, drives: &[DriveOfRecording]) -> Self {
         let all = || drives.iter().map(|one| &one.drive);
         let hours = all().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
         let kilometres = all().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
@@ -87,7 +90,8 @@ impl ReplayReport {
     }
 
     /// Returns the report for a reader, as lines.
-    pub(super) fn to_text(&self) -> String {
+    #[must_use]
+    pub fn to_text(&self) -> String {
         let drives = self.drives as u64;
         let mut text = format!(
             "{drives} drive{} behind a leader: {:.3} h, {:.2} km\n",
