@@ -238,9 +238,11 @@ impl InvariantCommand {
                     "--controller: {place}cannot be followed: {invalid}"
                 ))
             }
-            InvalidBox::Field { field, problem } => {
-                CliError::Input(format!("{}: {problem}", option_of(&field)))
-            }
+            InvalidBox::Field(invalid) => CliError::Input(format!(
+                "{}: {}",
+                option_of(&invalid.field),
+                invalid.problem
+            )),
             other => CliError::input(other),
         }
     }

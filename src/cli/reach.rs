@@ -114,9 +114,9 @@ impl ReachCommand {
     fn describe_refusal(&self, error: InvalidBox, text: &str) -> CliError {
         let place = self.starts.display();
         match error {
-            InvalidBox::Field { ref field, .. } => CliError::Input(format!(
-                "{place}:{}: {error}",
-                text_file::line_in_toml(text, field)
+            InvalidBox::Field(invalid) => CliError::Input(format!(
+                "{place}:{}: {invalid}",
+                text_file::line_in_toml(text, &invalid.field)
             )),
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {

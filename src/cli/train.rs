@@ -225,10 +225,10 @@ impl Train {
 
     /// Returns an error about scenario spaces that options name, in terms of the option.
     fn option_error(&self, error: &TrainingConfigError) -> CliError {
-        let (TrainingConfigError::Field { field, .. } | TrainingConfigError::Range { field, .. }) =
-            error
-        else {
-            return CliError::Input(format!("--space: {error}"));
+        let field = match error {
+            TrainingConfigError::Field(invalid) => &invalid.field,
+            TrainingConfigError::Range { field, .. } => field,
+            _ => return CliError::Input(format!("--space: {error}")),
         };
         let index = field
             .strip_prefix("spaces[")

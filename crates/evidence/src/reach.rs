@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
+use crumple_core::field_error::FieldError;
 use crumple_core::observer::{Observer, Stopped};
 use crumple_core::text_file::{self, FileError};
 use crumple_networks::{InvalidMapping, NetworkController};
@@ -91,13 +92,8 @@ pub struct RangesSpec {
 #[non_exhaustive]
 pub enum InvalidBox {
     /// A field of the box, its scenario or a range is invalid.
-    #[error("{field}: {problem}")]
-    Field {
-        /// Path of the field in the file, such as `ranges.onset_s`.
-        field: String,
-        /// Problem of the field.
-        problem: String,
-    },
+    #[error("{0}")]
+    Field(FieldError),
     /// The scenario or box cannot be written.
     #[error("cannot be written as TOML: {0}")]
     Unwritable(#[from] toml::ser::Error),
@@ -517,10 +513,7 @@ impl ReachPlan {
 
 impl InvalidBox {
     pub(super) fn field(field: &str, problem: impl Into<String>) -> Self {
-        Self::Field {
-            field: field.to_owned(),
-            problem: problem.into(),
-        }
+        Self::Field(FieldError::new(field, problem))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crumple_core::field_error::FieldError;
 use crumple_core::text_file;
 
 /// Reason why a configuration is invalid.
@@ -15,13 +16,8 @@ pub enum TrainingConfigError {
     #[error("{0}")]
     Located(String),
     /// A field contradicts another field, or names a space that cannot be trained on.
-    #[error("{field}: {problem}")]
-    Field {
-        /// Path of the field.
-        field: String,
-        /// Problem, as the end of a sentence.
-        problem: String,
-    },
+    #[error(transparent)]
+    Field(#[from] FieldError),
     /// A number is out of range.
     #[error("{field}: must be between {low} and {high}, found {found}")]
     Range {
@@ -38,10 +34,7 @@ pub enum TrainingConfigError {
 
 impl TrainingConfigError {
     pub(super) fn field(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self::Field {
-            field: field.into(),
-            problem: problem.into(),
-        }
+        Self::Field(FieldError::new(field, problem))
     }
 
     /// Adds the file and the line of the field, and reports numbers as written, because `found` may have been rounded.
@@ -49,7 +42,7 @@ impl TrainingConfigError {
     pub fn with_location(self, text: &str, path: &Path) -> Self {
         let (field, message) = match &self {
             Self::UnknownPreset(_) | Self::Located(_) => return self,
-            Self::Field { field, .. } => (field, self.to_string()),
+            Self::Field(invalid) => (&invalid.field, self.to_string()),
             Self::Range {
                 field, low, high, ..
             } => {
