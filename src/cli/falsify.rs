@@ -29,7 +29,8 @@ replayed at the scenario's step and at a tenth of it, shrunk, de-duplicated and 
 evaluation as compressed CSV (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a \
 summary. --resume continues an interrupted campaign, even after `kill -9`, and gives the same bytes. `work.json` \
 lists all files with their hashes: --resume refuses a folder with a truncated, edited or moved file, or with another \
-file among its results, and names it. This does not protect against a person who changes the files and `work.json` together.
+file among its results, and names the file. This does not protect against a person who changes the files and \
+`work.json` together.
 
 --compare prints for each method the falsification rate and the mean and median number of simulations up to the first \
 failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
