@@ -3,6 +3,8 @@
 
 mod changes;
 mod genuine;
+pub(crate) mod rates;
+pub(crate) mod sets;
 
 use std::collections::BTreeMap;
 
@@ -10,16 +12,34 @@ use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BlockSelection, Rerun, RerunError, check_binding, check_covers_scenario};
 use crumple_sim::scenario::Scenario;
-use crumple_verify::{Certificate, ProvedClaim, WorkLimit, check_with};
+use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use rand::SeedableRng;
 use rand::rngs::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
-use changes::{ForgedCertificate, GenuineCertificate, forge};
 use genuine::{KIND_COUNT, genuine_certificates, implies};
 
+/// A genuine certificate, with the data for checking it.
+#[derive(Debug, Clone)]
+pub(crate) struct GenuineCertificate {
+    certificate: Certificate,
+    policy: Option<Vec<u8>>,
+    scenario: Option<Scenario>,
+    /// Claim that the checker shows.
+    shown: ProvedClaim,
+}
+
+/// A forged certificate, as a file.
+#[derive(Debug, Clone)]
+pub(crate) struct ForgedCertificate {
+    pub(crate) change: String,
+    text: String,
+    policy: Option<Vec<u8>>,
+}
+
+/// Verdict of the oracle about a forged certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Verdict {
+pub(crate) enum Verdict {
     Refused,
     /// Accepted, and the original implies the claim.
     Implied,
@@ -29,46 +49,88 @@ enum Verdict {
     Forgery,
 }
 
-/// Returns the verdict about a forged certificate, with counts counted again.
-fn forgery_verdict(
-    genuine: &GenuineCertificate,
-    shown: &ProvedClaim,
-    forged: &ForgedCertificate,
-) -> Verdict {
-    let Ok(certificate) = Certificate::from_json(&forged.text) else {
-        return Verdict::Refused;
-    };
+/// Returns a certificate with a changed statement.
+pub(crate) fn change_statement(
+    genuine: &Certificate,
+    change: impl FnOnce(&mut Statement),
+) -> Certificate {
+    let mut forged = genuine.clone();
+    change(&mut forged.statement);
+    forged
+}
+
+impl GenuineCertificate {
+    /// Checks a genuine certificate, and takes it as the origin of forgeries.
+    pub(crate) fn new(
+        certificate: Certificate,
+        policy: Option<Vec<u8>>,
+        scenario: Option<Scenario>,
+    ) -> Self {
+        let bytes = policy.as_deref();
+        check_binding(&certificate, bytes, Controllers::default()).expect("bound");
+        let shown = check_with(&certificate, bytes, WorkLimit::default()).expect("accepted");
+        Self {
+            certificate,
+            policy,
+            scenario,
+            shown,
+        }
+    }
+
+    /// Returns the verdict about a forged certificate, with counts counted again.
+    pub(crate) fn verdict(&self, forged: &ForgedCertificate) -> Verdict {
+        let Some((claimed, accepted)) = accepted_claim(forged) else {
+            return Verdict::Refused;
+        };
+        if self.implies(&claimed, &accepted) {
+            Verdict::Implied
+        } else if self.is_subject_of(&claimed, forged.policy.as_deref()) {
+            Verdict::Forgery
+        } else {
+            Verdict::OtherSubject
+        }
+    }
+
+    /// Returns true if a claim follows from the certificate and from what the checker shows for it. `accepted` is what
+    /// the checker shows for the claim.
+    fn implies(&self, claimed: &Certificate, accepted: &ProvedClaim) -> bool {
+        let original = &self.certificate;
+        // Version 1 names no subject.
+        let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
+        has_all_assumptions(original, claimed)
+            && is_of_it
+            && match &claimed.statement {
+                Statement::Invariant(claim) => sets::is_true(claim, accepted, &self.shown),
+                other => implies(&original.statement, &self.shown, other),
+            }
+    }
+
+    /// Returns true if an accepted claim is about the certificate's subject.
+    fn is_subject_of(&self, claimed: &Certificate, policy: Option<&[u8]>) -> bool {
+        if !claimed.is_first_version() {
+            return is_of_same_subject(&self.certificate, claimed);
+        }
+        // A certificate of version 1 is about explicit numbers, all of which the checker verifies; only omissions could
+        // mislead.
+        let is_about =
+            |scenario: &Scenario| check_covers_scenario(claimed, scenario, policy).is_ok();
+        !has_all_assumptions(&self.certificate, claimed)
+            && self.scenario.as_ref().is_some_and(is_about)
+    }
+}
+
+/// Returns a forged certificate that every check accepts, with what the checker shows for it.
+fn accepted_claim(forged: &ForgedCertificate) -> Option<(Certificate, ProvedClaim)> {
+    let certificate = Certificate::from_json(&forged.text).ok()?;
     let policy = forged.policy.as_deref();
     // Cheapest check first.
-    if check_binding(&certificate, policy, Controllers::default()).is_err() {
-        return Verdict::Refused;
-    }
-    let Ok(_) = check_with(&certificate, policy, WorkLimit::from_billions(50)) else {
-        return Verdict::Refused;
-    };
-    match Rerun::new(&certificate, &[], Controllers::default())
-        .and_then(|rerun| rerun.confirm(BlockSelection::All, &Quiet))
-    {
-        Ok(_) | Err(RerunError::NothingCounted(_)) => {}
-        Err(_) => return Verdict::Refused,
-    }
-    if is_implied(&genuine.certificate, shown, &certificate) {
-        return Verdict::Implied;
-    }
-    // A certificate of version 1 is about explicit numbers, all of which the checker verifies; only omissions could
-    // mislead.
-    let is_of_it = if certificate.is_first_version() {
-        let is_about =
-            |scenario: &Scenario| check_covers_scenario(&certificate, scenario, policy).is_ok();
-        !has_all_assumptions(&genuine.certificate, &certificate)
-            && genuine.scenario.as_ref().is_some_and(is_about)
-    } else {
-        is_of_same_subject(&genuine.certificate, &certificate)
-    };
-    if is_of_it {
-        Verdict::Forgery
-    } else {
-        Verdict::OtherSubject
+    check_binding(&certificate, policy, Controllers::default()).ok()?;
+    let accepted = check_with(&certificate, policy, WorkLimit::from_billions(50)).ok()?;
+    let recount = Rerun::new(&certificate, &[], Controllers::default())
+        .and_then(|rerun| rerun.confirm(BlockSelection::All, &Quiet));
+    match recount {
+        Ok(_) | Err(RerunError::NothingCounted(_)) => Some((certificate, accepted)),
+        Err(_) => None,
     }
 }
 
@@ -91,15 +153,6 @@ fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
         && policy(one) == policy(other)
 }
 
-/// Returns true if a claim follows from a certificate and from what the checker shows for it.
-fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate) -> bool {
-    // Version 1 names no subject.
-    let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
-    has_all_assumptions(original, claimed)
-        && is_of_it
-        && implies(&original.statement, shown, &claimed.statement)
-}
-
 #[test]
 fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let wanted: u64 = std::env::var("FORGERIES")
@@ -108,23 +161,6 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         .unwrap_or(1000);
     let begin = std::time::Instant::now();
     let genuine = genuine_certificates();
-    let shown: Vec<ProvedClaim> = genuine
-        .iter()
-        .map(|one| {
-            check_binding(
-                &one.certificate,
-                one.policy.as_deref(),
-                Controllers::default(),
-            )
-            .expect("bound");
-            check_with(
-                &one.certificate,
-                one.policy.as_deref(),
-                WorkLimit::default(),
-            )
-            .expect("accepted")
-        })
-        .collect();
     let kinds: std::collections::BTreeSet<_> = genuine
         .iter()
         .map(|one| one.certificate.statement.name())
@@ -133,7 +169,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let tried = (0..wanted).into_par_iter().map(|index| {
         let which = index as usize % genuine.len();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
-        let forged = forge(&genuine[which], &genuine, &mut random);
+        let forged = genuine[which].forge(&genuine, &mut random);
         let kind = genuine[which].certificate.statement.name();
         // The result may equal the original or another genuine certificate.
         let read = Certificate::from_json(&forged.text).ok();
@@ -143,7 +179,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         {
             return (kind, None);
         }
-        let verdict = forgery_verdict(&genuine[which], &shown[which], &forged);
+        let verdict = genuine[which].verdict(&forged);
         assert_ne!(
             verdict,
             Verdict::Forgery,

@@ -8,6 +8,8 @@ use crumple_verify::reach::{FollowerLaw, PartitionCell};
 use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
 
 use super::*;
+use crate::forgery::change_statement;
+use crate::forgery::rates::{claim_rate_for_baseline, rate_claim};
 
 fn read_certificate(folder: &Path, name: &str) -> Certificate {
     Certificate::from_json(&fs::read_to_string(folder.join(name)).unwrap()).unwrap()
@@ -71,20 +73,8 @@ fn the_check_of_a_rate_names_the_plant_and_convex_programs_refuse_it() {
 
 /// Claims the counted failure rate of idm for the baseline, with further changes.
 fn forge_rate(folder: &Path, change: impl FnOnce(&mut RateClaim)) -> Certificate {
-    let mut forged = read_certificate(folder, "idm/certificate.json");
-    let Statement::Rate(rate) = &mut forged.statement else {
-        panic!("a rate")
-    };
-    let identity = BuiltInController::from_name("baseline").unwrap().sha256();
-    rate.registration
-        .configuration
-        .insert("controller".to_owned(), "baseline".to_owned());
-    rate.registration
-        .configuration
-        .insert("controller_sha256".to_owned(), identity);
-    change(rate);
-    rate.registration_sha256 = rate.registration.digest();
-    forged
+    let genuine = read_certificate(folder, "idm/certificate.json");
+    claim_rate_for_baseline(&genuine, change)
 }
 
 #[test]
@@ -135,11 +125,10 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
         );
     }
     // Correct counts with hashes of other runs.
-    let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
-    let Statement::Rate(rate) = &mut hashes.statement else {
-        panic!("a rate")
-    };
-    rate.blocks[1].1 = sha256("another run");
+    let genuine = read_certificate(folder.path(), "idm/certificate.json");
+    let hashes = change_statement(&genuine, |statement| {
+        rate_claim(statement).blocks[1].1 = sha256("another run");
+    });
     write_certificate(folder.path(), "hashes.json", &hashes);
     let message = check("hashes.json --rerun --format json");
     let report = &json_objects(&message)[0];

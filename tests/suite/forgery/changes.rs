@@ -2,7 +2,6 @@
 //! sums and the canonical form are repaired.
 
 use crumple_core::digest::sha256;
-use crumple_sim::scenario::Scenario;
 use crumple_verify::Certificate;
 use crumple_verify::certificate::FIRST_VERSION;
 use rand::RngExt;
@@ -10,129 +9,117 @@ use rand::rngs::Xoshiro256PlusPlus;
 use rand::seq::IndexedRandom;
 use serde_json::{Value, json};
 
-/// A genuine certificate, with the data for checking it.
-#[derive(Debug, Clone)]
-pub(super) struct GenuineCertificate {
-    pub(super) certificate: Certificate,
-    pub(super) policy: Option<Vec<u8>>,
-    pub(super) scenario: Option<Scenario>,
-}
+use super::{ForgedCertificate, GenuineCertificate};
 
-/// A forged certificate, as a file.
-#[derive(Debug, Clone)]
-pub(super) struct ForgedCertificate {
-    pub(super) change: String,
-    pub(super) text: String,
-    pub(super) policy: Option<Vec<u8>>,
-}
-
-/// Forges one of some genuine certificates; `others` supplies parts.
-pub(super) fn forge(
-    genuine: &GenuineCertificate,
-    others: &[GenuineCertificate],
-    random: &mut Xoshiro256PlusPlus,
-) -> ForgedCertificate {
-    let mut value = serde_json::to_value(&genuine.certificate).unwrap_or_default();
-    let mut policy = genuine.policy.clone();
-    let places = json_pointers(&value);
-    let place = places.choose(random).cloned().unwrap_or_default();
-    let (mut text, mut keeps_order) = (None, true);
-    let mut change = match random.random_range(0..12_u32) {
-        0..4 => change_number(&mut value, &places, random),
-        4 => change_list(&mut value, &places, random),
-        5 => {
-            let (parent, name) = place.rsplit_once('/').unwrap_or(("", ""));
-            if let Some(fields) = value.pointer_mut(parent).and_then(Value::as_object_mut) {
-                fields.remove(name);
+impl GenuineCertificate {
+    /// Forges the certificate at random, in any place of its file; `others` supplies parts.
+    pub(super) fn forge(
+        &self,
+        others: &[GenuineCertificate],
+        random: &mut Xoshiro256PlusPlus,
+    ) -> ForgedCertificate {
+        let mut value = serde_json::to_value(&self.certificate).unwrap_or_default();
+        let mut policy = self.policy.clone();
+        let places = json_pointers(&value);
+        let place = places.choose(random).cloned().unwrap_or_default();
+        let (mut text, mut keeps_order) = (None, true);
+        let mut change = match random.random_range(0..12_u32) {
+            0..4 => change_number(&mut value, &places, random),
+            4 => change_list(&mut value, &places, random),
+            5 => {
+                let (parent, name) = place.rsplit_once('/').unwrap_or(("", ""));
+                if let Some(fields) = value.pointer_mut(parent).and_then(Value::as_object_mut) {
+                    fields.remove(name);
+                }
+                format!("without {place}")
             }
-            format!("without {place}")
-        }
-        6 => {
-            // The genuine value stays the last, or the first, of two.
-            let canonical = genuine.certificate.to_canonical_json();
-            let names: Vec<usize> = canonical.match_indices("\":").map(|(at, _)| at).collect();
-            let at = names.choose(random).copied().unwrap_or_default();
-            let name = canonical
-                .get(..at)
-                .and_then(|before| before.rsplit('"').next())
-                .unwrap_or_default()
-                .to_owned();
-            let forged_value = ["0", "1e-9", "\"policy\"", "null", "[]"]
+            6 => {
+                // The genuine value stays the last, or the first, of two.
+                let canonical = self.certificate.to_canonical_json();
+                let names: Vec<usize> = canonical.match_indices("\":").map(|(at, _)| at).collect();
+                let at = names.choose(random).copied().unwrap_or_default();
+                let name = canonical
+                    .get(..at)
+                    .and_then(|before| before.rsplit('"').next())
+                    .unwrap_or_default()
+                    .to_owned();
+                let forged_value = ["0", "1e-9", "\"policy\"", "null", "[]"]
+                    .choose(random)
+                    .copied()
+                    .unwrap_or("0");
+                let start = at.saturating_sub(name.len() + 1);
+                let (before, after) = canonical.split_at(start);
+                text = Some(format!("{before}\"{name}\":{forged_value},{after}"));
+                format!("a second `{name}`")
+            }
+            7 => {
+                let other = others
+                    .choose(random)
+                    .and_then(|other| serde_json::to_value(&other.certificate).ok());
+                let lent = other.and_then(|other| other.pointer(&place).cloned());
+                match (value.pointer_mut(&place), lent) {
+                    (Some(here), Some(lent)) => *here = lent,
+                    _ => value["provenance"] = Value::Null,
+                }
+                format!("{place} of another certificate")
+            }
+            8 => change_text(&mut value, &places, random),
+            9 => {
+                value["version"] = json!(FIRST_VERSION);
+                if let Some(provenance) = value["provenance"].as_object_mut() {
+                    provenance.retain(|name, _| !name.ends_with("_text"));
+                }
+                keeps_order = random.random();
+                format!(
+                    "version 1, and {}",
+                    change_number(&mut value, &places, random)
+                )
+            }
+            10 => change_policy(&mut value, &mut policy, others, random),
+            _ => {
+                let added = [
+                    "noise-of-seed",
+                    "registered-draws",
+                    "ego-can-brake",
+                    "scripted-leader",
+                    "leader-within-limit",
+                ]
                 .choose(random)
                 .copied()
-                .unwrap_or("0");
-            let start = at.saturating_sub(name.len() + 1);
-            let (before, after) = canonical.split_at(start);
-            text = Some(format!("{before}\"{name}\":{forged_value},{after}"));
-            format!("a second `{name}`")
-        }
-        7 => {
-            let other = others
-                .choose(random)
-                .and_then(|other| serde_json::to_value(&other.certificate).ok());
-            let lent = other.and_then(|other| other.pointer(&place).cloned());
-            match (value.pointer_mut(&place), lent) {
-                (Some(here), Some(lent)) => *here = lent,
-                _ => value["provenance"] = Value::Null,
-            }
-            format!("{place} of another certificate")
-        }
-        8 => change_text(&mut value, &places, random),
-        9 => {
-            value["version"] = json!(FIRST_VERSION);
-            if let Some(provenance) = value["provenance"].as_object_mut() {
-                provenance.retain(|name, _| !name.ends_with("_text"));
-            }
-            keeps_order = random.random();
-            format!(
-                "version 1, and {}",
-                change_number(&mut value, &places, random)
-            )
-        }
-        10 => change_policy(&mut value, &mut policy, others, random),
-        _ => {
-            let added = [
-                "noise-of-seed",
-                "registered-draws",
-                "ego-can-brake",
-                "scripted-leader",
-                "leader-within-limit",
-            ]
-            .choose(random)
-            .copied()
-            .unwrap_or_default();
-            if let Some(list) = value["assumptions"].as_array_mut() {
-                match random.random_range(0..4_u32) {
-                    0 => drop(list.pop()),
-                    3 if !list.is_empty() => {
-                        let at = random.random_range(0..list.len());
-                        list[at] = json!(added);
+                .unwrap_or_default();
+                if let Some(list) = value["assumptions"].as_array_mut() {
+                    match random.random_range(0..4_u32) {
+                        0 => drop(list.pop()),
+                        3 if !list.is_empty() => {
+                            let at = random.random_range(0..list.len());
+                            list[at] = json!(added);
+                        }
+                        1 => list.reverse(),
+                        _ => list.push(json!(added)),
                     }
-                    1 => list.reverse(),
-                    _ => list.push(json!(added)),
                 }
+                "other assumptions".to_owned()
             }
-            "other assumptions".to_owned()
+        };
+        if text.is_none() && random.random() {
+            repair_hashes(&mut value);
+            change += ", mended";
         }
-    };
-    if text.is_none() && random.random() {
-        repair_hashes(&mut value);
-        change += ", mended";
-    }
-    // Keep the order of the types, or the checker rejects the order alone.
-    let ordered = serde_json::from_value::<Certificate>(value.clone())
-        .ok()
-        .filter(|_| keeps_order);
-    let text = text.unwrap_or_else(|| {
-        ordered.map_or_else(
-            || value.to_string(),
-            |certificate| certificate.to_canonical_json(),
-        )
-    });
-    ForgedCertificate {
-        change,
-        text,
-        policy,
+        // Keep the order of the types, or the checker rejects the order alone.
+        let ordered = serde_json::from_value::<Certificate>(value.clone())
+            .ok()
+            .filter(|_| keeps_order);
+        let text = text.unwrap_or_else(|| {
+            ordered.map_or_else(
+                || value.to_string(),
+                |certificate| certificate.to_canonical_json(),
+            )
+        });
+        ForgedCertificate {
+            change,
+            text,
+            policy,
+        }
     }
 }
 

@@ -13,7 +13,7 @@ use crumple_sim::scenario::{Scenario, built_in_scenario};
 use crumple_spaces::built_in_space;
 use crumple_verify::{ComparisonClaim, KernelClaim, ProvedClaim, ReachClaim, Statement};
 
-use super::changes::GenuineCertificate;
+use super::GenuineCertificate;
 use crate::networks::find_source;
 
 /// Number of kinds among the genuine certificates: all but `invariant`, which `tests/suite/invariant.rs` forges.
@@ -104,11 +104,7 @@ fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
         AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
     };
-    GenuineCertificate {
-        certificate,
-        policy: None,
-        scenario: Some(scenario.clone()),
-    }
+    GenuineCertificate::new(certificate, None, Some(scenario.clone()))
 }
 
 fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
@@ -120,11 +116,7 @@ fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
         .expect("options fit")
         .bound_certificate
         .expect("a bound");
-    GenuineCertificate {
-        certificate: *certificate,
-        policy: None,
-        scenario: Some(scenario.clone()),
-    }
+    GenuineCertificate::new(*certificate, None, Some(scenario.clone()))
 }
 
 fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
@@ -145,11 +137,7 @@ fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genui
     while tally.runs < runs {
         plan.count_batch(&mut tally).expect("runs");
     }
-    GenuineCertificate {
-        certificate: plan.certificate(&tally),
-        policy: None,
-        scenario: None,
-    }
+    GenuineCertificate::new(plan.certificate(&tally), None, None)
 }
 
 fn reach_certificate(controller: impl IntoSource, of_leader: &str) -> GenuineCertificate {
@@ -159,11 +147,11 @@ fn reach_certificate(controller: impl IntoSource, of_leader: &str) -> GenuineCer
     let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(controller, &spec).expect("a plan");
     let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
-    GenuineCertificate {
+    GenuineCertificate::new(
         certificate,
-        policy: Some(plan.policy_bytes().to_vec()),
-        scenario: built_in_scenario("paper-2"),
-    }
+        Some(plan.policy_bytes().to_vec()),
+        built_in_scenario("paper-2"),
+    )
 }
 
 /// Returns at least one certificate of each kind, two of most.
@@ -206,11 +194,7 @@ pub(super) fn genuine_certificates() -> Vec<GenuineCertificate> {
             &format!("follower_drives = \"{law}\"\n"),
         )
     }));
-    let kernel = |(_, certificate)| GenuineCertificate {
-        certificate,
-        policy: None,
-        scenario: None,
-    };
+    let kernel = |(_, certificate)| GenuineCertificate::new(certificate, None, None);
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all
 }
