@@ -2,7 +2,7 @@
 //! attempts, a fifth of which leave the certificate unchanged.
 
 mod changes;
-mod genuine;
+pub(crate) mod genuine;
 pub(crate) mod rates;
 pub(crate) mod sets;
 

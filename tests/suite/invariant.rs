@@ -16,8 +16,9 @@ use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
 
 use crate::command_line::temp_folder;
+use crate::forgery::genuine::set_certificate;
 use crate::forgery::sets::{attack_boundary, set_claim};
-use crate::forgery::{GenuineCertificate, Verdict, change_statement};
+use crate::forgery::{Verdict, change_statement};
 use crate::onnx_bytes::{TestOnnxNode, model_bytes};
 
 fn spec(motion: MotionModel, own: [f64; 2], leader: [f64; 2]) -> InvariantSpec {
@@ -118,8 +119,7 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
         .ok()
         .and_then(|text| text.parse().ok())
         .unwrap_or(100);
-    let (_, set, _) = idm_set(6.0, 16);
-    let genuine = GenuineCertificate::new(set.certificate, None, None);
+    let genuine = set_certificate();
     let mut accepted = 0;
     for index in 0..wanted {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);

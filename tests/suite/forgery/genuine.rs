@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
-use crumple_evidence::{BoxSpec, RateConfig, RatePlan, ReachPlan, shipped_kernels};
+use crumple_evidence::{
+    BoxSpec, InvariantOptions, InvariantPlan, InvariantSpec, RateConfig, RatePlan, ReachPlan,
+    shipped_kernels,
+};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_sim::control::{BuiltInController, IntoSource};
 use crumple_sim::engine::NamedController;
@@ -11,13 +14,14 @@ use crumple_sim::observation::EstimatorKind;
 use crumple_sim::policy::Policy;
 use crumple_sim::scenario::{Scenario, built_in_scenario};
 use crumple_spaces::built_in_space;
+use crumple_verify::invariant::MotionModel;
 use crumple_verify::{ComparisonClaim, KernelClaim, ProvedClaim, ReachClaim, Statement};
 
 use super::GenuineCertificate;
 use crate::networks::find_source;
 
-/// Number of kinds among the genuine certificates: all but `invariant`, which `tests/suite/invariant.rs` forges.
-pub(super) const KIND_COUNT: usize = 7;
+/// Number of kinds among the genuine certificates.
+pub(super) const KIND_COUNT: usize = 8;
 
 /// Returns true if a statement and what the checker shows for it imply the statement `other` about the same subject.
 pub(super) fn implies(original: &Statement, shown: &ProvedClaim, other: &Statement) -> bool {
@@ -154,6 +158,41 @@ fn reach_certificate(controller: impl IntoSource, of_leader: &str) -> GenuineCer
     )
 }
 
+/// Returns the certificate of a small invariant set of `idm`.
+pub(crate) fn set_certificate() -> GenuineCertificate {
+    let spec = InvariantSpec {
+        version: 1,
+        scenario: "paper-1".to_owned(),
+        motion: MotionModel::Absolute,
+        leader_mps2: [-7.5, 3.0],
+        observation_error: [1e-9; 3],
+        region_gap_m: 100.0,
+        ends_beyond_gap_m: None,
+        region_own_mps: [0.0, 6.0],
+        region_leader_mps: [0.0, 6.0],
+        controller: None,
+    };
+    let options = InvariantOptions {
+        cells: 16,
+        splits: 1,
+        smallest_gap_m: 0.0,
+    };
+    let idm = BuiltInController::from_name("idm").expect("built in");
+    let scenario = built_in_scenario("paper-1").expect("built in");
+    let plan = InvariantPlan::new(idm, &scenario, spec).expect("a plan");
+    let set = plan
+        .search(options, &Quiet)
+        .expect("a search")
+        .expect("a set");
+    let genuine = GenuineCertificate::new(set.certificate, None, Some(scenario));
+    assert!(
+        matches!(genuine.shown, ProvedClaim::Invariant { min_gap_m, .. } if min_gap_m > 0.0),
+        "{}",
+        genuine.shown
+    );
+    genuine
+}
+
 /// Returns at least one certificate of each kind, two of most.
 pub(super) fn genuine_certificates() -> Vec<GenuineCertificate> {
     let paper = built_in_scenario("paper-1").expect("built in");
@@ -196,5 +235,6 @@ pub(super) fn genuine_certificates() -> Vec<GenuineCertificate> {
     }));
     let kernel = |(_, certificate)| GenuineCertificate::new(certificate, None, None);
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
+    all.push(set_certificate());
     all
 }
