@@ -1,4 +1,5 @@
-//! Zip archives with uncompressed members, as Python's `zipfile` and PyTorch write them.
+//! Zip archives with uncompressed members, as Python's `zipfile` and PyTorch write them. The crate `zip` reads the
+//! whole directory, and merges members of one name, before a program can limit the number of members.
 
 use std::cell::Cell;
 
