@@ -146,7 +146,7 @@ impl VolumeShares {
     }
 
     /// Describes the shares at the last depth.
-    fn to_last_line(&self) -> String {
+    fn to_last_line(self) -> String {
         let verified = round_down_percent(self.verified);
         let falsified = round_down_percent(self.falsified);
         let undecided = 100.0 - verified - falsified;
