@@ -277,6 +277,6 @@ fn a_seed_folder_that_is_a_link_is_refused() {
     std::os::unix::fs::symlink(&elsewhere, folder.path().join("out/seed-0")).unwrap();
     let output = run_crumple(folder.path(), "train --episodes 1 --out out --resume");
     assert_eq!(exit_code(&output), 2);
-    assert_contains(&stderr(&output), &["out/seed-0: is a symbolic link"]);
+    assert_contains(stderr(&output), &["out/seed-0: is a symbolic link"]);
     assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
 }
