@@ -155,13 +155,13 @@ const COMMANDS_0_3_0: [ExpectedOutput; 11] = [
     (
         "falsify --controller match-leader --space paper --budget 60 --seed 3 --out campaign --resume --format json",
         0,
-        "\"specification\": \"no collision\"",
+        "\"specification\":\"no collision\"",
     ),
     (
         "verify rate --rare --controller match-leader --space paper --samples 50 --repetitions 5 --seed 3 --out \
          estimate --resume --format json",
         0,
-        "\"specification\": \"no collision\"",
+        "\"specification\":\"no collision\"",
     ),
 ];
 

@@ -1,6 +1,6 @@
 //! Plan of a tuning: everything that determines its results, as a file.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::objective::ScoringSet;
 use super::{SettingSearch, TuneError, TuningObjective, TuningSpace};
@@ -25,7 +25,7 @@ pub struct TuningPlan {
 }
 
 /// Settings of the search, and sizes of the sets of scenarios.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TuningConfig {
     /// Number to minimise.
     pub objective: TuningObjective,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::objective::ControllerScore;
 use super::plan::TUNE_VERSION;
-use super::{TuneError, TuningObjective, TuningPlan};
+use super::{TuneError, TuningConfig, TuningObjective, TuningPlan};
 use crate::rl::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficUsefulness};
 use crumple_core::digest::sha256;
 use crumple_core::markdown::Markdown;
@@ -59,7 +59,6 @@ pub struct TuningFinalist {
 
 /// The file `report.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct TuningReport {
     /// Version of the format: 1.
     pub version: u32,
@@ -71,20 +70,9 @@ pub struct TuningReport {
     pub initial: String,
     /// Controller with its tuned settings, as on the command line.
     pub tuned: String,
-    /// Number that was minimised.
-    pub objective: TuningObjective,
-    /// Name of the search method.
-    pub method: String,
-    /// Seed.
-    pub seed: u64,
-    /// Name of the estimator.
-    pub estimator: String,
-    /// Number of candidates, with the initial settings.
-    pub evaluations: u64,
-    /// Random scenarios of each space in the tuning set, and in the selection set.
-    pub runs: u64,
-    /// Random scenarios of each space in the test set.
-    pub test_runs: u64,
+    /// Settings of the search, and sizes of the sets of scenarios.
+    #[serde(flatten)]
+    pub config: TuningConfig,
     /// Names of the spaces.
     pub spaces: Vec<String>,
     /// Weights of the spaces in the objective.
@@ -126,13 +114,7 @@ impl TuningReport {
             plan_sha256: sha256(plan.to_toml()?),
             initial: plan.search.initial().to_arg(),
             tuned: tuned.to_arg(),
-            objective: plan.config.objective,
-            method: plan.config.method.name().to_owned(),
-            seed: plan.config.seed,
-            estimator: plan.config.estimator.name().to_owned(),
-            evaluations: plan.config.evaluations,
-            runs: plan.config.runs,
-            test_runs: plan.config.test_runs,
+            config: plan.config.clone(),
             spaces: plan
                 .spaces
                 .iter()
@@ -182,10 +164,10 @@ impl TuningReport {
             out,
             "{} candidates of the method {} (seed {}), each in {} random scenarios of each space. Spaces, with their \
              weights: {}. {}\n",
-            self.evaluations,
-            self.method,
-            self.seed,
-            self.runs,
+            self.config.evaluations,
+            self.config.method,
+            self.config.seed,
+            self.config.runs,
             spaces.join(", "),
             self.objective_sentence()
         )?;
@@ -198,7 +180,7 @@ impl TuningReport {
 
     fn objective_sentence(&self) -> String {
         let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
-        match self.objective {
+        match self.config.objective {
             TuningObjective::Safety => {
                 "The objective is the weighted mean of their collision shares.".to_owned()
             }
@@ -219,7 +201,7 @@ impl TuningReport {
             "\n## Test set\n\n{} other random scenarios of each space and of `traffic`, which decided nothing. \
              Shares in %, with exact {:.0} % intervals. Hard braking: above 4 m/s², of which less than 3 m/s² had a \
              cause.\n",
-            self.test_runs,
+            self.config.test_runs,
             100.0 * CONFIDENCE
         )?;
         let mut table = Markdown::default();
@@ -288,8 +270,8 @@ impl TuningReport {
 
     fn format_share(&self, count: u64) -> String {
         let RateInterval { lower, upper } =
-            RateInterval::clopper_pearson(count, self.test_runs, CONFIDENCE);
-        let share = count as f64 / self.test_runs.max(1) as f64;
+            RateInterval::clopper_pearson(count, self.config.test_runs, CONFIDENCE);
+        let share = count as f64 / self.config.test_runs.max(1) as f64;
         format!(
             "{:.2} ({:.2} to {:.2})",
             100.0 * share,
