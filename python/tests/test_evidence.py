@@ -85,9 +85,7 @@ def test_an_interrupted_campaign_resumes_without_false_failures(tmp_path):
 @pytest.mark.parametrize(
     ("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")]
 )
-def test_a_worst_case_equals_that_of_the_command_line(
-    tmp_path, command_line_json, command_line_text, controller, aim
-):
+def test_a_worst_case_equals_that_of_the_command_line(tmp_path, command_line_json, command_line_text, controller, aim):
     found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
     arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
     printed = command_line_json(*arguments, "--out", tmp_path / "worst.toml")
