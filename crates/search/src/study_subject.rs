@@ -1,9 +1,10 @@
 //! Record of what a study is about, in its files and results.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crumple_core::digest::sha256;
 use crumple_core::text_file::is_default;
+use crumple_measure::Specification;
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::{ScenarioSpace, file};
@@ -26,8 +27,8 @@ pub struct StudySubject<Space = String> {
     pub nondeterministic: bool,
     /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// Specification, or description of a failure.
-    #[serde(default)]
+    /// Specification; empty in rare-failure estimates of 0.3.0, which only describe the failure.
+    #[serde(default, deserialize_with = "read_specification")]
     pub specification: String,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -36,6 +37,15 @@ pub struct StudySubject<Space = String> {
     /// SHA-256 of the space as TOML, including its base scenario, if `space` is a name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub space_sha256: Option<String>,
+}
+
+/// Reads a specification. 0.3.0 wrote `no contact` for "no collision".
+fn read_specification<'de, D: Deserializer<'de>>(reader: D) -> Result<String, D::Error> {
+    let text = String::deserialize(reader)?;
+    match text.parse() {
+        Ok(Specification::NoContact) => Ok(Specification::NoContact.to_string()),
+        _ => Ok(text),
+    }
 }
 
 impl StudySubject {

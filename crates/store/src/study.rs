@@ -240,10 +240,12 @@ pub fn open_run_folder<S: Study>(
     folder: &Path,
     resume: bool,
 ) -> Result<RunFolder, S::Error> {
-    let configuration = match existing_configuration(study, folder) {
-        Some(existing) if resume => existing,
-        _ => study.configuration()?,
+    let existing = if resume {
+        existing_configuration(study, folder)
+    } else {
+        None
     };
+    let configuration = existing.map_or_else(|| study.configuration(), Ok)?;
     let options = RunFolderOptions {
         kind: S::KIND,
         configuration: &configuration,

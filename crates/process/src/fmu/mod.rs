@@ -69,6 +69,10 @@ impl FmuProblem {
 
 #[cfg(not(feature = "process"))]
 impl super::ProcessSetup {
+    /// Refuses the FMU, because this build lacks the feature `process`.
+    ///
+    /// # Errors
+    /// Always [`FmuProblem`], which names the feature.
     pub fn from_fmu(_: &std::path::Path, _: &str, _: FmuConfig) -> Result<Self, FmuProblem> {
         Err(FmuProblem::ProcessFeatureDisabled)
     }

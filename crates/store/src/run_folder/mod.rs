@@ -464,16 +464,6 @@ impl RunFolder {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// Marks the run as complete.
-    ///
-    /// # Errors
-    /// [`RunFolderError::Disk`] if the manifest cannot be written.
-    pub fn finish(&self) -> Result<(), RunFolderError> {
-        let mut manifest = self.lock_manifest();
-        manifest.program = None;
-        Ok(manifest.write(&self.folder)?)
-    }
-
     /// Refuses to overwrite a file that the manifest does not list, or to write into a folder that contains such files.
     fn check_unoccupied(&self, manifest: &Manifest, name: &str) -> Result<(), RunFolderError> {
         let path = self.path(name);

@@ -22,7 +22,7 @@ fn finished_folder() -> tempfile::TempDir {
         .unwrap();
     work.write("a.json", "second").unwrap();
     work.transaction().remove("c.json").commit().unwrap();
-    work.finish().unwrap();
+    work.transaction().finish().unwrap();
     folder
 }
 
@@ -314,7 +314,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     // A completed run in a subfolder belongs to the run, and no other file may lie there.
     let inner = RunFolder::open(&root.join("inner"), OPTIONS).unwrap();
     inner.write("a", "a").unwrap();
-    inner.finish().unwrap();
+    inner.transaction().finish().unwrap();
     drop(inner);
     let work = RunFolder::open(root, asked).unwrap();
     work.include("inner").unwrap();
@@ -323,7 +323,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         .write("parts/a", "a")
         .commit()
         .unwrap();
-    work.finish().unwrap();
+    work.transaction().finish().unwrap();
     drop(work);
     named(&[]);
     fs::write(root.join("inner/mine.txt"), "of somebody").unwrap();
@@ -457,7 +457,7 @@ fn a_folder_with_older_copies_is_examined_and_resumed() {
     );
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("log", "3").unwrap();
-    work.finish().unwrap();
+    work.transaction().finish().unwrap();
     drop(work);
     assert!(examine(folder.path()).unwrap().is_intact());
     assert!(matches!(
@@ -479,7 +479,7 @@ fn damage_of_an_included_folder_is_damage() {
             .write("deep/b.json", "b")
             .commit()
             .unwrap();
-        inner.finish().unwrap();
+        inner.transaction().finish().unwrap();
         drop(inner);
         work.include("rounds/01").unwrap();
         work.write("rounds/found.json", "beside it").unwrap();

@@ -107,12 +107,12 @@ impl Study for Campaign {
         self.to_toml()
     }
 
-    /// Specifications are compared by their meaning: 0.3.0 wrote `no contact`.
+    /// Records are compared, because 0.3.0 has another name for a specification.
     fn is_configured_by(&self, existing: &str) -> bool {
         let asked = CampaignRecord::from_campaign(self);
         let existing: Result<CampaignRecord, _> = toml::from_str(existing);
         match (asked, existing) {
-            (Ok(asked), Ok(existing)) => asked.has_results_of(&existing, &self.specification),
+            (Ok(asked), Ok(existing)) => asked.has_results_of(existing),
             _ => false,
         }
     }
@@ -197,10 +197,7 @@ impl Study for Campaign {
         folder: &RunFolder,
         _: &dyn Observer<CampaignProgress>,
     ) -> Result<CampaignSummary, CampaignError> {
-        let mut summary: CampaignSummary = folder.read_required_json(SUMMARY_FILE)?;
-        // 0.3.0 has another name for the specification.
-        summary.subject.specification = self.specification.to_string();
-        Ok(summary)
+        Ok(folder.read_required_json(SUMMARY_FILE)?)
     }
 }
 
