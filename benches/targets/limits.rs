@@ -81,7 +81,7 @@ fn bytes_per_second(bytes: usize) -> f64 {
 
 pub fn processor_model() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let of = |field: &str| {
+    let value_of = |field: &str| {
         let line = text.lines().find(|line| {
             line.split(':')
                 .next()
@@ -90,7 +90,11 @@ pub fn processor_model() -> String {
         line.and_then(|line| line.split(':').nth(1))
             .map_or("?", str::trim)
     };
-    let (name, family, model) = (of("model name"), of("cpu family"), of("model"));
+    let (name, family, model) = (
+        value_of("model name"),
+        value_of("cpu family"),
+        value_of("model"),
+    );
     let lanes = crumple_sim::policy::f64_lanes();
     format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
 }

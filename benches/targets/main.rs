@@ -12,11 +12,7 @@
 //! The limits are explained in reports/speed.md.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
-#![allow(
-    missing_docs,
-    unreachable_pub,
-    reason = "nobody uses a bench as a library"
-)]
+#![allow(missing_docs, unreachable_pub, reason = "a bench is no library")]
 
 mod campaigns;
 mod clock;

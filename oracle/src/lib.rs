@@ -92,17 +92,17 @@ impl Mlp {
     }
 
     /// Returns one value for each variable, in the order of [`Network::parameters`].
-    fn flatten(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
+    fn flatten(&self, value: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
         let mut all = Vec::new();
         for layer in self.vars.chunks_exact(2) {
             all.extend(
-                of(&layer[0])?
+                value(&layer[0])?
                     .t()?
                     .contiguous()?
                     .flatten_all()?
                     .to_vec1::<f32>()?,
             );
-            all.extend(of(&layer[1])?.to_vec1::<f32>()?);
+            all.extend(value(&layer[1])?.to_vec1::<f32>()?);
         }
         Ok(all)
     }
@@ -250,22 +250,22 @@ impl ReferenceLearner {
     pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
         let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
-        let of = |network: &Mlp, loss: Tensor| {
-            let found = loss.backward()?;
-            network.flatten(|var| match found.get(var) {
+        let gradients = |network: &Mlp, loss: Tensor| {
+            let store = loss.backward()?;
+            network.flatten(|var| match store.get(var) {
                 Some(gradient) => Ok(gradient.clone()),
                 None => var.zeros_like(),
             })
         };
         let critics = self.critics.iter().map(|critic| {
-            of(
+            gradients(
                 &critic.network,
                 self.critic_loss(critic, &rows, &td_targets)?.0,
             )
         });
         Ok((
             critics.collect::<Result<_>>()?,
-            of(&self.actor.network, self.actor_loss(&rows)?)?,
+            gradients(&self.actor.network, self.actor_loss(&rows)?)?,
         ))
     }
 

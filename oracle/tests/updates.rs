@@ -48,9 +48,9 @@ proptest! {
         let [mut noise, mut oracle_noise] = noises();
         for index in 0..6 {
             let batch = batch(seed ^ index, count, privileged);
-            let found = learner.update(&batch, &mut noise);
+            let losses = learner.update(&batch, &mut noise);
             let expected = oracle.update(&batch, &mut oracle_noise).unwrap();
-            prop_assert!((found.critic_loss - expected.critic_loss).abs() <= 2e-2 * expected.critic_loss.max(0.01));
+            prop_assert!((losses.critic_loss - expected.critic_loss).abs() <= 2e-2 * expected.critic_loss.max(0.01));
         }
         let expected = oracle.parameters().unwrap();
         let parts = std::iter::once(&learner.actor).chain(&learner.critics);

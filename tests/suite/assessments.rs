@@ -53,14 +53,14 @@ fn statuses(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
         .collect()
 }
 
-fn rate_strength(assessment: &AssessmentReport, place: usize) -> &Strength {
+fn rate_strength(assessment: &AssessmentReport, index: usize) -> &Strength {
     let row = assessment
         .summary
         .claims
         .iter()
         .find(|row| row.claim.contains("rate at most"))
         .expect("claimed");
-    &row.statuses[place].strength
+    &row.statuses[index].strength
 }
 
 const RUNS: u64 = 1500;
@@ -159,7 +159,7 @@ fn foreign_certificates_change_no_claim() {
         let strengths = |of: &AssessmentReport| {
             statuses(of)
                 .into_iter()
-                .map(|one| one.strength.clone())
+                .map(|claim| claim.strength.clone())
                 .collect::<Vec<_>>()
         };
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
@@ -257,7 +257,7 @@ fn names_prove_nothing() {
     );
     assert!(
         !assessment.to_markdown().to_lowercase().contains("paper-3"),
-        "nobody asked for the paper's scenarios"
+        "the configuration has no paper scenarios"
     );
 }
 
@@ -348,14 +348,14 @@ fn every_command_of_a_report_runs_in_its_folder() {
         .into_iter()
         .map(|(name, _)| name)
         .collect();
-    let found: Vec<_> = assessment
+    let paths: Vec<_> = assessment
         .results
         .searches
         .spaces
         .iter()
         .flat_map(|space| &space.controllers)
         .collect();
-    let failures: Vec<_> = found.iter().flat_map(|search| &search.failures).collect();
+    let failures: Vec<_> = paths.iter().flat_map(|search| &search.failures).collect();
     assert!(
         failures
             .iter()
@@ -610,11 +610,16 @@ fn gates_find_the_draws_of_own_spaces() {
         fewer("match-leader", "full-throttle"),
         fewer("full-throttle", "match-leader"),
     ];
-    let found = run(asked, folder.path());
-    let holds: Vec<_> = found.summary.gates.iter().map(|gate| gate.holds).collect();
+    let assessment = run(asked, folder.path());
+    let holds: Vec<_> = assessment
+        .summary
+        .gates
+        .iter()
+        .map(|gate| gate.holds)
+        .collect();
     assert_eq!(holds, [true, false, true, false]);
     let explanation = |name: &str| {
-        found
+        assessment
             .summary
             .named
             .iter()
@@ -626,7 +631,7 @@ fn gates_find_the_draws_of_own_spaces() {
     let traffic = "everyday driving without hard braking; idm or acc-aeb drives the follower";
     assert_eq!(explanation("space `traffic`"), Some(traffic));
     let about = |name: &str| {
-        let spaces = &found.space_descriptions.spaces;
+        let spaces = &assessment.space_descriptions.spaces;
         spaces
             .iter()
             .find(|space| space.name == name)
@@ -669,8 +674,8 @@ fn gates_on_spaces_look_at_random_scenarios() {
                20.0\n\
                driver = \"under-test\"\n";
     fs::write(folder.path().join("recorded.toml"), far).expect("writes");
-    let found = run(asked.clone(), folder.path());
-    let gates = &found.summary.gates;
+    let assessment = run(asked.clone(), folder.path());
+    let gates = &assessment.summary.gates;
     let holds: Vec<_> = gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, false, false, true], "{gates:#?}");
     assert!(
@@ -686,21 +691,21 @@ fn gates_on_spaces_look_at_random_scenarios() {
 
     // The gates end the first page on a terminal, and are in both forms of the report.
     assert!(
-        found
+        assessment
             .summary
             .gates_to_plain_text()
             .ends_with("2 of 5 gates hold.\n"),
         "{}",
-        found.summary.gates_to_plain_text()
+        assessment.summary.gates_to_plain_text()
     );
-    for page in [found.first_page_to_html(), found.to_markdown()] {
+    for page in [assessment.first_page_to_html(), assessment.to_markdown()] {
         let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"]
             .map(|text| page.find(text));
         assert!(gates.is_some() && space > gates, "{page}");
     }
-    let claims = found.to_markdown().find("## Claims").expect("a part");
+    let claims = assessment.to_markdown().find("## Claims").expect("a part");
     assert!(
-        found.to_markdown().find("2 of 5 gates hold.") < Some(claims),
+        assessment.to_markdown().find("2 of 5 gates hold.") < Some(claims),
         "on the first page"
     );
 
@@ -768,13 +773,13 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
         than,
         space: None,
     }];
-    let found = run(asked, folder.path());
+    let assessment = run(asked, folder.path());
     let message = |row: &str| -> Vec<&Strength> {
-        let rows = found
+        let rows = assessment
             .summary
             .claims
             .iter()
-            .filter(|known| known.claim.starts_with(row));
+            .filter(|shown| shown.claim.starts_with(row));
         rows.flat_map(|row| row.statuses.iter().map(|status| &status.strength))
             .collect()
     };
@@ -812,9 +817,9 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
         3
     );
     assert!(
-        !found.summary.gates[0].holds,
+        !assessment.summary.gates[0].holds,
         "{}",
-        found.summary.gates[0].reason
+        assessment.summary.gates[0].reason
     );
 }
 
@@ -823,15 +828,15 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
 fn misleading_configurations_are_refused_at_the_start() {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(
-        folder.path().join("nobody.toml"),
+        folder.path().join("no-subject.toml"),
         third_party_crash_space([STILL, " = \"idm\"", BRAKES, STILL]),
     )
     .expect("writes");
     let begin = "version = 1\ncontrollers = [\"idm\", \"baseline\"]\npaper = false\n";
     for (rest, message) in [
         (
-            "distributions = [\"nobody.toml\"]\n",
-            "a.toml:4: distributions[0]: nobody.toml: no vehicle is under test",
+            "distributions = [\"no-subject.toml\"]\n",
+            "a.toml:4: distributions[0]: no-subject.toml: no vehicle is under test",
         ),
         (
             "distributions = [\"gone.toml\"]\n",
@@ -890,8 +895,8 @@ fn a_count_in_vain_is_not_outweighed() {
     let mut asked = config(&["idm", "own.safetensors"]);
     (asked.rates.runs, asked.rates.confidence) = (4000, 0.999);
     asked.certificates = Some(vec![path]);
-    let found = run(asked, folder.path());
-    let row = found
+    let assessment = run(asked, folder.path());
+    let row = assessment
         .summary
         .claims
         .iter()
@@ -928,16 +933,16 @@ fn a_recording_is_assessed_as_its_episodes() {
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";
     let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
-    let found = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).expect("runs");
-    let traffic = found.results.file_scenarios.as_ref().expect("a part");
+    let assessment = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).expect("runs");
+    let traffic = assessment.results.file_scenarios.as_ref().expect("a part");
     assert_eq!(
-        (traffic.scenarios.len(), found.summary.gates[0].holds),
+        (traffic.scenarios.len(), assessment.summary.gates[0].holds),
         (2, true),
         "each car that brakes leads one: {}",
-        found.summary.gates[0].reason
+        assessment.summary.gates[0].reason
     );
     assert!(
-        found
+        assessment
             .command_files
             .iter()
             .any(|file| file.file.starts_with("scenarios/openacc"))

@@ -222,8 +222,8 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     };
     let (mut best, mut refuted) = (1, false);
     let mut proved: Vec<Value> = Vec::new();
-    for one in evidence {
-        let own = &one["claim"];
+    for part in evidence {
+        let own = &part["claim"];
         let is_subjects = has_subject(own);
         let (p, q, d, e) = (
             &own["property"],
@@ -231,24 +231,24 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             &own["domain"],
             &claim["domain"],
         );
-        let mut says = strength_level(one);
+        let mut says = strength_level(part);
         let applies = if same_property(p, q) && equal(d, e) {
-            !counts(one) || decides(one)
+            !counts(part) || decides(part)
         } else if p["kind"] == "failure_rate"
             && q["kind"] == "rate_at_most"
-            && one["strength"] == "between"
+            && part["strength"] == "between"
             && equal(d, e)
         {
             let at_most = q["percent"].as_f64().unwrap();
-            says = if one["confidence_percent"].as_f64().unwrap() < 95.0 {
+            says = if part["confidence_percent"].as_f64().unwrap() < 95.0 {
                 1
-            } else if one["upper_percent"].as_f64().unwrap() <= at_most {
+            } else if part["upper_percent"].as_f64().unwrap() <= at_most {
                 3
             } else {
-                u8::from(one["lower_percent"].as_f64().unwrap() <= at_most)
+                u8::from(part["lower_percent"].as_f64().unwrap() <= at_most)
             };
             // Bounds that rank behind others may still refute.
-            says == 0 || decides(one)
+            says == 0 || decides(part)
         } else if !(about_runs(p) && about_runs(q)) {
             false
         } else {
@@ -268,16 +268,16 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             best = best.max(says);
         }
     }
-    // Disjoint bounds on one rate contradict each other, regardless of what each decides.
+    // Disjoint bounds on part rate contradict each other, regardless of what each decides.
     let mut meet = (0.0, 100.0);
-    for one in evidence.iter().filter(|one| {
-        one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate"
+    for part in evidence.iter().filter(|part| {
+        part["strength"] == "between" && part["claim"]["property"]["kind"] == "failure_rate"
     }) {
-        let own = &one["claim"];
+        let own = &part["claim"];
         if has_subject(own) && equal(&own["domain"], &claim["domain"]) {
             meet = (
-                f64::max(meet.0, one["lower_percent"].as_f64().unwrap()),
-                f64::min(meet.1, one["upper_percent"].as_f64().unwrap()),
+                f64::max(meet.0, part["lower_percent"].as_f64().unwrap()),
+                f64::min(meet.1, part["upper_percent"].as_f64().unwrap()),
             );
         }
     }
@@ -288,7 +288,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let united = !parts.is_empty()
         && parts
             .iter()
-            .all(|part| proved.iter().any(|one| same(one, part)));
+            .all(|part| proved.iter().any(|other| same(other, part)));
     if refuted {
         0
     } else if united {

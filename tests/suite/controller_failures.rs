@@ -234,16 +234,17 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let own = campaign(FailingController::new(10, Err(died_failure())).into_named());
     let summary = own.run(&out, false, &Quiet).unwrap();
     assert!(summary.falsified);
-    let found = &summary.counterexamples[0];
-    assert_eq!(found.kind, "the controller of vehicle 1 fails");
+    let counterexample = &summary.counterexamples[0];
+    assert_eq!(counterexample.kind, "the controller of vehicle 1 fails");
     assert_eq!(
-        (found.robustness, found.contact_time_s),
+        (counterexample.robustness, counterexample.contact_time_s),
         (f64::NEG_INFINITY, None)
     );
     assert!(
-        found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(),
+        counterexample.file.ends_with("01-controller-1-fails.toml")
+            && out.join(&counterexample.file).exists(),
         "{}",
-        found.file
+        counterexample.file
     );
     let again = own.run(&out, true, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
@@ -323,7 +324,7 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
     assert_eq!(
         (drawn.ends.collisions, drawn.ends.failures()),
         (0, 20),
-        "all draws fail, and nobody touches"
+        "all runs fail without a collision"
     );
     assert_eq!(drawn.mean_impact_speed_mps, None);
 }

@@ -81,7 +81,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
         });
         assert!(
             named.is_some_and(|expected| expected.violated),
-            "{file}: whoever it is named after does not fail"
+            "{file}: the controller that it is named after does not fail"
         );
         let class = Avoidability::classify_contact(&load(&path, &NoDriverFiles).unwrap());
         for expected in own {

@@ -16,7 +16,7 @@ pub(crate) fn files_below(path: PathBuf) -> Vec<PathBuf> {
 
 fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut found = BTreeMap::new();
+    let mut blocks = BTreeMap::new();
     for folder in [
         "docs",
         "corpora",
@@ -49,13 +49,13 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
             let commands = lines
                 .iter()
                 .map(|line| line.split(" # ").next().unwrap_or(line).trim().to_owned());
-            found.insert(
+            blocks.insert(
                 page.strip_prefix(root).unwrap().display().to_string(),
                 commands.collect(),
             );
         }
     }
-    found
+    blocks
 }
 
 /// `.ci/run` runs this block in an empty folder.

@@ -88,8 +88,8 @@ proptest! {
     fn threads_and_order_change_nothing(batch in any_batch()) {
         let forwards = batch_bits(&build_runs(&batch), RecordingLevel::Trace, 1);
         for threads in [2, 3] {
-            let found = batch_bits(&build_runs(&batch), RecordingLevel::Trace, threads);
-            prop_assert!(found == forwards, "{threads} threads");
+            let actual = batch_bits(&build_runs(&batch), RecordingLevel::Trace, threads);
+            prop_assert!(actual == forwards, "{threads} threads");
         }
         let mut backwards = batch_bits(&build_runs(batch.iter().rev()), RecordingLevel::Trace, 2);
         backwards.reverse();

@@ -111,14 +111,14 @@ fn errors_have_the_deviations_of_the_filter() {
         .gap()
         .steady_deviations();
     for (component, deviation) in deviations.into_iter().enumerate() {
-        let of = |error: &[f64; 3]| error[component] / deviation;
-        let squares: f64 = errors.iter().map(|error| of(error).powi(2)).sum();
+        let normalised = |error: &[f64; 3]| error[component] / deviation;
+        let squares: f64 = errors.iter().map(|error| normalised(error).powi(2)).sum();
         assert!(
             is_in_band(squares, errors.len(), 0.999),
             "component {component}: {}",
             squares / errors.len() as f64
         );
-        let mean = errors.iter().map(of).sum::<f64>() / (RUNS as f64).sqrt();
+        let mean = errors.iter().map(normalised).sum::<f64>() / (RUNS as f64).sqrt();
         assert!(
             mean.abs() < 3.3,
             "component {component}: bias of {mean} deviations of the mean"
@@ -181,7 +181,7 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
     let mut filter = Filter::new_steady(tuning, truth_m[0], rate_mps, [0.0; 3]);
     let own = &trace.vehicles[ego];
     let mut inertia = Accelerometer::new(own.speed_mps[0]);
-    let mut found = Consistency::default();
+    let mut consistency = Consistency::default();
     let mut since_surprise = usize::MAX;
     // The last sample is the collision, between two measurements.
     for k in 0..trace.len() - 1 {
@@ -194,9 +194,9 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
         let innovation = filter.innovation(tuning, measured_m);
         filter.update(tuning, Some(measured_m));
         let part = match since_surprise {
-            0..50 => &mut found.after_surprise,
+            0..50 => &mut consistency.after_surprise,
             50..150 => &mut Default::default(),
-            _ => &mut found.undisturbed,
+            _ => &mut consistency.undisturbed,
         };
         *part = (
             part.0 + innovation.residual_m.powi(2) / innovation.variance_m2,
@@ -212,7 +212,7 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
             since_surprise.saturating_add(1)
         };
     }
-    found
+    consistency
 }
 
 /// In simulated runs of the paper's distribution, the filters are consistent under all of the ego's manoeuvres,
@@ -386,14 +386,19 @@ fn steady_estimates_are_unbiased_and_as_accurate_as_tuned() {
     ]
     .concat();
     for (number, expected) in expected.into_iter().enumerate() {
-        let of = |error: &[f64; 8]| error[number];
-        let rms = (errors.iter().map(|error| of(error).powi(2)).sum::<f64>() / RUNS as f64).sqrt();
+        let component = |error: &[f64; 8]| error[number];
+        let rms = (errors
+            .iter()
+            .map(|error| component(error).powi(2))
+            .sum::<f64>()
+            / RUNS as f64)
+            .sqrt();
         // The closed form is for continuous time, before the measurement.
         assert!(
             (rms / expected - 1.0).abs() < 0.1,
             "number {number}: {rms}, closed form {expected}"
         );
-        let bias = errors.iter().map(of).sum::<f64>() / RUNS as f64;
+        let bias = errors.iter().map(component).sum::<f64>() / RUNS as f64;
         assert!(
             bias.abs() < 3.3 * rms / (RUNS as f64).sqrt(),
             "number {number}: bias {bias}"

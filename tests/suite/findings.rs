@@ -72,6 +72,6 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
 fn a_name_that_is_mentioned_is_no_test() {
     let text = "/// Says `fn told(`.\n#[test]\n#[cfg(unix)]\nfn one() {}\nfn two() {}\n#[test]\n#[ignore \
         = \"long\"]\nfn three() {}\n";
-    let found = ["one", "two", "three", "told", "none"].map(|name| is_test(text, name));
-    assert_eq!(found, [true, false, false, false, false]);
+    let results = ["one", "two", "three", "told", "none"].map(|name| is_test(text, name));
+    assert_eq!(results, [true, false, false, false, false]);
 }

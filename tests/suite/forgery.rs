@@ -142,15 +142,15 @@ fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
 }
 
 /// Returns true if two certificates of version 2 have the same subject: the same texts, and the same policy.
-fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
+fn is_of_same_subject(first: &Certificate, other: &Certificate) -> bool {
     let policy = |certificate: &Certificate| {
         certificate
             .policy_reference()
             .map(|(_, digest)| digest.to_owned())
     };
-    one.provenance.scenario_text == other.provenance.scenario_text
-        && one.provenance.box_text == other.provenance.box_text
-        && policy(one) == policy(other)
+    first.provenance.scenario_text == other.provenance.scenario_text
+        && first.provenance.box_text == other.provenance.box_text
+        && policy(first) == policy(other)
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let genuine = genuine_certificates();
     let kinds: std::collections::BTreeSet<_> = genuine
         .iter()
-        .map(|one| one.certificate.statement.name())
+        .map(|genuine| genuine.certificate.statement.name())
         .collect();
     assert_eq!(kinds.len(), KIND_COUNT, "{kinds:?}");
     let tried = (0..wanted).into_par_iter().map(|index| {
@@ -173,10 +173,9 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         let kind = genuine[which].certificate.statement.name();
         // The result may equal the original or another genuine certificate.
         let read = Certificate::from_json(&forged.text).ok();
-        if genuine
-            .iter()
-            .any(|one| Some(&one.certificate) == read.as_ref() && one.policy == forged.policy)
-        {
+        if genuine.iter().any(|genuine| {
+            Some(&genuine.certificate) == read.as_ref() && genuine.policy == forged.policy
+        }) {
             return (kind, None);
         }
         let verdict = genuine[which].verdict(&forged);

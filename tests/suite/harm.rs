@@ -81,17 +81,21 @@ fn a_search_for_harm_finds_a_fast_lorry() {
         .with_objective(SearchObjective::Harm)
         .with_budget(300);
     let results = folder.path().join("harm");
-    let found = campaign.run(&results, false, &Quiet).expect("runs");
-    let harms = found.counterexamples.iter().map(|one| {
-        let scenario = file::load(&results.join(&one.file), &NoDriverFiles).expect("written");
+    let summary = campaign.run(&results, false, &Quiet).expect("runs");
+    let harms = summary.counterexamples.iter().map(|counterexample| {
+        let scenario =
+            file::load(&results.join(&counterexample.file), &NoDriverFiles).expect("written");
         let mass_kg =
             |vehicle: Option<usize>| scenario.vehicles()[vehicle.expect("a collision")].mass_kg();
         let masses_kg = [
-            mass_kg(one.front_vehicle.map(as_index)),
-            mass_kg(one.rear_vehicle.map(as_index)),
+            mass_kg(counterexample.front_vehicle.map(as_index)),
+            mass_kg(counterexample.rear_vehicle.map(as_index)),
         ];
         (
-            harm_of_pair(one.impact_speed_mps.expect("a collision"), masses_kg),
+            harm_of_pair(
+                counterexample.impact_speed_mps.expect("a collision"),
+                masses_kg,
+            ),
             masses_kg[1],
         )
     });

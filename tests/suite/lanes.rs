@@ -67,8 +67,8 @@ fn generated_scenarios_change_lanes() {
     let changes = || {
         changing
             .iter()
-            .flat_map(|one| one.scenario.vehicles())
-            .flat_map(|one| [one.enters, one.leaves])
+            .flat_map(|case| case.scenario.vehicles())
+            .flat_map(|vehicle| [vehicle.enters, vehicle.leaves])
     };
     for field in ["at_s", "gap_m", "ttc_s"] {
         assert!(
@@ -82,7 +82,7 @@ fn generated_scenarios_change_lanes() {
     ] {
         let holds = all
             .iter()
-            .filter(|one| one.check(oracle, &Crumple) == Ok(OracleOutcome::Holds))
+            .filter(|case| case.check(oracle, &Crumple) == Ok(OracleOutcome::Holds))
             .count();
         assert!(holds >= 1, "{holds}");
     }
@@ -188,9 +188,9 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
     let mut asked = [0; 2];
     for TestCase { scenario, .. } in first_lane_cases(300)
         .into_iter()
-        .filter(|one| !one.scenario.keeps_lanes())
+        .filter(|case| !case.scenario.keeps_lanes())
     {
-        let verdict = avoid(&scenario, AvoidOptions::default()).map(|found| found.verdict);
+        let verdict = avoid(&scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict);
         match verdict {
             Ok(AvoidanceVerdict::Undecided(UndecidedReason::LaneChanges)) => asked[0] += 1,
             Ok(AvoidanceVerdict::Avoidable(escape)) => {

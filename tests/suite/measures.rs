@@ -48,7 +48,7 @@ fn five_measures_of_the_report_follow_from_the_exported_trace() {
         let (mut gap_m, mut ttc_s, mut drac_mps2) = (f64::INFINITY, f64::INFINITY, 0.0_f64);
         let (mut tet_s, mut tit_s2) = (0.0, 0.0);
         for (index, sample) in own.iter().enumerate() {
-            let gap = sample.gap_m.expect("somebody is ahead");
+            let gap = sample.gap_m.expect("a vehicle is ahead");
             let closing_mps = sample.speed_mps - ahead[index].speed_mps;
             let step_s = own
                 .get(index + 1)

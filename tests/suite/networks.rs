@@ -510,7 +510,7 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         Controllers::default()
             .find("a.toml", folder.path())
-            .map(|found| found.disambiguating_hash())
+            .map(|controller| controller.disambiguating_hash())
     };
     fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let message = find(&undescribed).expect_err("not told").to_string();
@@ -571,10 +571,10 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
     let controller = source.downcast_ref::<NetworkController>().unwrap();
     let mapped = |row: Vec<f64>| -> Vec<f32> {
         let inputs = &controller.mapping().inputs;
-        let one = |(value, input): (f64, &crumple_networks::InputMapping)| {
+        let scale = |(value, input): (f64, &crumple_networks::InputMapping)| {
             ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
         };
-        row.into_iter().zip(inputs).map(one).collect()
+        row.into_iter().zip(inputs).map(scale).collect()
     };
     let inputs: Vec<f32> = seen.into_iter().flat_map(mapped).collect();
     let difference = largest_difference(&normalised_path("ppo.zip"), &inputs, &answers.concat());
@@ -673,8 +673,11 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
         .unwrap();
     }
     for name in ["ppo_0.5", "plain"] {
-        let found = Controllers::default().find(name, folder.path()).unwrap();
-        assert_eq!(found.source.identity(), find_source("ppo.zip").identity());
+        let controller = Controllers::default().find(name, folder.path()).unwrap();
+        assert_eq!(
+            controller.source.identity(),
+            find_source("ppo.zip").identity()
+        );
     }
     let message = Controllers::default()
         .find("m", folder.path())
@@ -702,7 +705,7 @@ fn described_networks_drive() {
         let path = controller_corpus().join(name).display().to_string();
         let described = run_ok(folder.path(), &format!("describe '{path}'"));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
-        let found = Controllers::default()
+        let controller = Controllers::default()
             .find("a.toml", folder.path())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         let json = run_crumple(folder.path(), &format!("describe '{path}' --format json"));
@@ -713,7 +716,7 @@ fn described_networks_drive() {
             "{name}"
         );
         if name == "normalised/ppo.zip" {
-            let Some(controller) = found.source.downcast_ref::<NetworkController>() else {
+            let Some(controller) = controller.source.downcast_ref::<NetworkController>() else {
                 panic!("a network")
             };
             let written = find_source("normalised/ppo.toml");
@@ -732,10 +735,10 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
         let path = controller_corpus().join(name);
         let described = run_ok(folder.path(), &format!("describe '{}'", path.display()));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
-        let found = Controllers::default()
+        let controller = Controllers::default()
             .find("a.toml", folder.path())
             .unwrap_or_else(|error| panic!("{name}: {error}"));
-        let Some(controller) = found.source.downcast_ref::<NetworkController>() else {
+        let Some(controller) = controller.source.downcast_ref::<NetworkController>() else {
             panic!("a network")
         };
         let output = controller.mapping().output.clone();
@@ -818,7 +821,7 @@ fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> 
             .env("PYTHONDONTWRITEBYTECODE", "1")
             .output()
     };
-    if !python(&["-c", &format!("import {needs}")]).is_ok_and(|found| found.status.success()) {
+    if !python(&["-c", &format!("import {needs}")]).is_ok_and(|output| output.status.success()) {
         println!("skipped {script}: python3 has not all of {needs}");
         return false;
     }

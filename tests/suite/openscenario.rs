@@ -31,19 +31,19 @@ fn descendants_named<'a>(
     name: &'static str,
 ) -> impl Iterator<Item = Node<'a, 'a>> {
     node.descendants()
-        .filter(move |found| found.has_tag_name(name))
+        .filter(move |element| element.has_tag_name(name))
 }
 
 fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
-    let mut found = descendants_named(node, name);
-    let first = found.next().unwrap_or_else(|| panic!("no {name}"));
-    assert!(found.next().is_none(), "more than one {name}");
+    let mut elements = descendants_named(node, name);
+    let first = elements.next().unwrap_or_else(|| panic!("no {name}"));
+    assert!(elements.next().is_none(), "more than one {name}");
     first
 }
 
 fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
     let object = descendants_named(document.root_element(), "ScenarioObject")
-        .find(|found| found.attribute("name") == Some(entity));
+        .find(|element| element.attribute("name") == Some(entity));
     let (middle, size) = (
         single_descendant(object.expect("declared"), "Center"),
         single_descendant(object.expect("declared"), "Dimensions"),
@@ -190,7 +190,7 @@ proptest! {
     /// The actions alone reproduce the scripts, until a collision.
     #[test]
     fn scripts_of_random_scenarios_are_driven_from_their_actions(scenario in any_scenario()) {
-        let quiet = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|one| one.acceleration_noise_mps2 = 0.0));
+        let quiet = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|car| car.acceleration_noise_mps2 = 0.0));
         assert_scripts_are_actions(&quiet.expect("valid"));
     }
 }
@@ -251,7 +251,7 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
             single_descendant(*group, "EntityRef").attribute("entityRef") == Some(&entity)
         });
         let object = descendants_named(document.root_element(), "ScenarioObject")
-            .find(|found| found.attribute("name") == Some(&entity));
+            .find(|element| element.attribute("name") == Some(&entity));
         let profile = if let Driver::Profile(profile) = &vehicle.driver {
             Some(profile)
         } else {
@@ -344,7 +344,7 @@ fn texts_of_users_stay_texts() {
             let values = document
                 .descendants()
                 .flat_map(|node| node.attributes())
-                .map(|one| one.value().to_owned());
+                .map(|attribute| attribute.value().to_owned());
             assert!(
                 values.into_iter().all(|value| !value.starts_with('$')),
                 "a parameter: {text}"

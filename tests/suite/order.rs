@@ -74,15 +74,15 @@ fn packages_of_cargo() -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn packages_use_only_those_that_the_architecture_page_lists() {
     let listed = listed_packages();
-    let mut found = packages_of_cargo();
+    let mut packages = packages_of_cargo();
     // A workspace of its own.
-    found.extend(
+    packages.extend(
         listed
             .iter()
             .filter(|(folder, _)| folder == "fuzz")
             .cloned(),
     );
-    assert_eq!(listed.iter().cloned().collect::<BTreeMap<_, _>>(), found);
+    assert_eq!(listed.iter().cloned().collect::<BTreeMap<_, _>>(), packages);
     let mut above = BTreeSet::new();
     for (folder, uses) in listed {
         let missing: Vec<_> = uses.difference(&above).collect();

@@ -29,10 +29,10 @@ fn run_with_truth(name: &str, controller: &str) -> SimulationResult {
     run(&scenario(name), options(controller, EstimatorKind::Truth))
 }
 
-fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
+fn assert_near(actual: f64, expected: f64, tolerance: f64, what: &str) {
     assert!(
-        (found - expected).abs() <= tolerance,
-        "{what}: {found}, expected {expected} ± {tolerance}"
+        (actual - expected).abs() <= tolerance,
+        "{what}: {actual}, expected {expected} ± {tolerance}"
     );
 }
 

@@ -84,8 +84,8 @@ fn the_demands_of_an_escape_go_through_the_actuator() {
         [Some(false), Some(false), Some(true)]
     );
     // The programs find an escape at 45 m, and its mark says that it depends on the plant.
-    let found = avoid(&towards_standing_vehicle(45.0), AvoidOptions::default()).unwrap();
-    let escape = found
+    let avoidance = avoid(&towards_standing_vehicle(45.0), AvoidOptions::default()).unwrap();
+    let escape = avoidance
         .verdict
         .escape()
         .expect("a point mass stops within 41.7 m");
@@ -100,18 +100,18 @@ fn the_demands_of_an_escape_go_through_the_actuator() {
 fn the_mildest_sensor_fault_fails_and_less_of_it_passes() {
     let scenario = towards_standing_vehicle(60.0);
     let options = RunOptions::new(find("acc-aeb").source);
-    let found = attack_sensors(&scenario, &options, &Quiet).unwrap();
-    assert!(!found.collides_without_fault);
-    let mildest = found
+    let attack = attack_sensors(&scenario, &options, &Quiet).unwrap();
+    assert!(!attack.collides_without_fault);
+    let mildest = attack
         .mildest(SensorFailure::Collision)
         .expect("latency of 2 s");
-    let shares = found
+    let shares = attack
         .kinds
         .iter()
         .filter_map(|kind| kind.mildest(SensorFailure::Collision))
         .map(|fault| fault.share);
     assert_eq!(mildest.share, shares.fold(f64::INFINITY, f64::min));
-    let latency = found.kinds[0]
+    let latency = attack.kinds[0]
         .mildest(SensorFailure::Collision)
         .expect("2 s is too late");
     assert_eq!(
@@ -148,9 +148,9 @@ fn collides_with(scenario: &Scenario, options: &RunOptions, faults: &SensorFault
 fn the_effect_of_a_sensor_fault_is_searched_where_it_is_not_monotone() {
     let scenario = built_in_scenario("paper-1").unwrap();
     let options = RunOptions::new(find("idm").source);
-    let found = attack_sensors(&scenario, &options, &Quiet).unwrap();
+    let attack = attack_sensors(&scenario, &options, &Quiet).unwrap();
     let kind = |name: &str| {
-        found
+        attack
             .kinds
             .iter()
             .find(|kind| kind.kind == name)
@@ -173,7 +173,7 @@ fn the_effect_of_a_sensor_fault_is_searched_where_it_is_not_monotone() {
         .map(|step| 0.25 * f64::from(step))
         .take_while(|size| *size < resolution.amount);
     assert!(smaller.map(of_size).all(|faults| !fails(&faults)));
-    for fault in found
+    for fault in attack
         .kinds
         .iter()
         .filter_map(|kind| kind.mildest(SensorFailure::Collision))

@@ -90,9 +90,9 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
         (Q::IsBehind, 1.0),
     ];
     let inputs: Vec<InputMapping> = (0..random.random_range(2..9_usize))
-        .map(|place| {
+        .map(|corner| {
             let (quantity, size) = *quantities.choose(random).expect("some");
-            let is_constant = place == 0;
+            let is_constant = corner == 0;
             InputMapping {
                 quantity: (!is_constant).then_some(quantity),
                 variable: None,

@@ -121,7 +121,7 @@ fn rows_of(page: &str) -> Vec<Row> {
 /// Returns the numbers of a text, in which a space may stand between groups of three digits.
 fn numbers(text: &str) -> Vec<f64> {
     let is_digits = |word: &str| word.chars().all(|c| c.is_ascii_digit());
-    let mut found = Vec::new();
+    let mut problems = Vec::new();
     let mut group = String::new();
     for word in text.split_whitespace() {
         let bare = word.trim_matches(['[', ']', '(', ')', ',', ';', '.', '|', ':']);
@@ -135,16 +135,16 @@ fn numbers(text: &str) -> Vec<f64> {
             continue;
         };
         if !group.is_empty() && joined.len() > bare.len() {
-            found.pop();
+            problems.pop();
         }
-        found.push(number);
+        problems.push(number);
         group = if is_digits(word) {
             joined
         } else {
             String::new()
         };
     }
-    found
+    problems
 }
 
 /// Returns the number behind each occurrence of one of these texts, from left to right.
@@ -156,8 +156,8 @@ fn after(text: &str, marks: &[&str]) -> Vec<f64> {
     places.sort_unstable();
     places
         .iter()
-        .filter_map(|&place| {
-            numbers(text[place..].lines().next()?.split([',', ')']).next()?)
+        .filter_map(|&index| {
+            numbers(text[index..].lines().next()?.split([',', ')']).next()?)
                 .first()
                 .copied()
         })
@@ -174,7 +174,7 @@ fn known_probabilities(printed: &str) -> Vec<f64> {
         let before = |word: &str, distance: usize| -> Option<f64> {
             words[words
                 .iter()
-                .position(|one| *one == word)?
+                .position(|column| *column == word)?
                 .checked_sub(distance)?]
             .parse()
             .ok()
@@ -227,13 +227,13 @@ fn run(command: &str) -> String {
 }
 
 fn source(row: &Row) -> &'static Source {
-    let mut found = SOURCES
+    let mut values = SOURCES
         .iter()
         .filter(|(figure, _)| row.figure.starts_with(figure));
-    let Some((_, source)) = found.next() else {
+    let Some((_, source)) = values.next() else {
         panic!("no source of: {}", row.figure)
     };
-    assert!(found.next().is_none(), "two sources of: {}", row.figure);
+    assert!(values.next().is_none(), "two sources of: {}", row.figure);
     source
 }
 

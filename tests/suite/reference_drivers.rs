@@ -73,7 +73,7 @@ fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -
     let (mut reaction_s, mut braking_mps2) = (0.75, 0.0);
     // Speeds are summed before they are divided, as in the original: rounding decides ties at a boundary.
     let (mut along, mut across) = (0.0, 0.0);
-    let mut found = CutIn::default();
+    let mut cut_in = CutIn::default();
     for step in 0..350 {
         let other_m = along / RATE_HZ + from_m[0];
         let aside_m = (across / RATE_HZ + from_m[1]).abs() - WIDTH_M / 2.0 - WIDTH_M / 2.0;
@@ -83,15 +83,15 @@ fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -
         let is_far = overlaps && (apart_m / (speed_mps - other_mps)).abs() > 2.0;
         if aside_m < 0.0
             && (position_m - other_m).abs() - LENGTH_M < 0.0
-            && found.collides_beside.is_none()
+            && cut_in.collides_beside.is_none()
         {
-            found.collides_beside = Some(is_ahead);
+            cut_in.collides_beside = Some(is_ahead);
         }
         if is_far {
             break;
         }
         if overlaps {
-            found.reacts_at_m.get_or_insert(apart_m);
+            cut_in.reacts_at_m.get_or_insert(apart_m);
             braking_mps2 = match reaction_s > 0.0 {
                 true => 0.4,
                 false => (braking_mps2 + 12.65 / RATE_HZ).min(0.774 * 9.81),
@@ -105,7 +105,7 @@ fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -
             across -= lateral_mps;
         }
     }
-    found
+    cut_in
 }
 
 fn cut_in_grid(own_kmph: u32) -> impl Iterator<Item = (f64, f64)> {
@@ -183,8 +183,12 @@ fn the_competent_human_collides_with_vehicles_that_cut_in_where_the_published_on
             } else {
                 at_m + STEP_M
             };
-            let place = format!("{own_kmph} km/h behind {other_kmph} km/h at {at_m} m");
-            assert_eq!(collides(own_mps, other_mps, at_m), it_collides, "{place}");
+            let situation = format!("{own_kmph} km/h behind {other_kmph} km/h at {at_m} m");
+            assert_eq!(
+                collides(own_mps, other_mps, at_m),
+                it_collides,
+                "{situation}"
+            );
             compared[usize::from(it_collides)] += 1;
         }
     }

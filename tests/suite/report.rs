@@ -115,8 +115,8 @@ fn schemas_are_those_of_the_types() {
         "crates/report/src/assessment/configuration.schema.json",
         &config,
     );
-    let found = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
-    validate(&evidence, &evidence, &found, "evidence").expect("as the schema says");
+    let evidence = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
+    validate(&evidence, &evidence, &evidence, "evidence").expect("as the schema says");
     let default = serde_json::to_value(AssessConfig::default()).expect("serializes");
     validate(&config, &config, &default, "configuration").expect("as the schema says");
 }
@@ -130,10 +130,11 @@ fn the_committed_report_is_current() {
         if name == "work.json" {
             // The manifest also covers the date on the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
-            let found = crumple_store::run_folder::examine(&reports).expect("it has a manifest");
+            let examination =
+                crumple_store::run_folder::examine(&reports).expect("it has a manifest");
             assert!(
-                found.is_intact() && found.files.len() + 1 == files.len(),
-                "{found:?}"
+                examination.is_intact() && examination.files.len() + 1 == files.len(),
+                "{examination:?}"
             );
         } else if name.ends_with(".safetensors") {
             let there = fs::read(
@@ -307,7 +308,7 @@ fn the_goal_structure_has_no_dangling_reference() {
                 BUILT_IN_ASSESSMENT
                     .sections()
                     .iter()
-                    .any(|known| known.anchor == part),
+                    .any(|entry| entry.anchor == part),
                 "{id} points to {part}"
             );
         }
@@ -432,19 +433,19 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
         .iter_mut()
         .for_each(|failure| failure["class"] = "avoidable".into());
     let count = failures.len();
-    let place = evidence["summary"]["controllers"]
+    let position = evidence["summary"]["controllers"]
         .as_array()
         .expect("names")
         .iter()
         .position(|name| name == "road");
-    let place = place.expect("assessed");
+    let position = position.expect("assessed");
     let mut anywhere = None;
     for row in evidence["summary"]["claims"]
         .as_array_mut()
         .expect("claims")
     {
         let words = row["claim"].as_str().expect("words").to_owned();
-        let status = &mut row["standings"][place];
+        let status = &mut row["standings"][position];
         if words.starts_with("no collision in a search of `high-risk`") {
             (status["failures"], status["avoidable"]) = (count.into(), count.into());
         } else if words == "no collision anywhere in `high-risk`" {
@@ -463,12 +464,12 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
     let path = folder.path().join("old.json");
     fs::write(&path, evidence.to_string()).expect("writes");
     let earlier = EarlierAssessment::load(&path).expect("evidence");
-    let found = BUILT_IN_ASSESSMENT
+    let case = BUILT_IN_ASSESSMENT
         .compare_with(&earlier)
         .expect("comparable");
-    assert!(found.better.is_empty(), "{:?}", found.better);
-    let [worse] = &found.worse[..] else {
-        panic!("{:?}", found.worse)
+    assert!(case.better.is_empty(), "{:?}", case.better);
+    let [worse] = &case.worse[..] else {
+        panic!("{:?}", case.worse)
     };
     assert!(
         worse
@@ -482,8 +483,8 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
             .as_deref()
             .is_some_and(|before| before.starts_with(&format!("{count} distinct")))
     );
-    let [changed] = &found.changed[..] else {
-        panic!("{:?}", found.changed)
+    let [changed] = &case.changed[..] else {
+        panic!("{:?}", case.changed)
     };
     assert_eq!(
         changed.description,
@@ -626,10 +627,10 @@ fn the_page_is_self_contained_and_its_links_lead_somewhere() {
         "import(",
     ] {
         let inside = ["http://www.w3.org/2000/svg", "url(#"];
-        let found = page
+        let anchor = page
             .match_indices(outside)
             .filter(|(at, _)| inside.iter().all(|i| !page[*at..].starts_with(i)));
-        assert_eq!(found.count(), 0, "{outside}");
+        assert_eq!(anchor.count(), 0, "{outside}");
     }
     assert_links_lead_somewhere(&page);
 }

@@ -120,7 +120,10 @@ fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> 
         faults: each
             .iter()
             .filter(|(_, useful)| {
-                !useful.hard.is_empty() || useful.following.is_some_and(|one| one.fell_behind)
+                !useful.hard.is_empty()
+                    || useful
+                        .following
+                        .is_some_and(|following| following.fell_behind)
             })
             .count(),
         mean_squares: [
@@ -164,7 +167,7 @@ fn predictive_and_road_are_safe_and_useful() {
             mean_squares,
         } = drive(controller, &traffic, EstimatorKind::Kalman);
         assert_eq!((collisions, faults), (0, 0), "{controller}");
-        let [acceleration, jerk] = [0, 1].map(|of| (mean_squares[of] / idm[of]).sqrt());
+        let [acceleration, jerk] = [0, 1].map(|index| (mean_squares[index] / idm[index]).sqrt());
         assert!(
             acceleration < 1.2 && jerk < 1.2,
             "{controller}: {acceleration} and {jerk} times those of idm"

@@ -42,7 +42,7 @@ fn replace_range(text: &str, at: std::ops::Range<usize>, with: &str) -> String {
 
 /// Returns the ranges of numbers in a text: after an equals sign, a colon, a bracket or a blank.
 fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
-    let mut found = Vec::new();
+    let mut paths = Vec::new();
     let mut start = None;
     let mut before = ' ';
     for (index, c) in text.char_indices() {
@@ -51,14 +51,14 @@ fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
                 start = Some(index)
             }
             Some(from) if !(c.is_ascii_alphanumeric() || "+-._".contains(c)) => {
-                found.push(from..index);
+                paths.push(from..index);
                 start = None;
             }
             _ => {}
         }
         before = c;
     }
-    found
+    paths
 }
 
 proptest! {
@@ -141,7 +141,7 @@ fn the_committed_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
         ("/vehicles", serde_json::json!([])),
         ("/vehicles/0/speed_mps", serde_json::json!(-1.0)),
         ("/vehicles/0/class", serde_json::json!("tank")),
-        ("/vehicles/0/driver", serde_json::json!("nobody")),
+        ("/vehicles/0/driver", serde_json::json!("unknown")),
         (
             "/vehicles/0/driver",
             serde_json::json!({ "brake": { "onset_s": 1.0 } }),

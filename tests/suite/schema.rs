@@ -37,8 +37,12 @@ pub(crate) fn validate(
             },
             "enum" => all(rule).contains(value),
             "const" => rule == value,
-            "minimum" => value.as_f64().is_none_or(|found| found >= number(rule)),
-            "maximum" => value.as_f64().is_none_or(|found| found <= number(rule)),
+            "minimum" => value
+                .as_f64()
+                .is_none_or(|number_found| number_found >= number(rule)),
+            "maximum" => value
+                .as_f64()
+                .is_none_or(|number_found| number_found <= number(rule)),
             // Evaluated with "if".
             "then" => true,
             "if" => {
@@ -79,11 +83,11 @@ pub(crate) fn validate(
             }
             "anyOf" => all(rule)
                 .iter()
-                .any(|one| validate(root, one, value, place).is_ok()),
+                .any(|alternative| validate(root, alternative, value, place).is_ok()),
             "oneOf" => {
                 all(rule)
                     .iter()
-                    .filter(|one| validate(root, one, value, place).is_ok())
+                    .filter(|alternative| validate(root, alternative, value, place).is_ok())
                     .count()
                     == 1
             }
@@ -99,8 +103,9 @@ pub(crate) fn validate(
                 true
             }
             "additionalProperties" => {
-                let known = rules.get("properties").and_then(Value::as_object);
-                let is_known = |name: &str| known.is_some_and(|known| known.contains_key(name));
+                let properties = rules.get("properties").and_then(Value::as_object);
+                let is_known =
+                    |name: &str| properties.is_some_and(|properties| properties.contains_key(name));
                 for (name, member) in value
                     .as_object()
                     .into_iter()

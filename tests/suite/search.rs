@@ -107,25 +107,26 @@ proptest! {
         prop_assert_eq!(summary.falsified, summary.methods.iter().any(|method| method.failures > 0));
         prop_assert_eq!(summary.falsified, !summary.counterexamples.is_empty());
         let best = summary.methods.iter().filter_map(|method| method.best_robustness).fold(f64::INFINITY, f64::min);
-        for found in &summary.counterexamples {
+        for counterexample in &summary.counterexamples {
             let evaluated = |name: &str| {
                 let scenario = file::load(&folder.path().join(name), &NoDriverFiles).unwrap();
                 campaign.specification.evaluate_scenario(&scenario, options(&campaign)).unwrap()
             };
-            let (shrunk, original) = (evaluated(&found.file), evaluated(&found.original_file));
+            let (shrunk, original) = (evaluated(&counterexample.file), evaluated(&counterexample.original_file));
             prop_assert!(shrunk.is_violation() && original.is_violation());
-            prop_assert_eq!(shrunk.robustness, found.robustness);
+            prop_assert_eq!(shrunk.robustness, counterexample.robustness);
             // Files store positions to a billionth of a metre.
-            prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
-            prop_assert!(found.found_at <= campaign.search.budget);
-            let original_file = folder.path().join(&found.file);
+            prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", counterexample.original_file);
+            prop_assert!(counterexample.found_at <= campaign.search.budget);
+            let original_file = folder.path().join(&counterexample.file);
             let original_scenario = file::load(&original_file, &NoDriverFiles).unwrap();
             let multi_body = original_scenario.with_plant(PlantKind::MultiBody);
             let replay = campaign.specification.evaluate_scenario(&multi_body.unwrap(), options(&campaign));
-            prop_assert_eq!(found.survives_multi_body, replay.ok().map(|verdict| verdict.is_violation()));
+            prop_assert_eq!(counterexample.survives_multi_body, replay.ok().map(|verdict| verdict.is_violation()));
             // The file of an escape avoids the collision, without a vehicle under test.
-            prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
-            if let Some(escape) = &found.escape_file {
+            let is_avoidable = counterexample.avoidability.is_avoidable() == Some(true);
+            prop_assert_eq!(counterexample.escape_file.is_some(), is_avoidable);
+            if let Some(escape) = &counterexample.escape_file {
                 let scenario = file::load(&folder.path().join(escape), &NoDriverFiles).unwrap();
                 let verdict = Specification::NoContact.evaluate_scenario(&scenario, options(&campaign)).unwrap();
                 prop_assert!(verdict.contact.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
@@ -141,13 +142,13 @@ proptest! {
         let campaign = Campaign { failure_criterion: Some(criterion), ..campaign };
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
-        for found in &summary.counterexamples {
-            let scenario = file::load(&folder.path().join(&found.file), &NoDriverFiles).unwrap();
+        for counterexample in &summary.counterexamples {
+            let scenario = file::load(&folder.path().join(&counterexample.file), &NoDriverFiles).unwrap();
             let evaluated = |options| campaign.specification.evaluate_scenario(&scenario, options).unwrap();
             let own = evaluated(options(&campaign));
             let beside = evaluated(RunOptions::new(other.source.clone()).with_estimator(campaign.estimator));
             prop_assert!(own.is_violation() && beside.robustness > 0.0, "{:?} {:?}", own, beside);
-            prop_assert!((found.robustness - own.robustness.max(-beside.robustness)).abs() < 1e-6);
+            prop_assert!((counterexample.robustness - own.robustness.max(-beside.robustness)).abs() < 1e-6);
         }
     }
 
@@ -177,7 +178,8 @@ proptest! {
         let asked_for = &summary.methods[0];
         prop_assert!(share < 0.125 || asked_for.failures > 0, "{} finds none where {share} fail", asked_for.method);
         let uniform = summary.methods.iter().find(|method| method.method == Method::Uniform.name()).unwrap();
-        let found = uniform.failures as f64 / SUFFICIENT_BUDGET as f64;
-        prop_assert!((found - share).abs() < 0.25, "{found} of uniform points and {share} of a lattice fail");
+        let uniform_share = uniform.failures as f64 / SUFFICIENT_BUDGET as f64;
+        let difference = (uniform_share - share).abs();
+        prop_assert!(difference < 0.25, "{uniform_share} of uniform points and {share} of a lattice fail");
     }
 }

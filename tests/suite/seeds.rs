@@ -112,7 +112,7 @@ fn committed_mdf_files(target: &str) -> Vec<Vec<u8>> {
     let entries = fs::read_dir(root().join("corpora/recordings/mdf")).unwrap();
     let paths = entries.map(|entry| entry.unwrap().path());
     paths
-        .filter(|path| path.extension().is_some_and(|found| found == extension))
+        .filter(|path| path.extension().is_some_and(|actual| actual == extension))
         .map(|path| fs::read(path).unwrap())
         .collect()
 }

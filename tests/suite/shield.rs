@@ -161,7 +161,7 @@ proptest! {
             for driver in drivers() {
                 let result = simulate_with_truth(&scenario, with_shield(driver, ShieldSettings::default()));
                 prop_assert_eq!(result.outcome, Outcome::NoCollision);
-                prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel));
+                prop_assert!(result.interventions.iter().all(|intervention| !intervention.outside_kernel));
             }
         }
     }
@@ -198,7 +198,8 @@ proptest! {
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         for (k, at_s) in trace.time_s.iter().enumerate().take(scenario.steps()) {
-            let acts = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
+            let mut interventions = result.interventions.iter();
+            let acts = interventions.any(|span| span.from_s < at_s + 1e-6 && *at_s < span.to_s - 1e-6);
             let accel_mps2 = trace.vehicles[1].acceleration_mps2[k];
             prop_assert_eq!(accel_mps2 <= 0.0, acts, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
         }
@@ -334,7 +335,10 @@ fn a_vehicle_far_behind_is_no_conflict() {
             });
         let result = simulate_with_truth(&scenario.unwrap(), shielded_full_throttle());
         assert!(!result.interventions.is_empty());
-        result.interventions.iter().any(|one| one.rear_conflict)
+        result
+            .interventions
+            .iter()
+            .any(|intervention| intervention.rear_conflict)
     };
     assert!(conflict(10.0, 25.0) && !conflict(250.0, 8.0));
 }

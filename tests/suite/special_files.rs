@@ -15,16 +15,16 @@ use crate::command_line::{
 
 /// Returns all files below a folder.
 fn files_below(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
+    let mut paths = Vec::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
-            found.extend(files_below(&path))
+            paths.extend(files_below(&path))
         } else {
-            found.push(path)
+            paths.push(path)
         }
     }
-    found
+    paths
 }
 
 /// Uses of the standard library that open files which no user names, by file.
@@ -87,8 +87,8 @@ fn files_that_users_name_are_opened_by_one_function() {
                 .any(|other| before.ends_with(other))
         };
         let opening = ["File::open(", "fs::read(", "fs::read_to_string(", ".open("];
-        let found = opening.iter().flat_map(|call| code.match_indices(call));
-        let found = found.filter(|(at, _)| is_other(&code[..*at])).count();
+        let calls = opening.iter().flat_map(|call| code.match_indices(call));
+        let calls = calls.filter(|(at, _)| is_other(&code[..*at])).count();
         let name = path
             .strip_prefix(root)
             .unwrap()
@@ -98,9 +98,9 @@ fn files_that_users_name_are_opened_by_one_function() {
             .iter()
             .find(|(own, _)| *own == name)
             .map_or(0, |(_, count)| *count);
-        if found != own {
+        if calls != own {
             problems.push(format!(
-                "{name}: {found} instead of {own}: use crumple_core::regular_file"
+                "{name}: {calls} instead of {own}: use crumple_core::regular_file"
             ));
         }
     }

@@ -196,21 +196,21 @@ fn suites_are_evidence_of_an_assessment() {
         .suites
         .iter()
         .flat_map(|part| &part.suites)
-        .flat_map(|one| &one.tests)
+        .flat_map(|suite| &suite.tests)
         .flat_map(|test| &test.outcomes);
     let worst: Vec<_> = outcomes
         .filter_map(|outcome| outcome.worst.as_ref())
         .collect();
-    for one in &worst {
+    for case in &worst {
         assert_eq!(
-            one.escape.is_some(),
-            one.preventable.contains("an escape keeps"),
-            "{one:?}"
+            case.escape.is_some(),
+            case.preventable.contains("an escape keeps"),
+            "{case:?}"
         );
     }
     let escape = worst
         .iter()
-        .find_map(|one| one.escape.as_ref())
+        .find_map(|case| case.escape.as_ref())
         .expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
     run_ok(folder.path(), "simulate escape.toml --expect safe");

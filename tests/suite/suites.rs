@@ -258,18 +258,18 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
                     .iter()
                     .filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
                 let rows: Vec<_> = rows.collect();
-                let place = format!("{name}, {}, {parameter:?}", test.name);
+                let context = format!("{name}, {}, {parameter:?}", test.name);
                 let [row] = rows[..] else {
-                    panic!("{place}: {rows:?}")
+                    panic!("{context}: {rows:?}")
                 };
-                assert_eq!(row.4, figure.unit, "{place}");
+                assert_eq!(row.4, figure.unit, "{context}");
                 match figure.origin {
-                    Origin::Document => assert_eq!(row.3, figure.values, "{place}"),
+                    Origin::Document => assert_eq!(row.3, figure.values, "{context}"),
                     _ => {
                         let [first, between @ .., last] = &figure.values[..] else {
-                            panic!("{place}")
+                            panic!("{context}")
                         };
-                        assert!(!between.is_empty() && row.3 == [*first, *last], "{place}");
+                        assert!(!between.is_empty() && row.3 == [*first, *last], "{context}");
                     }
                 }
                 stated += 1;
@@ -611,7 +611,7 @@ fn both_sides_of_a_margin_are_confirmed() {
                 boundaries += 1;
                 for (value, passes) in [(passes_at, true), (fails_at, false)] {
                     let mut spec = suite.spec().clone();
-                    spec.clauses.retain(|one| one.clause == clause.clause);
+                    spec.clauses.retain(|other| other.clause == clause.clause);
                     let test = &mut spec.clauses[0].tests[0];
                     test.margins.clear();
                     let mut figures = serde_json::to_value(&test.parameters).unwrap();
@@ -623,14 +623,14 @@ fn both_sides_of_a_margin_are_confirmed() {
                                 .contains(&format!("{} {value} ", parameter.label()))
                         };
                         if parameter != margin.parameter {
-                            let one: Vec<_> = figure
+                            let only: Vec<_> = figure
                                 .values
                                 .iter()
                                 .copied()
                                 .filter(|&value| held(value))
                                 .collect();
-                            assert_eq!(one.len(), 1, "{}", margin.fixed_parameters);
-                            figures[parameter.name()]["values"] = serde_json::json!(one);
+                            assert_eq!(only.len(), 1, "{}", margin.fixed_parameters);
+                            figures[parameter.name()]["values"] = serde_json::json!(only);
                         }
                     }
                     test.parameters = serde_json::from_value(figures).unwrap();
@@ -688,7 +688,7 @@ fn failures_name_preventing_drivers_and_refusals_their_reason() {
     };
     // From 2 s on the competent human stops from 50 km/h, and not from 80 km/h.
     assert_eq!(
-        [0, 1].map(|place| does(place, "competent-human")),
+        [0, 1].map(|index| does(index, "competent-human")),
         [Prevention::Prevents, Prevention::Collides]
     );
     assert_eq!(
@@ -709,7 +709,7 @@ fn failures_name_preventing_drivers_and_refusals_their_reason() {
     assert_eq!(
         alone.clauses[0].tests[0].controllers[0],
         test("stopped-lead")[1],
-        "whoever else is tested"
+        "for any other controller"
     );
 }
 

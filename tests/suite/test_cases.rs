@@ -143,7 +143,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
             .contact()
             .is_some()
     );
-    assert!(CollisionSearch::new("nobody", None).is_err());
+    assert!(CollisionSearch::new("unknown", None).is_err());
 }
 
 /// Otherwise every run would fail, and no input would collide.

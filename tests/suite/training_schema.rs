@@ -9,16 +9,16 @@ use crate::schema::{assert_committed, validate};
 
 #[test]
 fn the_page_about_trainings_names_every_field() {
-    fn names_in<'v>(value: &'v serde_json::Value, found: &mut Vec<&'v str>) {
+    fn names_in<'v>(value: &'v serde_json::Value, names: &mut Vec<&'v str>) {
         match value {
             serde_json::Value::Object(all) => {
                 let fields = all.get("properties").and_then(|fields| fields.as_object());
                 fields
                     .into_iter()
-                    .for_each(|fields| found.extend(fields.keys().map(String::as_str)));
-                all.values().for_each(|value| names_in(value, found));
+                    .for_each(|fields| names.extend(fields.keys().map(String::as_str)));
+                all.values().for_each(|value| names_in(value, names));
             }
-            serde_json::Value::Array(all) => all.iter().for_each(|value| names_in(value, found)),
+            serde_json::Value::Array(all) => all.iter().for_each(|value| names_in(value, names)),
             _ => {}
         }
     }

@@ -143,7 +143,7 @@ pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) ->
     let name = |index: usize| {
         vehicles
             .get(index)
-            .map_or("nobody", |vehicle| vehicle.driver.name())
+            .map_or("unknown", |vehicle| vehicle.driver.name())
     };
     let verb = match ContactRole::new(contact, &test_case.scenario) {
         ContactRole::Hits => "hits",

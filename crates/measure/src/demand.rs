@@ -120,7 +120,7 @@ mod tests {
         assert_eq!(
             required_brake_mps2(10.0, 20.0, -1.0, 20.0),
             Some(0.0),
-            "nobody need brake"
+            "no vehicle needs to brake"
         );
         assert_eq!(required_brake_mps2(0.0, 20.0, 1.0, 20.0), None, "no gap");
     }
@@ -146,7 +146,7 @@ mod tests {
         assert_eq!(
             InducedBraking::from_trace(&trace, &[], 1),
             None,
-            "nobody behind the last"
+            "no vehicle behind the last"
         );
 
         // After a collision at 0.4 s, later braking does not count, and no deceleration would have sufficed.

@@ -90,8 +90,8 @@ fn errors_of_dependence_exposure_and_data_name_their_field() {
         ),
         (
             NAMES,
-            "[\"ahead_m\", \"nobody\"]",
-            "parameters[1]: there is no parameter `nobody`",
+            "[\"ahead_m\", \"unknown\"]",
+            "parameters[1]: there is no parameter `unknown`",
         ),
         (
             NAMES,
@@ -151,8 +151,8 @@ fn errors_of_dependence_exposure_and_data_name_their_field() {
         ),
         (
             "name = \"friction\"\nlow",
-            "name = \"nobody\"\nlow",
-            "observed.parameters[0].name: there is no parameter `nobody`",
+            "name = \"unknown\"\nlow",
+            "observed.parameters[0].name: there is no parameter `unknown`",
         ),
         (
             "shape = 20.0",

@@ -188,7 +188,7 @@ fn dependent_speeds_and_gaps_match_their_definition() {
     let alongside = space.scenario(&[1.0, 0.4, 3.0, 30.0]).unwrap();
     assert!(
         (alongside.initial_gap_m(1).unwrap() - 2.0).abs() < 1e-9,
-        "nobody closes in"
+        "no vehicle closes in"
     );
     let standing = built_in_space("standing").unwrap();
     for index in 0..50 {

@@ -137,8 +137,8 @@ fn bad_scenarios_name_file_line_and_field() {
         ),
         (
             "\"under-test\"",
-            "\"nobody\"",
-            "16: vehicles[1].driver: unknown variant `nobody`",
+            "\"unknown\"",
+            "16: vehicles[1].driver: unknown variant `unknown`",
         ),
         (
             "[[vehicles]]\nclass = \"light\"\nposition_m = 0.0",

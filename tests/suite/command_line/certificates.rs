@@ -342,9 +342,9 @@ fn several_bounds_hold_jointly() {
         &format!("{arguments} --format json"),
     ));
     assert!(
-        reports
-            .iter()
-            .all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9),
+        reports.iter().all(
+            |certificate| (certificate["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9
+        ),
         "{reports:?}"
     );
     let alone = run_crumple(folder.path(), &arguments[..2]);
@@ -632,10 +632,10 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     ] {
         fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
         let message = run_crumple(folder.path(), "verify reach --box bad.toml");
-        let place = format!("bad.toml:{line}");
+        let location = format!("bad.toml:{line}");
         let error = stderr(&message);
         assert!(
-            exit_code(&message) == 2 && error.contains(&place) && error.contains(problem),
+            exit_code(&message) == 2 && error.contains(&location) && error.contains(problem),
             "{field}: {error}"
         );
     }
@@ -715,7 +715,7 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
             "follower_drives = \"rss\"",
             "follower_drives: must drive with baseline, idm or acc-aeb, found rss",
         ),
-        ("follower_drives = \"nobody\"", "nobody"),
+        ("follower_drives = \"unknown\"", "unknown"),
         (
             "follower_drives = { idm = { time_headway_s = -1.0 } }",
             "follower_drives",

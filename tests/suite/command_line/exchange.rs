@@ -525,8 +525,8 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
             folder.path(),
             &format!("falsify --controller own/{name}.toml --budget 5 --out runs/{name}"),
         );
-        let found = folder.path().join(format!("runs/{name}/counterexamples"));
-        let file = file_names_in(&found)
+        let counterexamples = folder.path().join(format!("runs/{name}/counterexamples"));
+        let file = file_names_in(&counterexamples)
             .into_iter()
             .find(|name| name.contains("-hits-"))
             .expect("a collision");
@@ -543,7 +543,7 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
             stdout(&done).contains(&format!("under own/{name}.toml, estimator kalman")),
             "{done:?}"
         );
-        let elsewhere = export(&found, &file, "--allow-external");
+        let elsewhere = export(&counterexamples, &file, "--allow-external");
         match name {
             "listed" => assert_eq!(exit_code(&elsewhere), 0, "{elsewhere:?}"),
             _ => assert_refused(&elsewhere, "own/plain.toml`: there is no such file in "),
@@ -553,8 +553,8 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
         folder.path(),
         "falsify --controller 'exec:sh own/constant.sh' --budget 5 --out runs/exec",
     );
-    let found = file_names_in(&folder.path().join("runs/exec/counterexamples"));
-    let file = found
+    let names = file_names_in(&folder.path().join("runs/exec/counterexamples"));
+    let file = names
         .iter()
         .find(|name| name.contains("-hits-"))
         .expect("a collision");

@@ -6,42 +6,42 @@ use super::*;
 use crate::damage::{assert_same_contents, read_tree};
 use crumple_search::falsify::counterexample::ExpectedFile;
 
-pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
-    assert_same_contents(&read_tree(one), &read_tree(other), "");
+pub(crate) fn assert_same_folders(first: &Path, other: &Path) {
+    assert_same_contents(&read_tree(first), &read_tree(other), "");
 }
 
 #[test]
 fn a_json_summary_assigns_numbers_to_methods() {
     let folder = temp_folder();
     let search = "falsify --controller idm --budget 20 --out runs --format json";
-    let found = json_objects(&run_crumple(folder.path(), search)).remove(0);
+    let summary = json_objects(&run_crumple(folder.path(), search)).remove(0);
     let kept = fs::read_to_string(folder.path().join("runs/summary.json")).unwrap();
     let kept: Value = serde_json::from_str(&kept).unwrap();
     for (name, value) in kept.as_object().unwrap() {
-        assert_eq!(found[name], *value, "{name} is as it is kept");
+        assert_eq!(summary[name], *value, "{name} is as it is kept");
     }
-    let (of_one, of_all) = (&found["of_method_asked_for"], &found["of_all_methods"]);
+    let (of_one, of_all) = (&summary["of_method_asked_for"], &summary["of_all_methods"]);
     assert_eq!(
         (&of_one["method"], &of_one["evaluations"]),
-        (&found["method"], &found["evaluations"])
+        (&summary["method"], &summary["evaluations"])
     );
     assert_eq!(
         (&of_all["methods"], &of_all["evaluations"]),
         (&3.into(), &60.into())
     );
-    let failures: u64 = found["methods"]
+    let failures: u64 = summary["methods"]
         .as_array()
         .unwrap()
         .iter()
-        .map(|one| one["failures"].as_u64().unwrap())
+        .map(|method| method["failures"].as_u64().unwrap())
         .sum();
     assert_eq!(
         (&of_all["failures"], &of_all["falsified"]),
-        (&failures.into(), &found["falsified"])
+        (&failures.into(), &summary["falsified"])
     );
     assert_eq!(
         of_all["distinct_failures"],
-        found["counterexamples"].as_array().unwrap().len()
+        summary["counterexamples"].as_array().unwrap().len()
     );
 }
 
@@ -107,43 +107,49 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     let classed = |class: &str| {
         counterexamples
             .iter()
-            .filter(|found| found["avoidability"] == class)
+            .filter(|counterexample| counterexample["avoidability"] == class)
             .count()
     };
     assert_eq!(summary["avoidability"]["avoidable"], classed("avoidable"));
     assert!(
         classed("avoidable") > 0,
-        "somebody could have done better than the baseline"
+        "another controller could have done better than the baseline"
     );
-    for found in counterexamples {
+    for counterexample in counterexamples {
         for field in ["robustness", "impact_speed_mps", "ln_likelihood"] {
-            assert!(found[field].is_f64(), "{field} in {found}");
+            assert!(
+                counterexample[field].is_f64(),
+                "{field} in {counterexample}"
+            );
         }
-        assert_eq!(found["dt_fragile"], false);
-        let avoidable = match found["avoidability"].as_str().unwrap() {
-            "avoidable" => Value::Bool(found["best_min_gap_m"].as_f64().unwrap() > 0.0),
+        assert_eq!(counterexample["dt_fragile"], false);
+        let avoidable = match counterexample["avoidability"].as_str().unwrap() {
+            "avoidable" => Value::Bool(counterexample["best_min_gap_m"].as_f64().unwrap() > 0.0),
             "unavoidable" => Value::Bool(false),
             "undecided" => Value::Null,
             other => panic!("{other}"),
         };
         assert_eq!(
-            (&found["avoidable"], found["best_min_gap_m"].is_f64()),
+            (
+                &counterexample["avoidable"],
+                counterexample["best_min_gap_m"].is_f64()
+            ),
             (&avoidable, avoidable == true)
         );
         // The file is self-contained, and a smaller step gives the same result.
-        let file = format!("found/{}", found["file"].as_str().unwrap());
+        let file = format!("found/{}", counterexample["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
             let replay = format!(
                 "simulate {file} --controller baseline --dt {dt} --expect collision --format json"
             );
             let replayed = run_ok(folder.path(), &replay);
             let outcome = &json_objects(&replayed)[0]["outcome"];
-            assert_eq!(outcome["rear_vehicle"], found["rear_vehicle"]);
-            let (replayed, found) = (
+            assert_eq!(outcome["rear_vehicle"], counterexample["rear_vehicle"]);
+            let (replayed, counterexample) = (
                 outcome["time_s"].as_f64().unwrap(),
-                found["contact_time_s"].as_f64().unwrap(),
+                counterexample["contact_time_s"].as_f64().unwrap(),
             );
-            assert!((replayed - found).abs() < 1e-3);
+            assert!((replayed - counterexample).abs() < 1e-3);
         }
     }
     // Printed and stored summaries agree, except for the fields that distinguish the methods.
@@ -224,24 +230,29 @@ fn a_formula_is_falsified_without_a_contact() {
     assert_eq!(summary["specification"], "always (v1.time_gap_s > 0.3)");
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
     // Counterexamples are ranked by the violation, which replays.
-    let found = summary["counterexamples"].as_array().unwrap();
-    let robustness: Vec<f64> = found
+    let counterexamples = summary["counterexamples"].as_array().unwrap();
+    let robustness: Vec<f64> = counterexamples
         .iter()
-        .map(|one| one["robustness"].as_f64().unwrap())
+        .map(|counterexample| counterexample["robustness"].as_f64().unwrap())
         .collect();
     assert!(
-        !found.is_empty() && robustness.is_sorted() && robustness.iter().all(|r| *r < 0.0),
+        !counterexamples.is_empty()
+            && robustness.is_sorted()
+            && robustness.iter().all(|r| *r < 0.0),
         "{robustness:?}"
     );
-    for one in found {
+    for counterexample in counterexamples {
         assert!(
-            one["kind"]
+            counterexample["kind"]
                 .as_str()
                 .unwrap()
                 .starts_with("the specification is violated"),
-            "{one}"
+            "{counterexample}"
         );
-        let file = format!("crumple-campaign/{}", one["file"].as_str().unwrap());
+        let file = format!(
+            "crumple-campaign/{}",
+            counterexample["file"].as_str().unwrap()
+        );
         assert!(file.ends_with("-violation.toml"));
         let replay = |spec: &str, expectation: &str| {
             let arguments = format!("simulate {file} --controller match-leader --format json");
@@ -255,7 +266,7 @@ fn a_formula_is_falsified_without_a_contact() {
         let evaluated = &json_objects(&replayed)[0]["specifications"][0];
         assert_eq!(
             (&evaluated["satisfied"], &evaluated["robustness"]),
-            (&false.into(), &one["robustness"])
+            (&false.into(), &counterexample["robustness"])
         );
         assert_eq!(exit_code(&replay(formula, "satisfied")), 1);
         assert_eq!(
@@ -288,16 +299,16 @@ fn every_toml_file_beside_counterexamples_is_a_scenario() {
         ))
         .len()
     };
-    let found = files().len();
-    assert!(found > 0 && simulate() == found);
+    let file_count = files().len();
+    assert!(file_count > 0 && simulate() == file_count);
     fs::rename(
         counterexamples.join("expected.verdicts"),
         counterexamples.join("expected.toml"),
     )
     .unwrap();
-    assert_eq!((files().len(), simulate()), (found + 1, found));
+    assert_eq!((files().len(), simulate()), (file_count + 1, file_count));
     let recorded = ExpectedFile::load_from_folder(&counterexamples).unwrap();
-    assert!(recorded.expected.len() >= found);
+    assert!(recorded.expected.len() >= file_count);
 }
 
 #[test]
@@ -381,8 +392,8 @@ fn mistakes_are_reported_before_anything_is_written() {
     let expected = format!(
         "error: bad.toml:{line}: parameters[4].distribution.normal: deviation must be above 0, found -1"
     );
-    let found = falsify("--space bad.toml");
-    assert!(found.starts_with(&expected), "{found}");
+    let output = falsify("--space bad.toml");
+    assert!(output.starts_with(&expected), "{output}");
     assert!(
         falsify("--space nowhere")
             .contains("neither a built-in space (paper, high-risk, traffic, ")
@@ -394,10 +405,10 @@ fn mistakes_are_reported_before_anything_is_written() {
         "imposed braking at most 4",
         "imposed braking at most -4 m/s2",
     ] {
-        let found = falsify(&format!("--spec '{misspelt}'"));
+        let output = falsify(&format!("--spec '{misspelt}'"));
         assert!(
-            found.contains("`no amplification`") && found.contains("`no collision`"),
-            "{misspelt}: {found}"
+            output.contains("`no amplification`") && output.contains("`no collision`"),
+            "{misspelt}: {output}"
         );
     }
     let unknown = falsify("--spec 'always v7.gap_m > 0'");

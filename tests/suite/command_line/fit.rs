@@ -93,9 +93,9 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         let asked = "verify rate --controller baseline --space space.toml --estimator truth";
         run_on_threads(here, threads, &format!("{asked} {effort} {more}"))
     };
-    let one = rate("1", "--out one");
+    let first = rate("1", "--out one");
     assert_prints(
-        &one,
+        &first,
         0,
         &["failures per hour", "with the uncertainty of the data"],
     );
@@ -107,7 +107,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
             .to_owned()
     };
     for again in [rate("2", "--out two"), rate("2", "--out one --resume")] {
-        assert_eq!(on_the_road(&again), on_the_road(&one));
+        assert_eq!(on_the_road(&again), on_the_road(&first));
     }
 
     // A space edited after the fit has rates, but no uncertainty of the data.
@@ -193,13 +193,14 @@ fn unsuitable_data_are_refused() {
         &run_crumple(here, "fit enough.csv --out s.json"),
         "must end in .toml",
     );
-    let one: String = events_csv(1)
+    let events: String = events_csv(1)
         .lines()
         .skip(1)
         .map(|line| format!("{line}\n"))
         .collect();
     let same = (0..25).map(|event| {
-        one.replace("\n0,", &format!("\n{event},"))
+        events
+            .replace("\n0,", &format!("\n{event},"))
             .replacen("0,", &format!("{event},"), 1)
     });
     let header = events_csv(0);

@@ -61,8 +61,8 @@ fn exports_are_imported_and_damaged_files_are_refused_with_one_line() {
     assert!(!folder.path().join("damaged").exists());
 
     assert_refused(
-        &run_crumple(folder.path(), "import paper-3.xosc --ego Nobody"),
-        "there is no entity `Nobody`",
+        &run_crumple(folder.path(), "import paper-3.xosc --ego Unknown"),
+        "there is no entity `Unknown`",
     );
     assert_refused(
         &run_crumple(folder.path(), "import paper-3.xosc other.csv"),

@@ -218,7 +218,7 @@ fn simulate_prints_one_json_object_a_line() {
         assert_eq!(
             vehicles[0]["min_gap_m"],
             Value::Null,
-            "nobody is ahead of the leader"
+            "no vehicle is ahead of the leader"
         );
         for vehicle in vehicles {
             let fields: Vec<_> = vehicle
@@ -595,7 +595,7 @@ fn list_names_all_inputs_of_simulate() {
     let words = |text: &str| text.split_whitespace().collect::<String>();
     for entry in ["scenarios", "controllers", "spaces", "methods"]
         .iter()
-        .flat_map(|of| listed[of].as_array().unwrap())
+        .flat_map(|catalogue| listed[catalogue].as_array().unwrap())
     {
         let (name, summary) = (
             entry["name"].as_str().unwrap(),

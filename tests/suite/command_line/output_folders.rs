@@ -43,16 +43,16 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
             .iter()
             .find(|name| !name.ends_with(".sha256") && name.contains('.'))
             .unwrap();
-        let place = folder.path().join(&out).join(name);
-        let genuine = fs::read(&place).unwrap();
-        fs::write(&place, [&genuine[..], b" "].concat()).unwrap();
+        let path = folder.path().join(&out).join(name);
+        let genuine = fs::read(&path).unwrap();
+        fs::write(&path, [&genuine[..], b" "].concat()).unwrap();
         assert_refused(&write(&out), refused);
         assert_eq!(
-            fs::read(&place).unwrap(),
+            fs::read(&path).unwrap(),
             [&genuine[..], b" "].concat(),
             "{command:?}"
         );
-        fs::write(&place, &genuine).unwrap();
+        fs::write(&path, &genuine).unwrap();
         assert_eq!(
             exit_code(&write(&out)),
             0,
@@ -60,11 +60,11 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
         );
         let elsewhere = folder.path().join(format!("elsewhere-{number}"));
         fs::write(&elsewhere, "precious").unwrap();
-        fs::remove_file(&place).unwrap();
-        std::os::unix::fs::symlink(&elsewhere, &place).unwrap();
+        fs::remove_file(&path).unwrap();
+        std::os::unix::fs::symlink(&elsewhere, &path).unwrap();
         assert_refused(&write(&out), "is a symbolic link");
         assert!(
-            place.is_symlink() && fs::read_to_string(&elsewhere).unwrap() == "precious",
+            path.is_symlink() && fs::read_to_string(&elsewhere).unwrap() == "precious",
             "{command:?}"
         );
         let apart = folder.path().join(&apart);

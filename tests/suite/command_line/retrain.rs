@@ -79,7 +79,7 @@ mod tier_2 {
         );
         fs::write(
             folder.path().join("killed/rounds/01/search/mine.txt"),
-            "of somebody",
+            "of another",
         )
         .unwrap();
         fs::create_dir(folder.path().join("killed/rounds/001")).unwrap();
@@ -164,7 +164,7 @@ fn check_report(folder: &Path, report: &Value) {
     assert_eq!(report["judged_draws"], 12);
     let pairs = &report["pairs"];
     let pairs: u64 = ["both", "first_only", "retrained_only", "neither"]
-        .map(|of| pairs[of].as_u64().unwrap())
+        .map(|field| pairs[field].as_u64().unwrap())
         .iter()
         .sum();
     assert_eq!(pairs, 12);

@@ -169,11 +169,11 @@ fn help_calls_a_collision_a_collision() {
         let text = fs::read_to_string(folder.path().join("man").join(&page))
             .unwrap()
             .replace("\\-", "-");
-        let found: Vec<_> = text
+        let values: Vec<_> = text
             .lines()
             .filter(|line| line.to_lowercase().contains("contact"))
             .collect();
-        assert!(found.is_empty(), "{page}: {found:?}");
+        assert!(values.is_empty(), "{page}: {values:?}");
     }
 }
 

@@ -36,7 +36,7 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
         let last = log.lines().last().unwrap();
         let is_of_the_end =
             last.contains("evaluation") && last.contains(&format!("\"episode\":{}", ends[0]));
-        assert!(is_of_the_end, "its end is judged: {last}");
+        assert!(is_of_the_end, "the last episode is evaluated: {last}");
         for episodes in [ends[1], "14"] {
             train(out, episodes, "--resume");
         }

@@ -40,7 +40,7 @@ fn a_shield_reports_its_braking_and_the_effect_on_the_follower() {
 fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
     let folder = temp_folder();
     for (controller, message) in [
-        ("shield:nobody", "there is no controller `nobody`"),
+        ("shield:unknown", "there is no controller `unknown`"),
         (
             "shield,ahead=0:idm",
             "shield: ahead must be a number from 0.1 to 30, found `0`",
@@ -188,7 +188,7 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
     write("follower_brake_mps2 = 25");
     let verified = reach("--box box.toml --depth 0 --certificate r.json --format json");
     assert_eq!(exit_code(&verified), 0, "{}", stderr(&verified));
-    let found = json_objects(&verified).remove(0);
+    let report = json_objects(&verified).remove(0);
     let checked = json_objects(&run_crumple(folder.path(), "check r.json --format json")).remove(0);
     for (ours, theirs) in [
         ("certificate", "certificate"),
@@ -199,15 +199,15 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
         ("horizon_s", "horizon_s"),
         ("scenario", "scenario"),
     ] {
-        assert_eq!(found[ours], checked[theirs], "{ours}");
+        assert_eq!(report[ours], checked[theirs], "{ours}");
     }
     assert_eq!(
-        (&found["controller"], &found["box"]),
+        (&report["controller"], &report["box"]),
         (&"policy".into(), &"box.toml".into())
     );
     assert!(
-        found["smallest_gap_m"].as_f64() > Some(0.0) && found["shares"][0]["verified"] == 1.0,
-        "{found}"
+        report["smallest_gap_m"].as_f64() > Some(0.0) && report["shares"][0]["verified"] == 1.0,
+        "{report}"
     );
     for (ranges, message) in [
         (
@@ -422,26 +422,26 @@ fn verification_results_are_machine_readable() {
         assert_eq!(kernel, checked);
     }
     let rate = "verify rate --controller idm --estimator truth --runs 300 --format json";
-    let one = &message(&format!("{rate} --out rate --confidence 0.99"))[0];
+    let shown = &message(&format!("{rate} --out rate --confidence 0.99"))[0];
     assert_eq!(
         (
-            one["runs"].as_u64(),
-            one["failures"].as_u64(),
-            one["confidence"].as_f64()
+            shown["runs"].as_u64(),
+            shown["failures"].as_u64(),
+            shown["confidence"].as_f64()
         ),
         (Some(300), Some(0), Some(0.99))
     );
     // At the rate 1 - (1 - c)^(1/n), the probability of n runs without a failure is 1 - c.
     let bound = 1.0 - 0.01_f64.powf(1.0 / 300.0);
     assert!(
-        (one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9,
-        "{one}"
+        (shown["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9,
+        "{shown}"
     );
     let checked = &message(&format!(
         "check {} --format json",
-        one["certificate"].as_str().unwrap()
+        shown["certificate"].as_str().unwrap()
     ))[0];
-    assert_eq!(checked["rate_at_most"], one["rate_at_most"]);
+    assert_eq!(checked["rate_at_most"], shown["rate_at_most"]);
     let fewest = "verify rate --controller idm --estimator truth --rate-below 0.01 --failures 1 --confidence 0.9";
     let fewest = &message(&format!("{fewest} --out fewest --format json"))[0];
     // With no failure, 388 runs show 1 - 0.1^(1/388); with one they would show 0.01.
@@ -471,11 +471,15 @@ fn a_count_names_its_subject() {
         assert_refused(&output, &format!("{option}: requires --rare"));
     }
     let shown = run_crumple(folder.path(), &format!("{rate} --format json"));
-    let one = &json_objects(&shown)[0];
+    let report = &json_objects(&shown)[0];
     assert_eq!(
-        (exit_code(&shown), one["runs"].as_u64(), &one["certificate"]),
+        (
+            exit_code(&shown),
+            report["runs"].as_u64(),
+            &report["certificate"]
+        ),
         (1, Some(100), &Value::Null),
-        "{one}"
+        "{report}"
     );
     // Frequent failures are counted: all 250 runs fail, and the true rate may be 0.985.
     let rare = "verify rate --controller baseline --estimator truth --rare --samples 50";
@@ -483,10 +487,10 @@ fn a_count_names_its_subject() {
         folder.path(),
         &format!("{rare} --repetitions 5 --out rare --format json"),
     );
-    let one = &json_objects(&rare)[0];
-    let [low, high] = [0, 1].map(|end| one["interval_95"][end].as_f64().unwrap());
+    let report = &json_objects(&rare)[0];
+    let [low, high] = [0, 1].map(|end| report["interval_95"][end].as_f64().unwrap());
     assert!(
         (low - 0.025_f64.powf(1.0 / 250.0)).abs() < 1e-9 && high == 1.0,
-        "{one}"
+        "{report}"
     );
 }

@@ -50,11 +50,11 @@ fn an_escape_is_written_replayed_and_checked() {
 fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
     let folder = temp_folder();
     let gap_m = |grid: &str| {
-        let found = run_ok(
+        let message = run_ok(
             folder.path(),
             &format!("avoid paper-2 --grid {grid} --format json"),
         );
-        let report = json_objects(&found).remove(0);
+        let report = json_objects(&message).remove(0);
         let (kept_m, bound_m) = (
             report["best_min_gap_m"].as_f64().unwrap(),
             report["min_gap_bound_m"].as_f64().unwrap(),
@@ -190,11 +190,11 @@ fn simulations_beyond_the_budget_are_reported() {
 #[test]
 fn a_worst_case_is_written_and_collides() {
     let folder = temp_folder();
-    let found = run_ok(
+    let message = run_ok(
         folder.path(),
         "worst-case paper-1 --controller idm --budget 500 --out worst.toml --format json",
     );
-    let report = json_objects(&found).remove(0);
+    let report = json_objects(&message).remove(0);
     assert_eq!(
         (&report["found"], &report["method"]),
         (&true.into(), &"sequential".into())

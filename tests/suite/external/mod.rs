@@ -148,14 +148,14 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("man", "--out o", StartsNothing),
 ];
 
-fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
-    let names = listed_subcommands(&run_crumple(folder, &format!("{of} --help")));
+fn subcommands(folder: &Path, command: &str) -> BTreeSet<String> {
+    let names = listed_subcommands(&run_crumple(folder, &format!("{command} --help")));
     if names.is_empty() {
-        return BTreeSet::from([of.to_owned()]);
+        return BTreeSet::from([command.to_owned()]);
     }
     names
         .iter()
-        .flat_map(|name| subcommands(folder, format!("{of} {name}").trim()))
+        .flat_map(|name| subcommands(folder, format!("{command} {name}").trim()))
         .collect()
 }
 
@@ -175,14 +175,14 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
         let words = format!("{command} {arguments}");
         let text = inputs.run(&words);
         assert!(!inputs.has_started(), "{words} starts it: {}", text.stderr);
-        let place = match expected {
+        let location = match expected {
             StartsNothing => "",
-            Refused(place) | RefusedOrStarts(place) => place,
+            Refused(location) | RefusedOrStarts(location) => location,
         };
-        if !place.is_empty() {
+        if !location.is_empty() {
             assert_eq!(text.code, 2, "{words}: {} {}", text.stdout, text.stderr);
             assert!(
-                text.stderr.contains(OPTION) && text.stderr.contains(place),
+                text.stderr.contains(OPTION) && text.stderr.contains(location),
                 "{words}: {}",
                 text.stderr
             );

@@ -52,44 +52,44 @@ type FolderFiles = BTreeMap<String, Vec<u8>>;
 
 impl ResumableCommand {
     fn new_folder(&self) -> tempfile::TempDir {
-        let place = scratch_folder();
+        let folder = scratch_folder();
         if let Some(preset) = self.1 {
             fs::write(
-                place.path().join("tiny.toml"),
+                folder.path().join("tiny.toml"),
                 tiny::with_small_memory(&preset()),
             )
             .unwrap();
         }
-        place
+        folder
     }
 
-    fn command(&self, place: &Path) -> Command {
-        let mut command = command(place, self.0);
+    fn command(&self, folder: &Path) -> Command {
+        let mut command = command(folder, self.0);
         command
             .args(["--resume", "--quiet", "--out"])
-            .arg(place.join("run"));
+            .arg(folder.join("run"));
         command.env("RAYON_NUM_THREADS", "1");
         command
     }
 
-    fn assert_completes(&self, place: &Path, genuine: &FolderFiles, what: &str) {
-        let ended = self.command(place).output().unwrap();
+    fn assert_completes(&self, folder: &Path, genuine: &FolderFiles, what: &str) {
+        let ended = self.command(folder).output().unwrap();
         // A gate may fail, as without faults.
         assert!(
             matches!(ended.status.code(), Some(0 | 1)),
             "{what}: {}",
             describe_output(&ended)
         );
-        assert_same_contents(&read_files(&place.join("run")), genuine, what);
+        assert_same_contents(&read_files(&folder.join("run")), genuine, what);
     }
 
     fn run_without_faults(&self, shim: &Path) -> (FolderFiles, Vec<u8>) {
-        let place = self.new_folder();
-        let trace = place.path().join("trace");
+        let folder = self.new_folder();
+        let trace = folder.path().join("trace");
         let ended = with_shim(
-            &mut self.command(place.path()),
+            &mut self.command(folder.path()),
             shim,
-            &place.path().join("run"),
+            &folder.path().join("run"),
         )
         .env("FAULT_TRACE", &trace)
         .output()
@@ -104,7 +104,7 @@ impl ResumableCommand {
             .count();
         assert!(renamed > 5, "what it does is seen");
         (
-            read_files(&place.path().join("run")),
+            read_files(&folder.path().join("run")),
             fs::read(&trace).unwrap(),
         )
     }
@@ -158,7 +158,7 @@ fn selected_calls(calls: usize, salt: usize) -> Vec<usize> {
         .wrapping_add(salt)
         .wrapping_mul(7919);
     (0..wanted)
-        .map(|place| 1 + (place * calls / wanted).wrapping_add(from) % calls)
+        .map(|index| 1 + (index * calls / wanted).wrapping_add(from) % calls)
         .collect()
 }
 
@@ -215,10 +215,10 @@ fn assert_survives_power_loss(
 ) {
     for (salt, loss) in power::PowerLoss::ALL.into_iter().enumerate() {
         for at in selected_calls(changes.len(), salt) {
-            let place = kept.new_folder();
-            power::disk_after_power_loss(&changes[..at], loss).write_to(&place.path().join("run"));
+            let folder = kept.new_folder();
+            power::disk_after_power_loss(&changes[..at], loss).write_to(&folder.path().join("run"));
             let what = format!("power lost at change {at} of {}, {loss:?}", changes.len());
-            kept.assert_completes(place.path(), genuine, &what);
+            kept.assert_completes(folder.path(), genuine, &what);
         }
     }
 }

@@ -6,33 +6,33 @@ use std::process::{Child, Stdio};
 use super::*;
 
 fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
-    let place = odd_fmu_folder(what)?;
-    fs::create_dir(place.path().join("temporary")).unwrap();
-    let library = fs::read(place.path().join("library.so")).unwrap();
+    let folder = odd_fmu_folder(what)?;
+    fs::create_dir(folder.path().join("temporary")).unwrap();
+    let library = fs::read(folder.path().join("library.so")).unwrap();
     let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
     write_fmu(
-        &place.path().join("odd.fmu"),
+        &folder.path().join("odd.fmu"),
         &xml,
         &[
             (&library_member(3, "odd"), &library),
             ("resources/data", &[7; 1 << 20]),
         ],
     );
-    Some(place)
+    Some(folder)
 }
 
-fn unpacked_folders(place: &Path) -> Vec<std::path::PathBuf> {
-    fs::read_dir(place.join("temporary"))
+fn unpacked_folders(folder: &Path) -> Vec<std::path::PathBuf> {
+    fs::read_dir(folder.join("temporary"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .collect()
 }
 
-fn start_host(place: &Path) -> Child {
+fn start_host(folder: &Path) -> Child {
     let mut host = Command::new(env!("CARGO_BIN_EXE_crumple-fmu"))
         .args(["drive", "--input=speed", "--output=command", "odd.fmu"])
-        .current_dir(place)
-        .env("TMPDIR", place.join("temporary"))
+        .current_dir(folder)
+        .env("TMPDIR", folder.join("temporary"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -52,10 +52,10 @@ fn start_host(place: &Path) -> Child {
     host
 }
 
-fn simulate_odd(place: &Path) -> std::process::Output {
-    let mut simulate = command(place, "simulate paper-1 --controller odd.toml");
+fn simulate_odd(folder: &Path) -> std::process::Output {
+    let mut simulate = command(folder, "simulate paper-1 --controller odd.toml");
     simulate
-        .env("TMPDIR", place.join("temporary"))
+        .env("TMPDIR", folder.join("temporary"))
         .output()
         .unwrap()
 }
@@ -117,9 +117,9 @@ fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
 
 #[test]
 fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
-    let place = temp_folder();
+    let folder = temp_folder();
     let source = "extern int missing_symbol; int *reference = &missing_symbol;";
-    let Some(undefined) = compile_library(place.path(), source, "-DNOTHING") else {
+    let Some(undefined) = compile_library(folder.path(), source, "-DNOTHING") else {
         return;
     };
     for (library, reason) in [
@@ -127,11 +127,11 @@ fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
         (&[b'x'; 100], "binaries/"),
     ] {
         write_fmu(
-            &place.path().join("follower.fmu"),
+            &folder.path().join("follower.fmu"),
             EXAMPLE_XML,
             &[(&library_member(2, "follower"), library)],
         );
-        let ran = run_crumple(place.path(), "simulate paper-1 --controller follower.fmu");
+        let ran = run_crumple(folder.path(), "simulate paper-1 --controller follower.fmu");
         let text = stderr(&ran);
         assert_eq!(exit_code(&ran), 2, "{text}");
         assert!(

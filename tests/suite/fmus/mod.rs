@@ -290,8 +290,8 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     .unwrap();
     assert_ne!(identity(elsewhere.path()), first);
     let search = "falsify --controller odd.toml --budget 2 --out found --format json";
-    let found = run_crumple(odd.path(), search);
-    assert!([0, 1].contains(&exit_code(&found)), "{}", stderr(&found));
+    let output = run_crumple(odd.path(), search);
+    assert!([0, 1].contains(&exit_code(&output)), "{}", stderr(&output));
 }
 
 #[test]
@@ -406,13 +406,13 @@ fn damaged_fmus_are_refused() {
             bytes.truncate(random.random_range(0..whole.len()));
         } else {
             // The parts that are read before driving: the description at the start, the central directory at the end.
-            let place = random.random_range(0..1200);
-            let place = if place < 900 {
-                place
+            let position = random.random_range(0..1200);
+            let position = if position < 900 {
+                position
             } else {
-                whole.len() - (place - 899)
+                whole.len() - (position - 899)
             };
-            bytes[place] ^= 1 << random.random_range(0..8);
+            bytes[position] ^= 1 << random.random_range(0..8);
         }
         fs::write(&path, bytes).unwrap();
         accepted += usize::from(refused(&format!("{number}")).is_none());

@@ -21,10 +21,10 @@ const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3
 /// Returns the C source of an FMU that computes in SI units with other units outside. Its table begins at reference
 /// `first`.
 fn convert_units_in_source(source: &str, first: u32) -> String {
-    let of = |table: &str| {
+    let entry = |table: &str| {
         format!("(references[one] - {first} < 6u ? {table}[references[one] - {first}]")
     };
-    let (factor, offset) = (of("FACTOR") + " : 1.0)", of("OFFSET") + " : 0.0)");
+    let (factor, offset) = (entry("FACTOR") + " : 1.0)", entry("OFFSET") + " : 0.0)");
     let source = source.replace(
         "= values[one];",
         &format!("= values[one] * {factor} + {offset};"),
@@ -101,13 +101,13 @@ fn other_units_odd_xml() -> String {
 const PARAMETERS: &str = "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, \
     set_speed_mps = 26.0 }\n";
 
-fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64 {
-    let (one, other) = (one.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());
+fn largest_difference_m(first: &SimulationResult, other: &SimulationResult) -> f64 {
+    let (first, other) = (first.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());
     let positions = |trace: &crumple_sim::engine::Trace| trace.vehicles[1].position_m.clone();
-    positions(one)
+    positions(first)
         .iter()
         .zip(positions(other))
-        .map(|(one, other)| (one - other).abs())
+        .map(|(first, other)| (first - other).abs())
         .fold(0.0, f64::max)
 }
 
@@ -133,8 +133,8 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
         &[(&library_member(2, "follower"), &library)],
     );
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
-    let found = simulate_with_truth(&find_controller("f.toml", two.path()).source, &scenario);
-    let apart_m = largest_difference_m(&expected, &found);
+    let result = simulate_with_truth(&find_controller("f.toml", two.path()).source, &scenario);
+    let apart_m = largest_difference_m(&expected, &result);
     assert!(
         expected.outcome.failed_controller().is_none() && apart_m < 1e-9,
         "FMI 2: {apart_m} m"
@@ -163,23 +163,23 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
         "\"gap.time\" = 1.0, \"set speed\" = 26.0",
     );
     fs::write(three.path().join("odd.toml"), text).unwrap();
-    let found = simulate_with_truth(&find_controller("odd.toml", three.path()).source, &scenario);
-    let apart_m = largest_difference_m(&expected, &found);
+    let result = simulate_with_truth(&find_controller("odd.toml", three.path()).source, &scenario);
+    let apart_m = largest_difference_m(&expected, &result);
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
 
 /// No code of an FMU runs here, so its library may be empty.
 #[test]
 fn units_that_cannot_be_converted_are_refused_by_name() {
-    let place = temp_folder();
-    let found = |xml: &str, toml: &str| {
+    let folder = temp_folder();
+    let outcome = |xml: &str, toml: &str| {
         write_fmu(
-            &place.path().join("follower.fmu"),
+            &folder.path().join("follower.fmu"),
             xml,
             &[(&library_member(2, "follower"), b"")],
         );
-        fs::write(place.path().join("f.toml"), toml).unwrap();
-        find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
+        fs::write(folder.path().join("f.toml"), toml).unwrap();
+        find_for_user("f.toml", folder.path()).map_err(|error| error.to_string())
     };
     let wired = |quantity: &str, scale: &str, output: &str| {
         format!(
@@ -259,7 +259,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         ),
     ];
     for (xml, toml, message) in refused {
-        let error = found(&xml, &toml).expect_err(message);
+        let error = outcome(&xml, &toml).expect_err(message);
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let accepted = [
@@ -277,24 +277,24 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (other_units_xml().replace("unit=", "quantity="), plain),
     ];
     for (number, (xml, toml)) in accepted.into_iter().enumerate() {
-        found(&xml, &toml).unwrap_or_else(|error| panic!("{number}: {error}"));
+        outcome(&xml, &toml).unwrap_or_else(|error| panic!("{number}: {error}"));
     }
 }
 
 /// Limits, scale and offset of an input are in SI units.
 #[test]
 fn numbers_of_a_controller_file_are_in_si_units() {
-    let place = temp_folder();
+    let folder = temp_folder();
     let library = library_member(2, "follower");
     write_fmu(
-        &place.path().join("follower.fmu"),
+        &folder.path().join("follower.fmu"),
         &other_units_xml(),
         &[(&library, b"")],
     );
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = \
         0.0\nhigh = 60.96\n";
-    fs::write(place.path().join("f.toml"), text).unwrap();
-    let source = find_controller("f.toml", place.path()).source;
+    fs::write(folder.path().join("f.toml"), text).unwrap();
+    let source = find_controller("f.toml", folder.path()).source;
     let Some(process) = source.downcast_ref::<ProcessController>() else {
         panic!("a process")
     };

@@ -21,17 +21,17 @@ impl GenuineCertificate {
         let mut value = serde_json::to_value(&self.certificate).unwrap_or_default();
         let mut policy = self.policy.clone();
         let places = json_pointers(&value);
-        let place = places.choose(random).cloned().unwrap_or_default();
+        let pointer = places.choose(random).cloned().unwrap_or_default();
         let (mut text, mut keeps_order) = (None, true);
         let mut change = match random.random_range(0..12_u32) {
             0..4 => change_number(&mut value, &places, random),
             4 => change_list(&mut value, &places, random),
             5 => {
-                let (parent, name) = place.rsplit_once('/').unwrap_or(("", ""));
+                let (parent, name) = pointer.rsplit_once('/').unwrap_or(("", ""));
                 if let Some(fields) = value.pointer_mut(parent).and_then(Value::as_object_mut) {
                     fields.remove(name);
                 }
-                format!("without {place}")
+                format!("without {pointer}")
             }
             6 => {
                 // The genuine value stays the last, or the first, of two.
@@ -56,12 +56,12 @@ impl GenuineCertificate {
                 let other = others
                     .choose(random)
                     .and_then(|other| serde_json::to_value(&other.certificate).ok());
-                let lent = other.and_then(|other| other.pointer(&place).cloned());
-                match (value.pointer_mut(&place), lent) {
+                let lent = other.and_then(|other| other.pointer(&pointer).cloned());
+                match (value.pointer_mut(&pointer), lent) {
                     (Some(here), Some(lent)) => *here = lent,
                     _ => value["provenance"] = Value::Null,
                 }
-                format!("{place} of another certificate")
+                format!("{pointer} of another certificate")
             }
             8 => change_text(&mut value, &places, random),
             9 => {
@@ -126,7 +126,7 @@ impl GenuineCertificate {
 fn change_number(value: &mut Value, places: &[String], random: &mut Xoshiro256PlusPlus) -> String {
     let numbers: Vec<&String> = places
         .iter()
-        .filter(|place| value.pointer(place).is_some_and(Value::is_number))
+        .filter(|pointer| value.pointer(pointer).is_some_and(Value::is_number))
         .collect();
     let Some(place) = numbers.choose(random) else {
         return "nothing".to_owned();
@@ -189,7 +189,7 @@ fn change_list(value: &mut Value, places: &[String], random: &mut Xoshiro256Plus
 fn change_text(value: &mut Value, places: &[String], random: &mut Xoshiro256PlusPlus) -> String {
     let texts: Vec<&String> = places
         .iter()
-        .filter(|place| value.pointer(place).is_some_and(Value::is_string))
+        .filter(|pointer| value.pointer(pointer).is_some_and(Value::is_string))
         .collect();
     let Some(place) = texts.choose(random) else {
         return "nothing".to_owned();

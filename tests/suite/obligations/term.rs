@@ -30,10 +30,10 @@ impl Term {
         TEXTS.with_borrow(|texts| texts[self.0].clone())
     }
 
-    fn binary(operator: &str, one: Self, other: Self) -> Self {
+    fn binary(operator: &str, first: Self, other: Self) -> Self {
         Self(intern(format!(
             "({operator} {} {})",
-            one.text(),
+            first.text(),
             other.text()
         )))
     }

@@ -280,6 +280,6 @@ fn noise_is_as_large_as_stated() {
             .acceleration_mps2
             .iter()
             .all(|a| *a == 0.0),
-        "nobody else has noise"
+        "no other vehicle has noise"
     );
 }

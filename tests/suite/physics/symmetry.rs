@@ -62,9 +62,12 @@ fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
 }
 
 /// Returns the largest difference of positions after `by_m` is added to those of the first result.
-fn largest_shift_m(one: &SimulationResult, other: &SimulationResult, by_m: f64) -> f64 {
-    let vehicles = trace_of(one).vehicles.iter().zip(&trace_of(other).vehicles);
-    let pairs = vehicles.flat_map(|(one, other)| one.position_m.iter().zip(&other.position_m));
+fn largest_shift_m(first: &SimulationResult, other: &SimulationResult, by_m: f64) -> f64 {
+    let vehicles = trace_of(first)
+        .vehicles
+        .iter()
+        .zip(&trace_of(other).vehicles);
+    let pairs = vehicles.flat_map(|(first, other)| first.position_m.iter().zip(&other.position_m));
     // NaN is the largest.
     pairs
         .map(|(x, y)| (x + by_m - y).abs())

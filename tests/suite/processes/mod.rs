@@ -100,10 +100,9 @@ fn a_process_learns_of_the_commands_that_its_shield_replaces() {
     );
     assert!(seen[0].starts_with('0'), "{}", seen[0]);
     for (step, seen) in seen.iter().enumerate().skip(1) {
-        let is_replaced = result
-            .interventions
-            .iter()
-            .any(|one| (steps(one.from_s)..steps(one.to_s)).contains(&(step - 1)));
+        let is_replaced = result.interventions.iter().any(|intervention| {
+            (steps(intervention.from_s)..steps(intervention.to_s)).contains(&(step - 1))
+        });
         assert_eq!(
             *seen,
             if is_replaced { "-7.5]}" } else { "3.0]}" },
@@ -323,7 +322,7 @@ fn python_example_folder() -> Option<tempfile::TempDir> {
     if !Command::new("python3")
         .arg("--version")
         .output()
-        .is_ok_and(|found| found.status.success())
+        .is_ok_and(|output| output.status.success())
     {
         println!("skipped: there is no python3");
         return None;

@@ -51,16 +51,16 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
     let envelope = Envelope::from_scenario(&scenario);
     for controller in ["baseline", "match-leader", "idm", "policy"] {
         for aim in [AttackObjective::Mildest, AttackObjective::Severest] {
-            let found = find_attack(&scenario, &options(controller), aim, envelope, 1500);
-            let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
-            let text = file::to_toml(&found.scenario).unwrap();
+            let attack = find_attack(&scenario, &options(controller), aim, envelope, 1500);
+            let attack = attack.unwrap_or_else(|| panic!("{controller}: nothing found"));
+            let text = file::to_toml(&attack.scenario).unwrap();
             let read = file::from_toml(&text, Path::new("worst.toml"), &NoDriverFiles).unwrap();
             let replayed = simulate(
                 &Run::new(&read, options(controller)).unwrap(),
                 RecordingLevel::Summary,
             );
-            assert_eq!(replayed.outcome, found.outcome, "{controller}");
-            assert!(found.outcome.contact().is_some(), "{controller}");
+            assert_eq!(replayed.outcome, attack.outcome, "{controller}");
+            assert!(attack.outcome.contact().is_some(), "{controller}");
             let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else {
                 panic!()
             };
@@ -69,7 +69,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
                 .iter()
                 .fold(0.0_f64, |most, a| most.max(-a));
             assert!(
-                most <= envelope.max_brake_mps2 && (most - found.peak_brake_mps2).abs() < 1e-12
+                most <= envelope.max_brake_mps2 && (most - attack.peak_brake_mps2).abs() < 1e-12
             );
             assert!(
                 pieces.accel_mps2.iter().all(|a| *a <= 0.0),
@@ -89,7 +89,7 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
     ] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
-        let found = find_mildest(&scenario, controller, envelope, 3000).expect("collides");
+        let attack = find_mildest(&scenario, controller, envelope, 3000).expect("collides");
         let cells = scenario.steps() / 10;
         let pulses = (1..=30).flat_map(|depth| {
             (2..60)
@@ -126,15 +126,15 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             .map(|((effort, _), _)| *effort);
         let least_m2ps3 = efforts.fold(f64::INFINITY, f64::min);
         assert!(
-            found.effort_m2ps3 <= least_m2ps3,
+            attack.effort_m2ps3 <= least_m2ps3,
             "{name}, {controller}: {} against {least_m2ps3}",
-            found.effort_m2ps3
+            attack.effort_m2ps3
         );
         // An earlier version reported the local optimum 68.83.
         assert!(
-            (name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32,
+            (name, controller) != ("paper-1", "idm") || attack.effort_m2ps3 <= 60.32,
             "{}",
-            found.effort_m2ps3
+            attack.effort_m2ps3
         );
     }
 }
@@ -148,8 +148,8 @@ fn a_jerk_without_bounds_is_none() {
                 jerk_mps3,
                 ..Envelope::from_scenario(&scenario)
             };
-            let found = find_mildest(&scenario, controller, envelope, 400);
-            found.expect("collides").effort_m2ps3
+            let attack = find_mildest(&scenario, controller, envelope, 400);
+            attack.expect("collides").effort_m2ps3
         };
         assert_eq!(effort(1e308), effort(1e6), "{controller}");
         assert_eq!(effort(f64::INFINITY), effort(1e6), "{controller}");
@@ -169,9 +169,9 @@ fn no_profile_is_rougher_than_the_envelope() {
         ("idm", AttackObjective::Mildest),
         ("policy", AttackObjective::Severest),
     ] {
-        let found =
+        let attack =
             find_attack(&scenario, &options(controller), aim, envelope, 800).expect("collides");
-        let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver
+        let Driver::Profile(LeadProfile::Pieces(pieces)) = &attack.scenario.vehicles()[0].driver
         else {
             panic!()
         };

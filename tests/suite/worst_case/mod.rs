@@ -317,7 +317,10 @@ fn no_controller_contradicts_a_verdict() {
                     "{seed}: there is no escape to bound"
                 );
                 for (name, kept_m) in kept_m {
-                    assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
+                    assert!(
+                        kept_m <= 0.0,
+                        "{seed}: {name} survives what no controller can"
+                    );
                 }
                 let proved = check_certificate(certificate);
                 assert!(

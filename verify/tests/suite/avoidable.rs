@@ -73,7 +73,7 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     assert_eq!(
         after_horizon,
         SafetyAfterHorizon::ForAnyLeader,
-        "everybody stands"
+        "all vehicles stand"
     );
     let faulty = |change: &dyn Fn(&mut AvoidableClaim)| {
         let mut certificate = certificate(&scene, witness.clone());

@@ -231,8 +231,8 @@ fn content_that_one_lane_cannot_represent_is_refused_by_name() {
         ),
         (
             "entityRef=\"other\"",
-            "entityRef=\"nobody\"",
-            "there is no entity `nobody`",
+            "entityRef=\"unknown\"",
+            "there is no entity `unknown`",
         ),
         (
             "override",

@@ -230,7 +230,7 @@ mod tests {
         assert_eq!(
             settings.critical(10.0, 3.0, &ahead(0.1, 10.0)),
             0.0,
-            "nobody closes in"
+            "no vehicle closes in"
         );
     }
 

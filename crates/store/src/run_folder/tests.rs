@@ -307,7 +307,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     fs::write(root.join("notes.txt"), "beside the work").unwrap();
     named(&[]);
     for unlisted_file in ["result.json", "parts/x.json"] {
-        fs::write(root.join(unlisted_file), "of somebody").unwrap();
+        fs::write(root.join(unlisted_file), "of another").unwrap();
         named(&[unlisted_file]);
         fs::remove_file(root.join(unlisted_file)).unwrap();
     }
@@ -326,7 +326,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     work.transaction().finish().unwrap();
     drop(work);
     named(&[]);
-    fs::write(root.join("inner/mine.txt"), "of somebody").unwrap();
+    fs::write(root.join("inner/mine.txt"), "of another").unwrap();
     named(&["inner/mine.txt"]);
     fs::remove_file(root.join("inner/mine.txt")).unwrap();
     fs::create_dir(root.join("parts/other")).unwrap();

@@ -52,7 +52,7 @@ fn each_objection_alone_rejects_and_old_failures_do_not() {
     assert_eq!(
         objections(results(&[], &[], &[7, 8, 9])),
         [],
-        "others kept aside, but no more"
+        "another validation set, but not a larger one"
     );
     let paper = RejectionReason::Paper {
         scenarios: vec!["paper-1 (kalman)".to_owned()],

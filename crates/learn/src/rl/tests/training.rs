@@ -98,7 +98,10 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
             second.policy().unwrap() == through.policy().unwrap(),
             "stopped after {stop}"
         );
-        assert_eq!(diary[0], events[0], "the untrained policy is judged first");
+        assert_eq!(
+            diary[0], events[0],
+            "the untrained policy is evaluated first"
+        );
         assert!(
             diary.ends_with(&events[1 + stop as usize..]),
             "stopped after {stop}"

@@ -114,7 +114,7 @@ fn a_leaving_vehicle_counts_from_its_leader() {
     assert_eq!(
         (contact.front_vehicle, contact.rear_vehicle),
         (0, 2),
-        "nobody drives into the one that has left"
+        "no vehicle drives into the one that has left"
     );
     assert!((contact.time_s - 138.0 / 20.0).abs() < 1e-9);
     assert_eq!(simulated.vehicles_involved(), 2);
