@@ -32,7 +32,11 @@ BO_ 2566846208 OwnSender: 8 ECU
 const CCVS: u32 = 0x8000_0000 | 0x0cfe_f121;
 
 /// Returns the values of a signal of 16 bits with a conversion.
-fn converted(build: impl FnOnce(&mut TestFile) -> u64, use_of: SignalUse, raw: &[u16]) -> Vec<f64> {
+fn converted(
+    build: impl FnOnce(&mut TestFile) -> u64,
+    signal_use: SignalUse,
+    raw: &[u16],
+) -> Vec<f64> {
     let mut file = TestFile::new();
     let samples = file.samples(
         &raw.iter()
@@ -41,7 +45,7 @@ fn converted(build: impl FnOnce(&mut TestFile) -> u64, use_of: SignalUse, raw: &
     );
     let conversion = build(&mut file);
     file.group(&[("gap", 8, 16, 0, conversion)], 10, samples);
-    let wanted = |name: &str| (name == "gap").then_some(use_of);
+    let wanted = |name: &str| (name == "gap").then_some(signal_use);
     let mut stream = SignalStream::open(Cursor::new(file.bytes), None, &wanted).expect("readable");
     while stream.advance().expect("readable") {}
     stream.set.signals[0].values.clone()
