@@ -82,16 +82,13 @@ fn open<'p>(
     map: Option<&RecordingMap>,
     progress: Option<&ReadProgress>,
 ) -> Result<RowReader<'p>, RecordingError> {
-    let error = |source| RecordingError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
+    let mut file = binary::RecordingFile::open(path, progress)
+        .map_err(|source| binary::read_error(path, source))?;
     let mut start = Vec::new();
     file.by_ref()
         .take(binary::START_BYTES)
         .read_to_end(&mut start)
-        .map_err(error)?;
+        .map_err(|source| binary::read_error(path, source))?;
     let spec = map.map(RecordingMap::spec);
     match binary::BinaryFormat::detect(&start) {
         Some(format) => binary::open(format, binary::Input::File(file), path, spec),
@@ -180,7 +177,8 @@ fn read_with_map(
     first: CsvRow<'_>,
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    let (mut lines, mut names) = (Vec::new(), first);
+    let mut lines = Vec::new();
+    let mut names = first;
     while lines.len() < map.lines_before_names {
         lines.push(names.fields);
         let expected = if lines.len() < map.lines_before_names {
