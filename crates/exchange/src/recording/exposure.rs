@@ -67,10 +67,8 @@ pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     for (index, episode) in episodes.iter().enumerate() {
         for (before, other) in episodes.iter().enumerate().take(index) {
             if is_same_cluster(episode, other) {
-                let (from, to) = (
-                    cluster[index].max(cluster[before]),
-                    cluster[index].min(cluster[before]),
-                );
+                let from = cluster[index].max(cluster[before]);
+                let to = cluster[index].min(cluster[before]);
                 if from != to {
                     cluster
                         .iter_mut()
@@ -80,37 +78,36 @@ pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
             }
         }
     }
-    let mut known: Vec<usize> = Vec::new();
+    let mut in_order: Vec<usize> = Vec::new();
     let numbered = cluster.iter().map(|cluster| {
-        known
+        in_order
             .iter()
-            .position(|other| other == cluster)
+            .position(|earlier| earlier == cluster)
             .unwrap_or_else(|| {
-                known.push(*cluster);
-                known.len() - 1
+                in_order.push(*cluster);
+                in_order.len() - 1
             }) as u32
     });
     numbered.collect()
 }
 
 fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
-    let braking = |episode: &BrakingEpisode| {
-        (
-            episode.start_s + episode.onset_s,
-            episode.start_s + episode.braking_end_s,
-        )
-    };
-    let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
-    let leads_in = |lead: &BrakingEpisode, line: &BrakingEpisode| {
-        let number = lead.vehicles.first().map(|leader| leader.number);
-        line.vehicles
-            .iter()
-            .any(|placed| Some(placed.number) == number)
-    };
-    from_a <= to_b + MERGE_WITHIN_S
-        && from_b <= to_a + MERGE_WITHIN_S
+    let [[a_from_s, a_to_s], [b_from_s, b_to_s]] = [a, b].map(|episode| {
+        [episode.onset_s, episode.braking_end_s].map(|time_s| episode.start_s + time_s)
+    });
+    a_from_s <= b_to_s + MERGE_WITHIN_S
+        && b_from_s <= a_to_s + MERGE_WITHIN_S
         && a.event == b.event
-        && (leads_in(a, b) || leads_in(b, a))
+        && (contains_leader_of(a, b) || contains_leader_of(b, a))
+}
+
+/// Returns whether the leader of another episode is a vehicle of this one.
+fn contains_leader_of(episode: &BrakingEpisode, other: &BrakingEpisode) -> bool {
+    let leader = other.vehicles.first().map(|leader| leader.number);
+    episode
+        .vehicles
+        .iter()
+        .any(|vehicle| Some(vehicle.number) == leader)
 }
 
 #[cfg(test)]

@@ -78,18 +78,20 @@ pub fn import(
     let mut goes_on = true;
     for path in paths {
         let mut source: Option<ImportedRecording> = None;
-        let (mut hardest, mut scenarios) = (HardestSearch::default(), 0);
-        let (mut dropped, mut left_out) = (Vec::new(), Vec::new());
+        let mut hardest = HardestSearch::default();
+        let mut scenarios = 0;
+        let mut dropped = Vec::new();
+        let mut dropped_episodes = Vec::new();
         load_parts(path, map, progress, &mut |mut part| {
             merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
             hardest.add(&part);
             let number = numbers.entry(prefix(&part)).or_insert(0);
-            let mut take = |scenario| {
+            let of_part = import_part(&part, options, number, &mut |scenario| {
                 scenarios += 1;
                 goes_on = take(scenario);
                 goes_on
-            };
-            left_out.extend(import_part(&part, options, number, &mut take)?);
+            })?;
+            dropped_episodes.extend(of_part);
             source = Some(ImportedRecording {
                 path: path.clone(),
                 format: part.format,
@@ -99,7 +101,8 @@ pub fn import(
             });
             Ok(goes_on)
         })?;
-        imported.dropped.extend(dropped.into_iter().chain(left_out));
+        imported.dropped.extend(dropped);
+        imported.dropped.extend(dropped_episodes);
         let hardest = hardest.finish();
         imported
             .sources
@@ -132,38 +135,41 @@ fn import_part(
         match episode.scenario(name.clone(), &file) {
             Ok(scenario) => {
                 *number += 1;
-                let file_name = format!("{name}.toml");
-                let path = || recording.path.clone();
-                let toml = to_toml(&scenario).map_err(|source| RecordingError::Render {
-                    path: path(),
-                    name,
-                    source,
-                })?;
-                if !take(ImportedScenario {
-                    file_name,
-                    toml,
-                    scenario,
-                }) {
+                if !take(render(scenario, name, recording)?) {
                     break;
                 }
             }
-            Err(invalid) => {
-                let number = episode.vehicles.first().map_or(0, |leader| leader.number);
-                let onset_s = episode.start_s + episode.onset_s;
-                let what = Omission::Episode {
-                    number,
-                    onset_s,
+            Err(invalid) => dropped.push(DroppedItem {
+                path: recording.path.clone(),
+                line: episode.line,
+                omission: Omission::Episode {
+                    number: episode.vehicles.first().map_or(0, |leader| leader.number),
+                    onset_s: episode.start_s + episode.onset_s,
                     reason: EpisodeProblem::Invalid(invalid),
-                };
-                dropped.push(DroppedItem {
-                    path: recording.path.clone(),
-                    line: episode.line,
-                    omission: what,
-                });
-            }
+                },
+            }),
         }
     }
     Ok(dropped)
+}
+
+/// Returns a scenario with its file.
+fn render(
+    scenario: Scenario,
+    name: String,
+    recording: &Recording,
+) -> Result<ImportedScenario, RecordingError> {
+    let file_name = format!("{name}.toml");
+    let toml = to_toml(&scenario).map_err(|source| RecordingError::Render {
+        path: recording.path.clone(),
+        name,
+        source,
+    })?;
+    Ok(ImportedScenario {
+        file_name,
+        toml,
+        scenario,
+    })
 }
 
 /// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.
