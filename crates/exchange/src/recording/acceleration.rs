@@ -26,12 +26,12 @@ impl AccelerationCheck {
         let column = CsvColumn::find(
             names,
             &acceleration.column,
-            AccelerationUnit::of_column(acceleration.unit),
+            AccelerationUnit::column_unit(acceleration.unit),
         )?;
         let series = Series::new(column, ColumnQuantity::Signed);
         Ok(Some(Self {
             series,
-            comparison: Comparison::of_speeds(),
+            comparison: Comparison::for_speeds(),
             speed: speed.column.clone(),
         }))
     }
@@ -69,7 +69,7 @@ impl AccelerationCheck {
         );
         let hypotheses: Vec<_> = std::iter::once(sign).chain(units).collect();
         let change = format!("the change of {}", self.speed);
-        let comparison = std::mem::replace(&mut self.comparison, Comparison::of_speeds());
+        let comparison = std::mem::replace(&mut self.comparison, Comparison::for_speeds());
         comparison.check(
             table,
             &column.name,

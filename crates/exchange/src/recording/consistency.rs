@@ -203,7 +203,7 @@ pub(super) struct Comparison {
     /// True if the direction of the change is unknown.
     is_undirected: bool,
     /// True for speeds and accelerations.
-    is_of_speeds: bool,
+    compares_speeds: bool,
 }
 
 /// A window to which rows are added.
@@ -266,9 +266,9 @@ impl Comparison {
     }
 
     /// Compares speeds, as levels, with accelerations.
-    pub(super) fn of_speeds() -> Self {
+    pub(super) fn for_speeds() -> Self {
         Self {
-            is_of_speeds: true,
+            compares_speeds: true,
             ..Self::default()
         }
     }
@@ -358,7 +358,7 @@ impl Comparison {
     /// changes tell more than those of [`WINDOW_S`].
     fn lasting_errors(&self) -> Option<Vec<Window>> {
         // Slopes of a road are in accelerations. Noise of positions without direction does not average out.
-        if self.is_of_speeds {
+        if self.compares_speeds {
             return None;
         }
         let lasting = self.lasting_windows([!self.is_undirected, true]);
@@ -422,7 +422,7 @@ impl Comparison {
 
     /// Finds a contradiction of two columns.
     fn find(&self, columns: [&str; 2], hypotheses: &[Hypothesis]) -> Option<FoundContradiction> {
-        let unit = if self.is_of_speeds { "m/s²" } else { "m/s" };
+        let unit = if self.compares_speeds { "m/s²" } else { "m/s" };
         let windows = self.wrong_windows()?;
         let is_wrong = is_wrong(&windows);
         let reasons = self.explain(&windows, hypotheses);
@@ -469,7 +469,7 @@ impl Comparison {
         let scale_mps = median(windows, |window| window.largest_mps(GIVEN));
         let is_large = given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps);
         // Few windows that were chosen for their changes show an offset by chance.
-        let averages_out = !self.is_of_speeds && !self.is_undirected;
+        let averages_out = !self.compares_speeds && !self.is_undirected;
         let has_lasting = averages_out && self.all_lasting_windows().len() >= MIN_WINDOWS;
         match self.error_lasts() {
             _ if has_lasting && self.lasting_errors().is_some() => true,
@@ -544,25 +544,25 @@ impl Comparison {
         columns: [&str; 2],
         (hypotheses, dropped): (&[Hypothesis], &mut Vec<DroppedItem>),
     ) -> Result<bool, RecordingError> {
-        let Some(found) = self.find(columns, hypotheses) else {
+        let Some(finding) = self.find(columns, hypotheses) else {
             return Ok(true);
         };
         let path = table.path().to_owned();
-        if found.is_explained {
+        if finding.is_explained {
             let problem = LineProblem::Column {
                 column: field.to_owned(),
-                problem: ColumnProblem::Contradiction(Box::new(found.contradiction)),
+                problem: ColumnProblem::Contradiction(Box::new(finding.contradiction)),
             };
             return Err(RecordingError::Line {
                 path,
-                line: found.line,
+                line: finding.line,
                 problem,
             });
         }
         dropped.push(DroppedItem {
             path,
-            line: found.line,
-            omission: Omission::ColumnsContradict(found.contradiction),
+            line: finding.line,
+            omission: Omission::ColumnsContradict(finding.contradiction),
         });
         Ok(false)
     }

@@ -65,10 +65,10 @@ pub fn following_exposure(
 pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     let mut cluster: Vec<usize> = (0..episodes.len()).collect();
     for (index, episode) in episodes.iter().enumerate() {
-        for (before, other) in episodes.iter().enumerate().take(index) {
-            if is_same_cluster(episode, other) {
-                let from = cluster[index].max(cluster[before]);
-                let to = cluster[index].min(cluster[before]);
+        for (earlier_index, earlier) in episodes.iter().enumerate().take(index) {
+            if is_same_cluster(episode, earlier) {
+                let from = cluster[index].max(cluster[earlier_index]);
+                let to = cluster[index].min(cluster[earlier_index]);
                 if from != to {
                     cluster
                         .iter_mut()
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn following_is_summed_over_all_leaders_and_clusters_stay_together() {
+    fn exposure_sums_all_leaders_and_waves_form_clusters() {
         let recording = platoon();
         // 600 samples span 59.9 s; no braking can begin in the last second. Where the second spacing is missing, 1.1 s
         // of its pair and of those ahead do not count.
@@ -161,10 +161,10 @@ mod tests {
             (LeaderSelection::Any, 3, 57.8),
             (LeaderSelection::First, 3, 57.8),
         ] {
-            let found = seconds(leaders, followers);
+            let measured = seconds(leaders, followers);
             assert!(
-                (found - wanted).abs() < 1e-6,
-                "{leaders:?} {followers}: {found}"
+                (measured - wanted).abs() < 1e-6,
+                "{leaders:?} {followers}: {measured}"
             );
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
@@ -172,11 +172,11 @@ mod tests {
             driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2,
             "{driven:?}"
         );
-        let found =
+        let episodes =
             crate::recording::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any)
                 .episodes;
         assert_eq!(
-            (found.len(), braking_clusters(&found)),
+            (episodes.len(), braking_clusters(&episodes)),
             (6, [0, 0, 0, 1, 1, 1].to_vec())
         );
     }

@@ -71,15 +71,15 @@ fn has_word(name_words: &[String], wanted: &str) -> bool {
     })
 }
 
-/// Returns the unit in the name of a column, or `other`.
-fn unit_of<U: serde::de::DeserializeOwned>(
+/// Returns the unit in the name of a column, or a default unit.
+fn unit_or_default<U: serde::de::DeserializeOwned>(
     all: &[(&'static str, f64)],
     column: &str,
-    other: &str,
+    default_unit: &str,
 ) -> Option<U> {
     serde_json::from_value(
         unit_in_name(all, column)
-            .map_or(other, |(unit, _)| unit)
+            .map_or(default_unit, |(unit, _)| unit)
             .into(),
     )
     .ok()
@@ -142,7 +142,7 @@ impl<'c> NamedColumns<'c> {
         }
         let spacing = SpacingSpec {
             column: spacing.clone(),
-            unit: unit_of(LengthUnit::ALL, spacing, length_unit),
+            unit: unit_or_default(LengthUnit::ALL, spacing, length_unit),
             from: Spacing::BumperToBumper,
         };
         let mut layouts = Vec::new();
@@ -156,7 +156,7 @@ impl<'c> NamedColumns<'c> {
                     leader_speed: leader.map(|name| speed(name, speed_unit)),
                     relative_speed: self.relative.map(|name| RelativeSpeedSpec {
                         column: name.clone(),
-                        unit: unit_of(SpeedUnit::ALL, name, speed_unit),
+                        unit: unit_or_default(SpeedUnit::ALL, name, speed_unit),
                         sign,
                     }),
                 }));
@@ -169,14 +169,14 @@ impl<'c> NamedColumns<'c> {
         let position = self.position?;
         let length = self.length.map(|name| LengthColumnSpec {
             name: name.clone(),
-            unit: unit_of(LengthUnit::ALL, name, length_unit),
+            unit: unit_or_default(LengthUnit::ALL, name, length_unit),
         });
         Some(LayoutSpec::Tracks(TracksSpec {
             vehicle: self.vehicle?.clone(),
             lane: self.lane.cloned(),
             position: PositionSpec {
                 column: position.clone(),
-                unit: unit_of(LengthUnit::ALL, position, length_unit),
+                unit: unit_or_default(LengthUnit::ALL, position, length_unit),
                 of: ReferencePoint::Front,
             },
             speed: speed(self.own?, speed_unit),
@@ -189,7 +189,7 @@ impl<'c> NamedColumns<'c> {
 fn speed(column: &str, unit: &str) -> SpeedSpec {
     SpeedSpec {
         column: column.to_owned(),
-        unit: unit_of(SpeedUnit::ALL, column, unit),
+        unit: unit_or_default(SpeedUnit::ALL, column, unit),
         acceleration: None,
     }
 }
@@ -201,7 +201,7 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     };
     // Epoch times need no name.
     let time_unit =
-        unit_of(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
+        unit_or_default(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
     let mut layouts: Vec<LayoutSpec> = Vec::new();
     for speed_unit in unit_names(SpeedUnit::ALL, states_units) {
         for length_unit in unit_names(LengthUnit::ALL, states_units) {
@@ -401,7 +401,7 @@ mod tests {
 
     /// A row of a vehicle and its leader has ids and positions, too, and one of traffic may describe the leader.
     #[test]
-    fn drafts_tell_pairs_from_tracks() {
+    fn drafts_distinguish_pairs_from_tracks() {
         let folder = tempfile::tempdir().unwrap();
         let draft = |text: String| {
             let path = folder.path().join("log.csv");

@@ -35,14 +35,14 @@ pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut events = EventReader::new(map, pairs, names)?;
     while let Some(row) = table.next_sample(&names.fields)? {
         events.read_row(row)?;
         if events.finished_rows > PART_ROWS {
             let part = events.part(table, Vec::new())?;
-            if !each(part)? {
+            if !sink(part)? {
                 return Ok(());
             }
         }
@@ -64,7 +64,7 @@ pub(super) fn read(
     let mut last = events.part(table, dropped)?;
     events.clock.report(&mut last.dropped);
     last.dropped.extend(events.contradictions);
-    each(last)?;
+    sink(last)?;
     Ok(())
 }
 
@@ -243,8 +243,6 @@ impl<'m> EventReader<'m> {
     /// Returns the speeds of follower and leader from any two of the three columns; neither if they contradict one
     /// another.
     fn reconcile_speeds(&mut self, row: &CsvRow<'_>, speeds: PairSpeeds) -> [Option<f64>; 2] {
-        let possible =
-            |speed_mps: f64| ColumnQuantity::Speed.allows(speed_mps).then_some(speed_mps);
         let PairSpeeds {
             follower_mps,
             relative_mps,
@@ -252,9 +250,11 @@ impl<'m> EventReader<'m> {
         } = speeds;
         match (follower_mps, relative_mps, leader_mps) {
             (Some(follower), Some(relative), None) => {
-                [Some(follower), possible(follower + relative)]
+                [Some(follower), possible_speed(follower + relative)]
             }
-            (None, Some(relative), Some(leader)) => [possible(leader - relative), Some(leader)],
+            (None, Some(relative), Some(leader)) => {
+                [possible_speed(leader - relative), Some(leader)]
+            }
             (Some(follower), Some(relative), Some(leader)) => {
                 let error_mps = (relative - (leader - follower)).abs();
                 if error_mps <= SPEED_TOLERANCE_MPS {
@@ -431,6 +431,10 @@ impl PairSpeeds {
     }
 }
 
+fn possible_speed(speed_mps: f64) -> Option<f64> {
+    Some(speed_mps).filter(|speed_mps| ColumnQuantity::Speed.allows(*speed_mps))
+}
+
 fn read_optional(
     series: &mut Option<Series>,
     row: &CsvRow<'_>,
@@ -442,7 +446,7 @@ fn read_optional(
 }
 
 fn find_spacing(names: &CsvRow<'_>, spacing: &SpacingSpec) -> Result<Series, RecordingError> {
-    let unit = LengthUnit::of_column(spacing.unit);
+    let unit = LengthUnit::column_unit(spacing.unit);
     let column = CsvColumn::find(names, &spacing.column, unit)?;
     Ok(Series::new(column, ColumnQuantity::Gap))
 }
@@ -454,7 +458,7 @@ fn find_speed(
     let Some(speed) = speed else {
         return Ok(None);
     };
-    let unit = SpeedUnit::of_column(speed.unit);
+    let unit = SpeedUnit::column_unit(speed.unit);
     let column = CsvColumn::find(names, &speed.column, unit)?;
     Ok(Some(Series::new(column, ColumnQuantity::Speed)))
 }
@@ -467,7 +471,7 @@ fn find_relative_speed(
     let Some(speed) = speed else {
         return Ok(None);
     };
-    let unit = SpeedUnit::of_column(speed.unit);
+    let unit = SpeedUnit::column_unit(speed.unit);
     let mut column = CsvColumn::find(names, &speed.column, unit)?;
     column.factor *= match speed.sign {
         Sign::LeaderMinusFollower => 1.0,

@@ -73,10 +73,10 @@ impl PlatoonColumns {
             .filter(|(index, _)| *index != time.column.index)
         {
             let earlier = if let Some(number) = column_number(name, &platoon.speed.column) {
-                let unit = SpeedUnit::of_column(platoon.speed.unit);
+                let unit = SpeedUnit::column_unit(platoon.speed.unit);
                 speeds.insert(number, names.column(index, unit)?)
             } else if let Some(number) = column_number(name, &platoon.spacing.column) {
-                let unit = LengthUnit::of_column(platoon.spacing.unit);
+                let unit = LengthUnit::column_unit(platoon.spacing.unit);
                 gaps.insert(number, names.column(index, unit)?)
             } else {
                 None

@@ -30,7 +30,7 @@ pub(super) fn read(
     (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
     lines: &[Fields],
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut reader = PlatoonReader::new((map, platoon), lines, names)?;
     let mut bounds = PartBounds::new(2 * reader.speeds.len());
@@ -41,7 +41,7 @@ pub(super) fn read(
         }
         if bounds.ends_before((now_s * 1000.0).round() as i64) {
             let part = bounds.next();
-            if !each(reader.part(table, part.core_ms)?)? {
+            if !sink(reader.part(table, part.core_ms)?)? {
                 return Ok(());
             }
             reader.forget_before(part.next_from_ms as f64 / 1000.0);
@@ -50,7 +50,7 @@ pub(super) fn read(
     }
     table.check_samples(&mut reader.dropped)?;
     reader.report_values(table);
-    each(reader.part(table, bounds.next().core_ms)?)?;
+    sink(reader.part(table, bounds.next().core_ms)?)?;
     Ok(())
 }
 

@@ -58,7 +58,7 @@ impl Clock {
     pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
         let column = match time {
             TimeSpec::Clock(clock) => {
-                CsvColumn::find(names, &clock.column, TimeUnit::of_column(clock.unit))
+                CsvColumn::find(names, &clock.column, TimeUnit::column_unit(clock.unit))
             }
             TimeSpec::Frames(frames) => {
                 let unit = ColumnUnit::Frames(1.0 / frames.rate_hz);
@@ -137,29 +137,26 @@ impl Clock {
         }
         match row.number(&self.column)? {
             None => row.reject(&self.column.name, ColumnProblem::Empty),
-            Some(found) if found.abs() > MAX_TIME_S => row.reject(
+            Some(time_s) if time_s.abs() > MAX_TIME_S => row.reject(
                 &self.column.name,
                 ColumnProblem::OutOfRange {
                     limit: MAX_TIME_S,
-                    found,
+                    found: time_s,
                 },
             ),
-            Some(found_s) => Ok(found_s),
+            Some(time_s) => Ok(time_s),
         }
     }
 
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
-    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
-        let Some(before_s) = self
-            .last_s
-            .filter(|last_s| found_s < last_s - MIN_RESTART_S)
-        else {
+    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, row_s: f64) -> bool {
+        let Some(before_s) = self.last_s.filter(|last_s| row_s < last_s - MIN_RESTART_S) else {
             return false;
         };
         let before = format!(
             "{}: the time starts anew here ({} s after {} s); of ",
             self.column.name,
-            format_number(found_s),
+            format_number(row_s),
             format_number(before_s)
         );
         row.count(&mut self.restarts, || {
@@ -169,18 +166,18 @@ impl Clock {
     }
 
     /// Returns whether a row's time is later than the last, and counts those that are not.
-    pub(super) fn advance(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
+    pub(super) fn advance(&mut self, row: &CsvRow<'_>, row_s: f64) -> bool {
         if let Some(before_s) = self.last_s
-            && round_to_milli(found_s) <= round_to_milli(before_s)
+            && round_to_milli(row_s) <= round_to_milli(before_s)
         {
             row.count(&mut self.not_later, || {
-                let [found_s, before_s] = [found_s, before_s].map(format_number);
-                let after = format!("{NOT_LATER} ({found_s} s after {before_s} s)");
+                let [row_s, before_s] = [row_s, before_s].map(format_number);
+                let after = format!("{NOT_LATER} ({row_s} s after {before_s} s)");
                 Omission::counted(format!("{}: ", self.column.name), 0, after)
             });
             return false;
         }
-        self.last_s = Some(found_s);
+        self.last_s = Some(row_s);
         true
     }
 

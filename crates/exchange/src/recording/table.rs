@@ -157,16 +157,16 @@ impl<'a> RowReader<'a> {
             return Ok(None);
         }
         let expected = names.len();
-        let found = self.row.fields.len();
-        if found != expected {
-            let column = excerpt(
-                names
-                    .get(found.min(expected.saturating_sub(1)))
-                    .unwrap_or_default(),
+        let count = self.row.fields.len();
+        if count != expected {
+            let index = count.min(expected.saturating_sub(1));
+            return self.row.reject(
+                &excerpt(names.get(index).unwrap_or_default()),
+                ColumnProblem::FieldCount {
+                    expected,
+                    found: count,
+                },
             );
-            return self
-                .row
-                .reject(&column, ColumnProblem::FieldCount { expected, found });
         }
         self.samples += 1;
         Ok(Some(&self.row))
@@ -386,7 +386,7 @@ impl<'a> CsvRow<'a> {
         let named = unit_in_name(units, full_name);
         let unknown = unknown_unit_in_name(units, full_name);
         let problem = match (stated, named, unknown) {
-            (Some((in_map, factor)), Some((in_name, other)), _) if other != factor => {
+            (Some((in_map, factor)), Some((in_name, name_factor)), _) if name_factor != factor => {
                 ColumnProblem::OtherUnit {
                     in_name: in_name.into(),
                     in_map,

@@ -71,10 +71,10 @@ impl TextFormat {
     /// # Errors
     /// A first line that states a separator which crumple does not read, in words.
     pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Result<Self, String> {
-        if let Some(found) = unknown_separator(sample) {
-            let found = excerpt(found);
+        if let Some(separator) = unknown_separator(sample) {
+            let separator = excerpt(separator);
             return Err(format!(
-                "the first line states the separator `{found}`, but crumple reads only comma, semicolon and tab"
+                "the first line states the separator `{separator}`, but crumple reads only comma, semicolon and tab"
             ));
         }
         Ok(Self::detect_known(sample, map))

@@ -226,11 +226,11 @@ impl<'a> LineSource<'a> {
 struct BlankFilter {
     delimiter: u8,
     comment: Option<u8>,
-    place: TextPlace,
+    state: TextState,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum TextPlace {
+enum TextState {
     LineStart,
     FieldStart,
     Field,
@@ -246,7 +246,7 @@ impl BlankFilter {
         Self {
             delimiter: format.delimiter.byte(),
             comment,
-            place: TextPlace::LineStart,
+            state: TextState::LineStart,
         }
     }
 
@@ -266,15 +266,15 @@ impl BlankFilter {
 
     /// Moves behind a byte. Returns whether it is removed.
     fn advance(&mut self, byte: u8) -> bool {
-        use TextPlace::{Comment, Field, FieldStart, LineStart, Quoted, QuotedMark};
+        use TextState::{Comment, Field, FieldStart, LineStart, Quoted, QuotedMark};
         let unquoted = match byte {
             b'\n' => LineStart,
             _ if byte == self.delimiter => FieldStart,
             _ => Field,
         };
-        let is_start = matches!(self.place, LineStart | FieldStart);
+        let is_start = matches!(self.state, LineStart | FieldStart);
         let is_blank = is_start && byte == b' ';
-        self.place = match self.place {
+        self.state = match self.state {
             LineStart if self.comment == Some(byte) => Comment,
             LineStart | FieldStart if byte == b'"' => Quoted,
             LineStart | FieldStart if is_blank => FieldStart,

@@ -26,7 +26,7 @@ pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut columns = TrackColumns::find(names, map, spec)?;
     let mut spilled = SpilledPoints::default();
@@ -45,10 +45,10 @@ pub(super) fn read(
         dropped,
     };
     if spilled.is_empty() {
-        each(parts.part(points, ALL_TIMES)?)?;
+        sink(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
     }
-    parts.emit(points, spilled, each)
+    parts.emit(points, spilled, sink)
 }
 
 /// Reads all points. Those that are too many for memory go to `spilled`.
@@ -99,7 +99,7 @@ impl TrafficParts<'_, '_> {
         mut self,
         mut points: Vec<TrackPoint>,
         mut spilled: SpilledPoints,
-        each: &mut PartSink<'_>,
+        sink: &mut PartSink<'_>,
     ) -> Result<(), RecordingError> {
         let path = self.table.path();
         spilled
@@ -113,7 +113,7 @@ impl TrafficParts<'_, '_> {
                 let part = bounds.next();
                 let margin = next_margin(&points, &part);
                 let part_points = std::mem::replace(&mut points, margin);
-                if !each(self.part(part_points, part.core_ms)?)? {
+                if !sink(self.part(part_points, part.core_ms)?)? {
                     return Ok(());
                 }
             }
@@ -126,7 +126,7 @@ impl TrafficParts<'_, '_> {
             }
             points.push(point);
         }
-        each(self.part(points, bounds.next().core_ms)?)?;
+        sink(self.part(points, bounds.next().core_ms)?)?;
         Ok(())
     }
 

@@ -26,8 +26,8 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), FieldError> {
     }
     check_map_name(&spec.name)?;
     if spec.lines_before_names > MAX_LINES_BEFORE_NAMES {
-        let found = spec.lines_before_names;
-        let problem = format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}");
+        let lines = spec.lines_before_names;
+        let problem = format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {lines}");
         return Err(FieldError::new("lines_before_names", problem));
     }
     check_frame_choices(spec)?;
@@ -285,14 +285,14 @@ fn check_name(field: &str, name: &str) -> Result<(), FieldError> {
     Ok(())
 }
 
-fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), FieldError> {
-    if (min..=max).contains(&found) {
+fn check_range(field: &str, value: f64, [min, max]: [f64; 2]) -> Result<(), FieldError> {
+    if (min..=max).contains(&value) {
         Ok(())
     } else {
-        let found = format_number(found);
+        let value = format_number(value);
         Err(FieldError::new(
             field,
-            format!("must be from {min} to {max}, found {found}"),
+            format!("must be from {min} to {max}, found {value}"),
         ))
     }
 }

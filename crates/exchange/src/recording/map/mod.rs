@@ -110,7 +110,7 @@ pub enum FrameChoice {
 impl FrameChoice {
     /// Returns the number for a message; `None` for any.
     #[cfg(feature = "mdf")]
-    pub(in crate::recording) fn of_message(&self, message: &str) -> Option<u64> {
+    pub(in crate::recording) fn for_message(&self, message: &str) -> Option<u64> {
         match self {
             Self::All(number) => Some(u64::from(*number)),
             Self::ByMessage(numbers) => numbers.get(message).copied().map(u64::from),

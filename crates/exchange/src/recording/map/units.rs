@@ -16,7 +16,7 @@ macro_rules! units {
             pub(in crate::recording) const ALL: &[(&'static str, f64)] = &[$(($written, $factor)),*];
 
             /// Returns the unit of a column for which the map states this one, or none.
-            pub(in crate::recording) fn of_column(stated: Option<Self>) -> ColumnUnit {
+            pub(in crate::recording) fn column_unit(stated: Option<Self>) -> ColumnUnit {
                 ColumnUnit::Quantity { units: Self::ALL, stated: stated.map(|unit| Self::ALL[unit as usize]) }
             }
         }
@@ -144,14 +144,11 @@ pub(in crate::recording) fn unit_in_name(units: &[NamedUnit], name: &str) -> Opt
         return None;
     }
     let words = words(name);
-    let is_named =
-        |(unit, _): &&NamedUnit| words.iter().any(|word| is_name_of(unit, plain_unit(word)));
-    // Longer units contain shorter ones.
-    units
+    let named_units = units
         .iter()
-        .filter(is_named)
-        .max_by_key(|(unit, _)| unit.len())
-        .copied()
+        .filter(|(unit, _)| words.iter().any(|word| is_name_of(unit, plain_unit(word))));
+    // Longer units contain shorter ones.
+    named_units.max_by_key(|(unit, _)| unit.len()).copied()
 }
 
 /// A text in a name that stands for a unit, but for none that crumple converts.

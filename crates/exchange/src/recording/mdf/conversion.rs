@@ -243,13 +243,11 @@ impl Ranges {
 
     /// Returns the index of the first range that contains a number.
     fn find(&self, raw: f64) -> Option<usize> {
-        let contains =
-            |[low, high]: [f64; 2]| low <= raw && (raw < high || self.includes_end && raw == high);
         if self.overlap {
             return self
                 .bounds
                 .iter()
-                .find(|(bounds, _)| contains(*bounds))
+                .find(|(bounds, _)| self.contains(*bounds, raw))
                 .map(|(_, index)| *index);
         }
         let position = self
@@ -257,7 +255,11 @@ impl Ranges {
             .partition_point(|([_, high], _)| *high < raw || !self.includes_end && *high == raw);
         self.bounds
             .get(position)
-            .filter(|(bounds, _)| contains(*bounds))
+            .filter(|(bounds, _)| self.contains(*bounds, raw))
             .map(|(_, index)| *index)
+    }
+
+    fn contains(&self, [low, high]: [f64; 2], raw: f64) -> bool {
+        low <= raw && (raw < high || self.includes_end && raw == high)
     }
 }

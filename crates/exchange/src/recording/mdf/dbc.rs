@@ -101,9 +101,11 @@ impl DbcFile {
             let Some(FrameChoice::ByMessage(numbers)) = choice else {
                 continue;
             };
-            let is_known =
-                |name: &str| self.dbc.messages.iter().any(|message| message.name == name);
-            if let Some(name) = numbers.keys().find(|name| !is_known(name)) {
+            let messages = &self.dbc.messages;
+            let unknown = numbers
+                .keys()
+                .find(|name| !messages.iter().any(|message| message.name == **name));
+            if let Some(name) = unknown {
                 let problem = format!(
                     "has no message {}, which `{key}` of the map names",
                     excerpt(name)
@@ -111,8 +113,8 @@ impl DbcFile {
                 return Err(dbc_error(self.path, None, problem));
             }
         }
-        (self.bus_channel, self.source_address) =
-            (map.bus_channel.clone(), map.source_address.clone());
+        self.bus_channel = map.bus_channel.clone();
+        self.source_address = map.source_address.clone();
         Ok(self)
     }
 
@@ -387,7 +389,7 @@ fn starts_with_words(line: &str, words: [&str; 2]) -> bool {
 
 /// Returns the number that a map chooses for the frames of a message.
 fn chosen_number(choice: Option<&FrameChoice>, message: &Message) -> Option<u64> {
-    choice?.of_message(&message.name)
+    choice?.for_message(&message.name)
 }
 
 /// Returns whether the source address in the id of a message stands for any sender.

@@ -100,7 +100,7 @@ impl Column {
     pub(super) fn begin(&mut self, chunk: ColumnChunk, rows: u64, file: &mut FileBytes) {
         self.release_page(file);
         if let Some(dictionary) = self.dictionary.take() {
-            file.held -= dictionary.bytes.len() as u64;
+            file.bytes_in_memory -= dictionary.bytes.len() as u64;
         }
         self.chunk = Some(chunk);
         self.rows_left = 0;
@@ -108,7 +108,7 @@ impl Column {
     }
 
     fn release_page(&mut self, file: &mut FileBytes) {
-        file.held -= std::mem::take(&mut self.page).len() as u64;
+        file.bytes_in_memory -= std::mem::take(&mut self.page).len() as u64;
     }
 
     /// Returns the number of the next row, NaN if missing or no number, and writes its text.
@@ -238,7 +238,7 @@ impl Dictionary {
             let &(from, to) = self.texts.get(index)?;
             return self.bytes.get(from as usize..to as usize).map(Value::Bytes);
         }
-        Value::of_dictionary(physical, &self.bytes, index)
+        Value::from_dictionary(physical, &self.bytes, index)
     }
 }
 

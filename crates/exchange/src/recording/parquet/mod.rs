@@ -39,7 +39,7 @@ pub(super) struct FileBytes {
     /// Bytes that pages may still have after decompression.
     decompressed_left: u64,
     /// Bytes of the pages and dictionaries in memory.
-    held: u64,
+    bytes_in_memory: u64,
 }
 
 impl FileBytes {
@@ -51,7 +51,7 @@ impl FileBytes {
             length,
             unread: length,
             decompressed_left,
-            held: 0,
+            bytes_in_memory: 0,
         })
     }
 

@@ -10,7 +10,7 @@ const HEADER_BYTES: [u64; 3] = [256, 64 << 10, 4 << 20];
 /// Maximum size of a page after decompression. Writers begin another page at about a megabyte.
 const MAX_PAGE_BYTES: u64 = 64 << 20;
 /// Maximum size of all pages and dictionaries in memory.
-const MAX_HELD_BYTES: u64 = 256 << 20;
+const MAX_BYTES_IN_MEMORY: u64 = 256 << 20;
 
 /// A page with values or with a dictionary.
 pub(super) struct Page {
@@ -133,10 +133,10 @@ impl FileBytes {
             .decompressed_left
             .checked_sub(plain_bytes)
             .ok_or(too_large)?;
-        self.held += plain_bytes;
-        if self.held > MAX_HELD_BYTES {
+        self.bytes_in_memory += plain_bytes;
+        if self.bytes_in_memory > MAX_BYTES_IN_MEMORY {
             return Err(ParquetError::TooLarge {
-                limit: MAX_HELD_BYTES,
+                limit: MAX_BYTES_IN_MEMORY,
                 what: "bytes of pages at one row",
             });
         }

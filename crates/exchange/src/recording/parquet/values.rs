@@ -69,7 +69,7 @@ impl ValueReader {
                 return Ok(Self::Split { from, index: 0 });
             }
             (7, _) => "DELTA_BYTE_ARRAY".to_owned(),
-            (other, _) => format!("of number {other}"),
+            (number, _) => format!("of number {number}"),
         };
         let column = column.shown_name();
         Err(ParquetError::Unsupported(format!(
@@ -153,7 +153,7 @@ impl<'b> Value<'b> {
     }
 
     /// Returns the value of a dictionary with an index; `None` for a text, and behind the end.
-    pub(super) fn of_dictionary(
+    pub(super) fn from_dictionary(
         physical: PhysicalType,
         bytes: &'b [u8],
         index: usize,

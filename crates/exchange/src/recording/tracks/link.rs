@@ -276,11 +276,13 @@ fn absences(points: &[TrackPoint], order: &[RowEntry], blip_ms: i64) -> Vec<Abse
     instants.dedup();
     let mut absences = Vec::new();
     for track in points.chunk_by(|a, b| a.track == b.track) {
-        let mut known = track.iter().filter(|point| point.position_m.is_some());
-        let Some(mut a) = known.next() else { continue };
+        let mut located = track.iter().filter(|point| point.position_m.is_some());
+        let Some(mut a) = located.next() else {
+            continue;
+        };
         let mut next = instants.partition_point(|&instant| instant <= a.time_ms);
         let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
-        for b in known {
+        for b in located {
             if a.lane != b.lane {
                 left.insert(a.lane, a);
                 let before = left

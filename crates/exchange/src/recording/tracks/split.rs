@@ -144,14 +144,14 @@ pub(super) fn track_votes(track: &[TrackPoint], speeds_agree: bool) -> Direction
 }
 
 fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
-    let mut known = rows
+    let mut positions = rows
         .iter()
         .enumerate()
         .filter_map(|(index, row)| Some((index, row, row.position_m?)));
-    let Some((_, mut from, mut from_m)) = known.next() else {
+    let Some((_, mut from, mut from_m)) = positions.next() else {
         return Vec::new();
     };
-    known
+    positions
         .map(|(to, row, to_m)| {
             let seconds = (row.time_ms - from.time_ms) as f64 / 1000.0;
             let speeds = from.speed_mps.zip(row.speed_mps).filter(|_| speeds_agree);
@@ -164,7 +164,8 @@ fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
                 seconds,
                 changes_lane,
             };
-            (from, from_m) = (row, to_m);
+            from = row;
+            from_m = to_m;
             movement
         })
         .collect()

@@ -51,13 +51,13 @@ impl TrackColumns {
         let lane = lane
             .map(|name| CsvColumn::find(names, name, ColumnUnit::None))
             .transpose()?;
-        let position_unit = LengthUnit::of_column(spec.position.unit);
+        let position_unit = LengthUnit::column_unit(spec.position.unit);
         let position = CsvColumn::find(names, &spec.position.column, position_unit)?;
-        let speed_unit = SpeedUnit::of_column(spec.speed.unit);
+        let speed_unit = SpeedUnit::column_unit(spec.speed.unit);
         let speed = CsvColumn::find(names, &spec.speed.column, speed_unit)?;
         let length = match &spec.length {
             LengthSpec::Column(column) => {
-                let unit = LengthUnit::of_column(column.unit);
+                let unit = LengthUnit::column_unit(column.unit);
                 let column = CsvColumn::find(names, &column.name, unit)?;
                 LengthColumn::Column(Series::new(column, ColumnQuantity::Length))
             }
