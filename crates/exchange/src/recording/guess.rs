@@ -43,6 +43,14 @@ pub struct MapDraft {
 struct Columns(Vec<(String, Vec<String>)>);
 
 impl Columns {
+    fn new(names: Vec<String>) -> Self {
+        let columns = names.into_iter().map(|name| {
+            let words = words(&name);
+            (name, words)
+        });
+        Self(columns.collect())
+    }
+
     /// Returns the first column with one of the words, and with none of `without`.
     fn find(&self, words: &str, without: &[&str]) -> Option<&String> {
         self.find_both(words, words, without)
@@ -275,6 +283,17 @@ fn built_in_draft(path: &Path, names: &[String]) -> Option<MapDraft> {
     })
 }
 
+/// Returns whether another candidate may name the right columns and units.
+fn is_about_column(error: &RecordingError) -> bool {
+    matches!(
+        error,
+        RecordingError::Line {
+            problem: LineProblem::Column { .. },
+            ..
+        }
+    )
+}
+
 /// Drafts a map of a recording: the first candidate whose columns do not contradict each other. Units in names of
 /// columns are kept. `None` without candidates.
 ///
@@ -288,12 +307,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     if let Some(draft) = built_in_draft(path, &names) {
         return Ok(Some(draft));
     }
-    let columns = Columns(
-        names
-            .into_iter()
-            .map(|name| (name.clone(), words(&name)))
-            .collect(),
-    );
+    let columns = Columns::new(names);
     let mut second_choice = None;
     let mut contradiction = None;
     for map in candidates(&columns, states_units) {
@@ -313,12 +327,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
                 }
                 second_choice.get_or_insert(draft);
             }
-            Err(
-                error @ RecordingError::Line {
-                    problem: LineProblem::Column { .. },
-                    ..
-                },
-            ) => {
+            Err(error) if is_about_column(&error) => {
                 contradiction.get_or_insert(error);
             }
             Err(error) => return Err(error),

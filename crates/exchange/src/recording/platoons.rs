@@ -142,23 +142,20 @@ impl<'m> PlatoonReader<'m> {
         let mut gaps_m = self.fill_holes(&self.gaps, table, &mut dropped);
         let mut platoons = Vec::new();
         for numbers in &self.lines_of_vehicles {
-            let followed = &numbers[..numbers.len().saturating_sub(1)];
+            let vehicles = numbers.iter().map(|&number| RecordedVehicle {
+                number,
+                name: self.header.name_of(number, &self.speeds),
+                speed_mps: speeds_mps.remove(&number).unwrap_or_default(),
+            });
+            let vehicles = vehicles.collect();
+            let followed = numbers[..numbers.len().saturating_sub(1)].iter();
+            let gaps_m = followed.map(|number| gaps_m.remove(number).unwrap_or_default());
             platoons.push(RecordedPlatoon {
                 event: None,
                 time_s: self.time_s.clone(),
                 line: self.line.clone(),
-                vehicles: numbers
-                    .iter()
-                    .map(|&number| RecordedVehicle {
-                        number,
-                        name: self.header.name_of(number, &self.speeds),
-                        speed_mps: speeds_mps.remove(&number).unwrap_or_default(),
-                    })
-                    .collect(),
-                gaps_m: followed
-                    .iter()
-                    .map(|number| gaps_m.remove(number).unwrap_or_default())
-                    .collect(),
+                vehicles,
+                gaps_m: gaps_m.collect(),
                 core_ms: core_ms.clone(),
             });
         }

@@ -402,14 +402,10 @@ impl<'a> CsvRow<'a> {
             }
             (None, None, Some(unknown)) => ColumnProblem::UnknownUnit {
                 unit: excerpt(&unknown.text),
-                advice: unit_advice(
-                    units,
-                    if unknown.is_certain {
-                        CONVERT
-                    } else {
-                        STATE_UNIT
-                    },
-                ),
+                advice: match unknown.is_certain {
+                    true => unit_advice(units, CONVERT),
+                    false => unit_advice(units, STATE_UNIT),
+                },
             },
             (Some((_, factor)), ..) => return Ok(DetectedUnit::stated(factor)),
             (None, Some((unit, factor)), _) => {

@@ -168,30 +168,24 @@ impl DbcFile {
                 // Frames without the signal, by a multiplexer, have no place in its clock.
                 let clock = signals.add_clock();
                 let index = signals.add(name, signal.unit.clone(), clock);
-                decoded.signals.push(self.frame_signal(
-                    message,
-                    signal,
-                    &multiplexers,
-                    (index, is_j1939),
-                )?);
+                let decoded_signal =
+                    self.frame_signal(message, signal, &multiplexers, (index, is_j1939))?;
+                decoded.signals.push(decoded_signal);
             }
             match message.id {
                 MessageId::Extended(id) if is_j1939 && has_any_sender(message) => {
                     if !decoder.insert_group(id, decoded) {
                         let problem =
-                            "two messages from any sender have this parameter group number"
-                                .to_owned();
-                        return Err(self.error(message, None, problem));
+                            "two messages from any sender have this parameter group number";
+                        return Err(self.error(message, None, problem.to_owned()));
                     }
                 }
                 id => decoder.insert(id, decoded),
             }
         }
-        for message in &self.dbc.messages {
-            if !has_any_sender(message) {
-                decoder.reserve(message.id);
-            }
-        }
+        let messages = self.dbc.messages.iter();
+        let of_one_sender = messages.filter(|message| !has_any_sender(message));
+        of_one_sender.for_each(|message| decoder.reserve(message.id));
         Ok(decoder)
     }
 
