@@ -226,6 +226,7 @@ impl OpenWindow {
         }
     }
 
+    /// Adds a row, and integrates the rates up to it.
     fn add(&mut self, sample: Sample) {
         let step_s = sample.time_s - self.last.time_s;
         for ((integral, before), after) in self
@@ -309,6 +310,7 @@ impl Comparison {
         }
     }
 
+    /// Adds a complete window.
     fn add_window(&mut self, window: &OpenWindow) {
         let change_m = window.last.level_m - window.first.level_m;
         let change_m = if self.is_undirected {

@@ -161,6 +161,7 @@ impl BrakingEpisode {
         sentences.join(" ")
     }
 
+    /// Describes place and braking of the leader.
     fn describe_braking(&self, file: &str) -> String {
         let event = self
             .event
@@ -184,6 +185,7 @@ impl BrakingEpisode {
         )
     }
 
+    /// Describes the vehicles behind the leader.
     fn describe_followers(&self) -> String {
         let followers: Vec<_> = self
             .vehicles

@@ -43,6 +43,7 @@ pub struct MapDraft {
 struct Columns(Vec<(String, Vec<String>)>);
 
 impl Columns {
+    /// Splits names into words.
     fn new(names: Vec<String>) -> Self {
         let columns = names.into_iter().map(|name| {
             let words = words(&name);

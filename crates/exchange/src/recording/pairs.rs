@@ -435,6 +435,7 @@ fn possible_speed(speed_mps: f64) -> Option<f64> {
     Some(speed_mps).filter(|speed_mps| ColumnQuantity::Speed.allows(*speed_mps))
 }
 
+/// Reads the value of a column, if there is one.
 fn read_optional(
     series: &mut Option<Series>,
     row: &CsvRow<'_>,
@@ -451,6 +452,7 @@ fn find_spacing(names: &CsvRow<'_>, spacing: &SpacingSpec) -> Result<Series, Rec
     Ok(Series::new(column, ColumnQuantity::Gap))
 }
 
+/// Finds the column of a speed, if the map names one.
 fn find_speed(
     names: &CsvRow<'_>,
     speed: Option<&SpeedSpec>,

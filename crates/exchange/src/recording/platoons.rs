@@ -74,6 +74,7 @@ struct PlatoonReader<'m> {
 }
 
 impl<'m> PlatoonReader<'m> {
+    /// Finds the columns of the platoon, and splits it where a spacing is unknown.
     fn new(
         (map, platoon): (&'m RecordingMapSpec, &PlatoonSpec),
         lines: &[Fields],
@@ -188,6 +189,7 @@ impl<'m> PlatoonReader<'m> {
         Ok(())
     }
 
+    /// Compares the change of a gap with the speeds of leader and follower.
     fn check_gap(
         &self,
         gap: &Series,

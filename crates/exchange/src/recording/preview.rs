@@ -45,15 +45,15 @@ pub enum HardestBrakingResult {
     },
 }
 
-impl fmt::Display for HardestBraking {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl HardestBraking {
+    /// Describes the braking as the rest of a sentence about a file.
+    fn describe(&self) -> String {
         let event = self
             .event
             .as_ref()
             .map(|event| format!(" of event {event}"))
             .unwrap_or_default();
-        write!(
-            out,
+        format!(
             "the hardest braking is {} m/s within a second, of vehicle {}{event} from {} s on",
             format_fixed(self.drop_mps, 2),
             self.number,
@@ -66,7 +66,7 @@ impl fmt::Display for HardestBraking {
 impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Braking(braking) => write!(out, "{braking}"),
+            Self::Braking(braking) => out.write_str(&braking.describe()),
             Self::NoBraking => out.write_str("no vehicle brakes"),
             Self::NoSpeed => out.write_str(
                 "no vehicle that can be a leader has a known speed, so crumple cannot find braking",

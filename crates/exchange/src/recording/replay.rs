@@ -175,6 +175,7 @@ impl Instant {
         self.vehicle.number == other.vehicle.number && behind == other_behind
     }
 
+    /// Returns speeds and gaps of all three vehicles.
     fn state(&self) -> DriveState {
         let [gap_behind_m, behind_mps] = self
             .behind

@@ -28,6 +28,7 @@ pub(super) struct ResampledSignals {
 }
 
 impl ResampledSignals {
+    /// Creates the rows at the times of the first spacing or position of the map.
     pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> Self {
         let roles: Vec<Option<ColumnRole>> = stream
             .set

@@ -263,6 +263,7 @@ struct CompressedHeader {
 }
 
 impl CompressedHeader {
+    /// Parses the fields before the compressed bytes.
     fn parse(bytes: &[u8]) -> Self {
         Self {
             kind: little_endian(bytes, 2, 1).unwrap_or(0),

@@ -261,7 +261,7 @@ impl FrameBits {
             if self.is_big_endian {
                 raw = raw << 1 | bit(frame, at)?;
                 // Bits count from the least significant one of each byte.
-                at = if at % 8 == 0 {
+                at = if at.is_multiple_of(8) {
                     at.checked_add(15)?
                 } else {
                     at - 1

@@ -327,6 +327,7 @@ impl DbcFile {
         })
     }
 
+    /// Returns the bits of a signal in its frames.
     fn bits(&self, message: &Message, signal: &DbcSignal) -> FrameBits {
         let kind = self
             .dbc

@@ -147,6 +147,7 @@ impl Column {
         Ok(self.column.show(value, text))
     }
 
+    /// Reads the next page of the current group.
     fn read_page(&mut self, file: &mut FileBytes) -> Result<(), ParquetError> {
         self.release_page(file);
         let chunk = self

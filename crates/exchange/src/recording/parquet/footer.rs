@@ -267,6 +267,7 @@ struct ChunkMetadata {
 }
 
 impl ChunkMetadata {
+    /// Reads the structure in the metadata of a column.
     fn read(&mut self, reader: &mut ThriftReader<'_>) -> Result<(), ParquetError> {
         reader.read_struct(|reader, id, kind| {
             match id {

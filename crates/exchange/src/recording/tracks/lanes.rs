@@ -107,6 +107,7 @@ struct TrafficVotes {
 }
 
 impl TrafficVotes {
+    /// Counts the movements of all tracks.
     fn count(points: &[TrackPoint], speeds_agree: bool) -> Self {
         let mut sum = Self::default();
         for track in points.chunk_by(|a, b| a.track == b.track) {
