@@ -26,12 +26,12 @@ impl AccelerationCheck {
         let column = CsvColumn::find(
             names,
             &acceleration.column,
-            AccelerationUnit::of_column(acceleration.unit),
+            AccelerationUnit::column_unit(acceleration.unit),
         )?;
         let series = Series::new(column, ColumnQuantity::Signed);
         Ok(Some(Self {
             series,
-            comparison: Comparison::of_speeds(),
+            comparison: Comparison::for_speeds(),
             speed: speed.column.clone(),
         }))
     }
@@ -57,15 +57,19 @@ impl AccelerationCheck {
         table: &RowReader<'_>,
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<(), RecordingError> {
-        let (column, terms) = (&self.series.column, [false, true, false]);
+        let column = &self.series.column;
         let sign = Hypothesis {
             factors: [1.0, -1.0, 1.0],
             reason: format!("{} has the opposite sign", column.name),
         };
-        let units = Hypothesis::units(&column.name, (AccelerationUnit::ALL, column.factor), terms);
+        let units = Hypothesis::units(
+            &column.name,
+            (AccelerationUnit::ALL, column.factor),
+            [false, true, false],
+        );
         let hypotheses: Vec<_> = std::iter::once(sign).chain(units).collect();
         let change = format!("the change of {}", self.speed);
-        let comparison = std::mem::replace(&mut self.comparison, Comparison::of_speeds());
+        let comparison = std::mem::replace(&mut self.comparison, Comparison::for_speeds());
         comparison.check(
             table,
             &column.name,

@@ -93,49 +93,72 @@ impl BinaryFormat {
         } else if start.starts_with(b"MDF     ") || start.starts_with(b"UnFinMF ") {
             Some(Self::Mdf)
         } else {
-            let found = OTHER_FORMATS
+            OTHER_FORMATS
                 .iter()
-                .find(|(first, _)| start.starts_with(first));
-            found.map(|(_, name)| Self::Other(name))
+                .find(|(first, _)| start.starts_with(first))
+                .map(|(_, name)| Self::Other(name))
         }
     }
 }
 
-/// Returns the names of the columns or signals of a file, and whether it can state units. The clocks of an MDF file are
-/// `time`.
-pub(super) fn column_names(path: &Path) -> Result<(Vec<String>, bool), RecordingError> {
-    let error = |source| RecordingError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let open_file = || RecordingFile::open(path, None).map_err(error);
+/// Columns or signals of a file.
+pub(super) struct FileColumns {
+    /// Names; the clocks of an MDF file are `time`.
+    pub(super) names: Vec<String>,
+    /// True if the file can state units.
+    pub(super) states_units: bool,
+}
+
+/// Reads the names of the columns or signals of a file.
+pub(super) fn read_columns(path: &Path) -> Result<FileColumns, RecordingError> {
     let mut start = Vec::new();
-    open_file()?
+    open_file(path)?
         .take(START_BYTES)
         .read_to_end(&mut start)
-        .map_err(error)?;
+        .map_err(|source| read_error(path, source))?;
     let mut rows = match BinaryFormat::detect(&start) {
         #[cfg(feature = "mdf")]
-        Some(BinaryFormat::Mdf) => {
-            let names = std::cell::RefCell::new(vec!["time".to_owned()]);
-            let collect = |name: &str| {
-                names.borrow_mut().push(name.to_owned());
-                false
-            };
-            let read = super::mdf::SignalSet::read(open_file()?, None, &collect);
-            read.map_err(|problem| RecordingError::Binary {
-                path: path.to_owned(),
-                problem: problem.into(),
-            })?;
-            return Ok((names.into_inner(), true));
-        }
-        Some(format) => open(format, Input::File(open_file()?), path, None)?,
-        None => RowReader::new(open_file()?, path, None)?,
+        Some(BinaryFormat::Mdf) => return read_signals(path),
+        Some(format) => open(format, Input::File(open_file(path)?), path, None)?,
+        None => RowReader::new(open_file(path)?, path, None)?,
     };
     let names = rows.next_header()?.ok_or_else(|| RecordingError::Empty {
         path: path.to_owned(),
     })?;
-    Ok((names.fields.iter().map(str::to_owned).collect(), false))
+    Ok(FileColumns {
+        names: names.fields.iter().map(str::to_owned).collect(),
+        states_units: false,
+    })
+}
+
+fn open_file(path: &Path) -> Result<RecordingFile, RecordingError> {
+    RecordingFile::open(path, None).map_err(|source| read_error(path, source))
+}
+
+/// Returns the error for a file that the system cannot read.
+pub(super) fn read_error(path: &Path, source: io::Error) -> RecordingError {
+    RecordingError::Read {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// Reads the names of the signals of an MDF file.
+#[cfg(feature = "mdf")]
+fn read_signals(path: &Path) -> Result<FileColumns, RecordingError> {
+    let names = std::cell::RefCell::new(vec!["time".to_owned()]);
+    super::mdf::SignalSet::read(open_file(path)?, None, &|name| {
+        names.borrow_mut().push(name.to_owned());
+        false
+    })
+    .map_err(|problem| RecordingError::Binary {
+        path: path.to_owned(),
+        problem: problem.into(),
+    })?;
+    Ok(FileColumns {
+        names: names.into_inner(),
+        states_units: true,
+    })
 }
 
 /// Returns the rows of a file for the columns of a map.
@@ -162,10 +185,11 @@ fn open_parquet<'a>(
     path: &'a Path,
     map: Option<&RecordingMapSpec>,
 ) -> Result<RowReader<'a>, BinaryProblem> {
-    let (rows, names) = match input {
+    let rows = match input {
         Input::File(file) => super::parquet::open(file, map)?,
         Input::Bytes(bytes) => super::parquet::open(std::io::Cursor::new(bytes), map)?,
     };
+    let names = rows.names();
     Ok(RowReader::from_binary(
         Box::new(rows),
         (names, Fields::default()),
@@ -193,10 +217,10 @@ fn open_mdf<'a>(
 ) -> Result<RowReader<'a>, BinaryProblem> {
     use super::mdf::{DbcFile, SignalStream, SignalUse};
     let map = map.ok_or(BinaryProblem::NeedsMap)?;
-    let known = std::cell::RefCell::new(Vec::new());
+    let listed = std::cell::RefCell::new(Vec::new());
     let wanted = |name: &str| {
-        if known.borrow().len() < MAX_LISTED {
-            known.borrow_mut().push(name.to_owned());
+        if listed.borrow().len() < MAX_LISTED {
+            listed.borrow_mut().push(name.to_owned());
         }
         let role = map.column_role(name).filter(|role| !role.is_clock)?;
         Some(if role.is_id {
@@ -213,8 +237,10 @@ fn open_mdf<'a>(
             SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted)
         }
     }?;
-    let (rows, names, units) = super::signal_rows::ResampledSignals::new(signals, map);
-    check_columns(map, &names, &known.into_inner())?;
+    let rows = super::signal_rows::ResampledSignals::new(signals, map);
+    let names = rows.names(map);
+    check_columns(map, &names, &listed.into_inner())?;
+    let units = rows.units();
     Ok(RowReader::from_binary(Box::new(rows), (names, units), path))
 }
 
@@ -223,42 +249,37 @@ fn open_mdf<'a>(
 pub(super) fn check_columns(
     map: &RecordingMapSpec,
     names: &Fields,
-    known: &[String],
+    names_in_file: &[String],
 ) -> Result<(), BinaryProblem> {
-    let is_missing = |column: &str| {
+    let columns = map.columns();
+    let missing = columns.iter().find(|(_, column)| {
         !column.contains("{}") && !names.iter().any(|name| is_same_name(name, column))
+    });
+    let Some((_, column)) = missing else {
+        return Ok(());
     };
-    match map
-        .columns()
-        .into_iter()
-        .find(|(_, column)| is_missing(column))
-    {
-        Some((_, column)) => {
-            let more = if known.len() < MAX_LISTED {
-                ""
-            } else {
-                ", ..."
-            };
-            let known: Vec<_> = known
-                .iter()
-                .take(MAX_LISTED)
-                .map(|name| super::table::excerpt(name))
-                .collect();
-            let has_frames =
-                map.dbc.is_none() && known.iter().any(|name| name.starts_with("CAN_DataFrame"));
-            let hint = if has_frames {
-                "; raw CAN frames need `dbc = \"FILE.dbc\"` in the map"
-            } else {
-                ""
-            };
-            let known = format!("{}{more}{hint}", known.join(", "));
-            Err(BinaryProblem::MissingColumn {
-                column: column.to_owned(),
-                known,
-            })
-        }
-        None => Ok(()),
-    }
+    let more = if names_in_file.len() < MAX_LISTED {
+        ""
+    } else {
+        ", ..."
+    };
+    let excerpts: Vec<_> = names_in_file
+        .iter()
+        .take(MAX_LISTED)
+        .map(|name| super::table::excerpt(name))
+        .collect();
+    let has_frames = excerpts
+        .iter()
+        .any(|name| name.starts_with("CAN_DataFrame"));
+    let hint = if has_frames && map.dbc.is_none() {
+        "; raw CAN frames need `dbc = \"FILE.dbc\"` in the map"
+    } else {
+        ""
+    };
+    Err(BinaryProblem::MissingColumn {
+        column: (*column).to_owned(),
+        known: format!("{}{more}{hint}", excerpts.join(", ")),
+    })
 }
 
 #[cfg(not(feature = "mdf"))]

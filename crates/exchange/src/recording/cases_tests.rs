@@ -21,8 +21,8 @@ fn load_case(file: &str, map: &str) -> Result<Recording, RecordingError> {
 /// Returns numbers of the vehicles and gaps ahead in metres, of the episode with most vehicles.
 fn longest_line(file: &str, map: &str) -> (Vec<usize>, Vec<f64>) {
     let recording = load_case(file, map).expect("readable");
-    let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let longest = found
+    let episodes = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+    let longest = episodes
         .iter()
         .max_by_key(|episode| episode.vehicles.len())
         .expect("an episode");
@@ -51,13 +51,16 @@ fn vehicles_follow_those_ahead_of_them() {
         ("q_fwd.csv", "highd.toml", &[1, 2, 3], &[24.38, 5.5]),
         ("q_rev.csv", "highd.toml", &[1, 2, 3], &[24.38, 5.5]),
     ] {
-        let (found, found_m) = longest_line(file, map);
-        assert_eq!(found, vehicles, "{file}: {found_m:?}");
-        let errors_m = found_m
+        let (numbers, followed_m) = longest_line(file, map);
+        assert_eq!(numbers, vehicles, "{file}: {followed_m:?}");
+        let errors_m = followed_m
             .iter()
             .zip(gaps_m)
-            .map(|(found, right)| (found - right).abs());
-        assert!(errors_m.fold(0.0, f64::max) < 0.05, "{file}: {found_m:?}");
+            .map(|(gap_m, right_m)| (gap_m - right_m).abs());
+        assert!(
+            errors_m.fold(0.0, f64::max) < 0.05,
+            "{file}: {followed_m:?}"
+        );
     }
 }
 
@@ -186,7 +189,7 @@ fn contradictions(text: &str, gap: &str, closing: &str) -> Vec<String> {
     let dropped = recording
         .dropped
         .iter()
-        .filter(|one| matches!(one.omission, Omission::ColumnsContradict(_)));
+        .filter(|item| matches!(item.omission, Omission::ColumnsContradict(_)));
     dropped.map(ToString::to_string).collect()
 }
 
@@ -211,15 +214,15 @@ fn columns_of_different_vehicles_are_reported_and_noise_is_not() {
             );
         }
         for (gap, closing) in [("rear", "front_closing"), ("front", "rear_closing")] {
-            let found = contradictions(&text, gap, closing);
+            let messages = contradictions(&text, gap, closing);
             let expected = format!("the change of {gap} is");
             assert!(
-                found.len() == 1 && found[0].contains(&expected),
-                "{noise_m} {resolution_m} {gap}: {found:?}"
+                messages.len() == 1 && messages[0].contains(&expected),
+                "{noise_m} {resolution_m} {gap}: {messages:?}"
             );
             assert!(
-                found[0].ends_with("no other unit or sign explains this"),
-                "{found:?}"
+                messages[0].ends_with("no other unit or sign explains this"),
+                "{messages:?}"
             );
         }
     }
@@ -257,26 +260,26 @@ fn contradictions_from_half_a_metre_per_second_on_are_reported_with_their_reason
     for offset_mps in [-0.6, -0.5, 0.5, 0.55, 0.6] {
         for (amplitude_mps, noise_m) in [(0.0, 0.0), (0.0, 0.05), (0.4, 0.2), (2.0, 0.05)] {
             let text = drive([offset_mps, 1.0, amplitude_mps], noise_m, 60, 7);
-            let found = contradictions(&text, "gap", "closing");
+            let messages = contradictions(&text, "gap", "closing");
             assert!(
-                found.len() == 1 && found[0].contains("the change of gap is"),
-                "{offset_mps} {amplitude_mps} {noise_m}: {found:?}"
+                messages.len() == 1 && messages[0].contains("the change of gap is"),
+                "{offset_mps} {amplitude_mps} {noise_m}: {messages:?}"
             );
         }
-        let found = contradictions(&drive([offset_mps, 1.0, 0.4], 0.0, 60, 7), "gap", "closing");
+        let messages = contradictions(&drive([offset_mps, 1.0, 0.4], 0.0, 60, 7), "gap", "closing");
         let reason = format!(
             "an offset of {} m/s",
             crumple_core::digits::format_fixed(offset_mps, 1)
         );
-        assert!(found[0].contains(&reason), "{found:?}");
+        assert!(messages[0].contains(&reason), "{messages:?}");
     }
     // The same between columns that are constant: the gap, and the closing speed.
     let mut constant = "t,gap,closing,v\n".to_owned();
     (0..600).for_each(|tenth| constant += &format!("{},40,0.55,20\n", f64::from(tenth) / 10.0));
-    let found = contradictions(&constant, "gap", "closing");
+    let messages = contradictions(&constant, "gap", "closing");
     assert!(
-        found.len() == 1 && found[0].contains("gap is 0.0 m/s here, but closing is 0."),
-        "{found:?}"
+        messages.len() == 1 && messages[0].contains("gap is 0.0 m/s here, but closing is 0."),
+        "{messages:?}"
     );
     for offset_mps in [-0.2, 0.0, 0.2] {
         for noise_m in [0.0, 0.05, 0.2, 0.5, 1.0] {
@@ -309,30 +312,30 @@ fn a_ratio_is_named_where_it_leaves_less_than_an_offset() {
         all.join("; ")
     };
     let nearly_constant = |at_s: f64| 8.8 + 0.4 * (0.3 * at_s).sin();
-    let found = dropped(&nearly_constant, 1.1, 0.0);
+    let note = dropped(&nearly_constant, 1.1, 0.0);
     assert!(
-        found.ends_with(": this looks like a ratio of 1.10"),
-        "{found}"
+        note.ends_with(": this looks like a ratio of 1.10"),
+        "{note}"
     );
-    let found = dropped(&nearly_constant, 1.0, 0.8);
+    let note = dropped(&nearly_constant, 1.0, 0.8);
     assert!(
-        found.ends_with(": this looks like an offset of 0.8 m/s"),
-        "{found}"
+        note.ends_with(": this looks like an offset of 0.8 m/s"),
+        "{note}"
     );
     // At a constant speed, both leave nothing. A ratio of speeds that vary leaves no offset.
-    let found = dropped(&|_| 8.8, 1.1, 0.0);
+    let note = dropped(&|_| 8.8, 1.1, 0.0);
     assert!(
-        found.ends_with(": this looks like an offset of 0.8 m/s, or a ratio of 1.10"),
-        "{found}"
+        note.ends_with(": this looks like an offset of 0.8 m/s, or a ratio of 1.10"),
+        "{note}"
     );
-    let found = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.1, 0.0);
+    let note = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.1, 0.0);
     assert!(
-        found.ends_with(": this looks like a ratio of 1.10"),
-        "{found}"
+        note.ends_with(": this looks like a ratio of 1.10"),
+        "{note}"
     );
-    let found = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.04, 0.0);
+    let note = dropped(&|at_s| 12.0 + 8.0 * (0.3 * at_s).sin(), 1.04, 0.0);
     assert!(
-        found.ends_with(": this looks like a ratio of 1.04"),
-        "{found}"
+        note.ends_with(": this looks like a ratio of 1.04"),
+        "{note}"
     );
 }

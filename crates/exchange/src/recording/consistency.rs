@@ -121,21 +121,23 @@ impl Hypothesis {
         [(leader, leader_unit), (follower, follower_unit)]: [(&'a str, f64); 2],
         difference: &'a str,
     ) -> impl Iterator<Item = Self> + 'a {
-        let units = |column, given, terms| Self::units(column, (SpeedUnit::ALL, given), terms);
-        let both = units(difference, leader_unit, [false, true, true])
-            .filter(move |_| leader_unit == follower_unit);
-        let each = units(leader, leader_unit, [false, true, false]);
-        both.chain(each)
-            .chain(units(follower, follower_unit, [false, false, true]))
+        let leader_units = (SpeedUnit::ALL, leader_unit);
+        let follower_units = (SpeedUnit::ALL, follower_unit);
+        Self::units(difference, leader_units, [false, true, true])
+            .filter(move |_| leader_unit == follower_unit)
+            .chain(Self::units(leader, leader_units, [false, true, false]))
+            .chain(Self::units(follower, follower_units, [false, false, true]))
     }
 
     /// Returns a hypothesis for each other unit of the time, or rate of frames.
     pub(super) fn times(time: &TimeSpec, given: f64) -> impl Iterator<Item = Self> {
-        let (column, units) = match time {
-            TimeSpec::Clock(clock) => (&clock.column, TimeUnit::ALL),
-            TimeSpec::Frames(frames) => (&frames.column, FRAME_INTERVALS_S),
-        };
-        Self::units(column, (units, given), [false, true, true])
+        const TERMS: [bool; 3] = [false, true, true];
+        match time {
+            TimeSpec::Clock(clock) => Self::units(&clock.column, (TimeUnit::ALL, given), TERMS),
+            TimeSpec::Frames(frames) => {
+                Self::units(&frames.column, (FRAME_INTERVALS_S, given), TERMS)
+            }
+        }
     }
 }
 
@@ -197,13 +199,55 @@ impl Window {
 #[derive(Default)]
 pub(super) struct Comparison {
     windows: Vec<Window>,
-    /// Start of the current window, last row in it, and number of its rows.
-    current: Option<(Sample, Sample, usize)>,
-    integrals_m: [f64; 2],
+    current: Option<OpenWindow>,
     /// True if the direction of the change is unknown.
     is_undirected: bool,
     /// True for speeds and accelerations.
-    is_of_speeds: bool,
+    compares_speeds: bool,
+}
+
+/// A window to which rows are added.
+#[derive(Clone, Copy)]
+struct OpenWindow {
+    first: Sample,
+    last: Sample,
+    rows: usize,
+    /// Integral of each rate over the window.
+    integrals_m: [f64; 2],
+}
+
+impl OpenWindow {
+    fn new(first: Sample) -> Self {
+        Self {
+            first,
+            last: first,
+            rows: 1,
+            integrals_m: [0.0; 2],
+        }
+    }
+
+    /// Adds a row, and integrates the rates up to it.
+    fn add(&mut self, sample: Sample) {
+        let step_s = sample.time_s - self.last.time_s;
+        for ((integral, before), after) in self
+            .integrals_m
+            .iter_mut()
+            .zip(self.last.rates_mps)
+            .zip(sample.rates_mps)
+        {
+            *integral += 0.5 * (before + after) * step_s;
+        }
+        self.last = sample;
+        self.rows += 1;
+    }
+
+    fn seconds(&self) -> f64 {
+        self.last.time_s - self.first.time_s
+    }
+
+    fn is_complete(&self) -> bool {
+        self.seconds() >= WINDOW_S - 1e-6 || self.rows > MAX_WINDOW_ROWS
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -223,9 +267,9 @@ impl Comparison {
     }
 
     /// Compares speeds, as levels, with accelerations.
-    pub(super) fn of_speeds() -> Self {
+    pub(super) fn for_speeds() -> Self {
         Self {
-            is_of_speeds: true,
+            compares_speeds: true,
             ..Self::default()
         }
     }
@@ -251,42 +295,37 @@ impl Comparison {
             level_m,
             rates_mps,
         };
-        let Some((first, last, rows)) = self.current else {
-            (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
+        let Some(open) = &mut self.current else {
+            self.current = Some(OpenWindow::new(sample));
             return;
         };
-        let step_s = time_s - last.time_s;
-        for ((integral, before), after) in self
-            .integrals_m
-            .iter_mut()
-            .zip(last.rates_mps)
-            .zip(rates_mps)
-        {
-            *integral += 0.5 * (before + after) * step_s;
-        }
-        self.current = Some((first, sample, rows + 1));
-        let seconds = time_s - first.time_s;
-        if seconds < WINDOW_S - 1e-6 && rows < MAX_WINDOW_ROWS {
+        open.add(sample);
+        if !open.is_complete() {
             return;
         }
-        if seconds > 0.0 {
-            let change_m = level_m - first.level_m;
-            let change_m = if self.is_undirected {
-                change_m.abs()
-            } else {
-                change_m
-            };
-            let [a, b] = self.integrals_m;
-            let (from_s, to_s) = (first.time_s, time_s);
-            self.windows.push(Window {
-                terms: [change_m, a, b],
-                seconds,
-                from_s,
-                to_s,
-                line: first.line,
-            });
+        let window = *open;
+        self.current = Some(OpenWindow::new(sample));
+        if window.seconds() > 0.0 {
+            self.add_window(&window);
         }
-        (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
+    }
+
+    /// Adds a complete window.
+    fn add_window(&mut self, window: &OpenWindow) {
+        let change_m = window.last.level_m - window.first.level_m;
+        let change_m = if self.is_undirected {
+            change_m.abs()
+        } else {
+            change_m
+        };
+        let [first_m, second_m] = window.integrals_m;
+        self.windows.push(Window {
+            terms: [change_m, first_m, second_m],
+            seconds: window.seconds(),
+            from_s: window.first.time_s,
+            to_s: window.last.time_s,
+            line: window.first.line,
+        });
     }
 
     /// Adds an instant at which the first rate should be the sum of the others.
@@ -321,7 +360,7 @@ impl Comparison {
     /// changes tell more than those of [`WINDOW_S`].
     fn lasting_errors(&self) -> Option<Vec<Window>> {
         // Slopes of a road are in accelerations. Noise of positions without direction does not average out.
-        if self.is_of_speeds {
+        if self.compares_speeds {
             return None;
         }
         let lasting = self.lasting_windows([!self.is_undirected, true]);
@@ -369,23 +408,24 @@ impl Comparison {
         lasting
     }
 
-    /// Returns the contradiction, its line, and whether a unit or a sign explains it.
-    fn find(
-        &self,
-        columns: [&str; 2],
-        hypotheses: &[Hypothesis],
-    ) -> Option<(ColumnContradiction, u64, bool)> {
-        let unit = if self.is_of_speeds { "m/s²" } else { "m/s" };
+    /// Returns the windows that show an error; `None` if the columns agree.
+    fn wrong_windows(&self) -> Option<Vec<Window>> {
         let mut windows = self.windows.clone();
         windows.retain(|window| window.tells([true, true], window.seconds));
         let has_short = windows.len() >= MIN_WINDOWS;
-        if !(has_short && is_wrong(&windows)) {
-            match self.lasting_errors() {
-                Some(lasting) => windows = lasting,
-                None if has_short && self.is_wrong_ratio() => {}
-                None => return None,
-            }
+        if has_short && is_wrong(&windows) {
+            return Some(windows);
         }
+        match self.lasting_errors() {
+            Some(lasting) => Some(lasting),
+            None => (has_short && self.is_wrong_ratio()).then_some(windows),
+        }
+    }
+
+    /// Finds a contradiction of two columns.
+    fn find(&self, columns: [&str; 2], hypotheses: &[Hypothesis]) -> Option<FoundContradiction> {
+        let unit = if self.compares_speeds { "m/s²" } else { "m/s" };
+        let windows = self.wrong_windows()?;
         let is_wrong = is_wrong(&windows);
         let reasons = self.explain(&windows, hypotheses);
         let given_mps = median(&windows, |window| window.difference(GIVEN).abs());
@@ -406,17 +446,22 @@ impl Comparison {
         } else {
             quantile(&windows, 0.9, |window| window.difference(GIVEN).abs())
         };
-        let nearness = |window: &&Window| (window.difference(GIVEN).abs() - typical_mps).abs();
-        let typical = windows
-            .iter()
-            .min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+        let typical = windows.iter().min_by(|a, b| {
+            let [a_mps, b_mps] =
+                [a, b].map(|window| (window.difference(GIVEN).abs() - typical_mps).abs());
+            a_mps.total_cmp(&b_mps)
+        })?;
         let contradiction = ColumnContradiction {
             columns: columns.map(str::to_owned),
             rates: typical.rates(GIVEN),
             unit,
             reason,
         };
-        Some((contradiction, typical.line, is_explained))
+        Some(FoundContradiction {
+            contradiction,
+            line: typical.line,
+            is_explained,
+        })
     }
 
     /// Returns whether noise cannot be the reason of an error in `windows`. In a recording that is too short for the
@@ -426,7 +471,7 @@ impl Comparison {
         let scale_mps = median(windows, |window| window.largest_mps(GIVEN));
         let is_large = given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps);
         // Few windows that were chosen for their changes show an offset by chance.
-        let averages_out = !self.is_of_speeds && !self.is_undirected;
+        let averages_out = !self.compares_speeds && !self.is_undirected;
         let has_lasting = averages_out && self.all_lasting_windows().len() >= MIN_WINDOWS;
         match self.error_lasts() {
             _ if has_lasting && self.lasting_errors().is_some() => true,
@@ -452,41 +497,42 @@ impl Comparison {
 
     /// Returns the reasons of the hypotheses that leave only noise of an error.
     fn explain(&self, windows: &[Window], hypotheses: &[Hypothesis]) -> Vec<String> {
-        let relative = |factors| {
-            let error_mps = median(windows, |window| window.difference(factors).abs());
-            let scale_mps =
-                median(windows, |window| window.largest_mps(factors)).max(f64::MIN_POSITIVE);
-            (error_mps, error_mps / scale_mps, scale_mps)
-        };
-        let relative_errors = hypotheses.iter().map(|one| {
-            let (error_mps, relative, scale_mps) = relative(one.factors);
-            let is_noise = error_mps <= MIN_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
-            if is_noise { relative } else { f64::INFINITY }
-        });
-        let relative_errors: Vec<f64> = relative_errors.collect();
-        let best = relative_errors
+        let remaining_errors: Vec<f64> = hypotheses
+            .iter()
+            .map(|hypothesis| {
+                let error = MedianError::new(windows, hypothesis.factors);
+                let noise_mps = MIN_ERROR_MPS.max(MAX_EXPLAINED_ERROR * error.scale_mps);
+                if error.error_mps <= noise_mps {
+                    error.relative()
+                } else {
+                    f64::INFINITY
+                }
+            })
+            .collect();
+        let best = remaining_errors
             .iter()
             .copied()
             .fold(f64::INFINITY, f64::min);
-        let (_, given, _) = relative(GIVEN);
+        let given = MedianError::new(windows, GIVEN).relative();
         let has_better_error = is_wrong(windows) && best <= EXPLAINED_SHARE * given;
-        let explains = |(one, &error): (&'_ Hypothesis, &f64)| {
-            let [low, high] = self.ratio(one.factors);
-            let has_ratio = low > 1.0 / MIN_RATIO
-                && low < 1.0 + RATIO_TOLERANCE
-                && high > 1.0 - RATIO_TOLERANCE;
-            let is_likely = if has_better_error {
-                error <= best + 0.03
-            } else {
-                error.is_finite() && has_ratio
-            };
-            is_likely.then(|| one.reason.clone())
-        };
         hypotheses
             .iter()
-            .zip(&relative_errors)
-            .filter_map(explains)
+            .zip(remaining_errors)
+            .filter(|(hypothesis, error)| {
+                if has_better_error {
+                    *error <= best + 0.03
+                } else {
+                    error.is_finite() && self.has_equal_rates(hypothesis)
+                }
+            })
+            .map(|(hypothesis, _)| hypothesis.reason.clone())
             .collect()
+    }
+
+    /// Returns whether both rates are equal, up to noise, under a hypothesis.
+    fn has_equal_rates(&self, hypothesis: &Hypothesis) -> bool {
+        let [low, high] = self.ratio(hypothesis.factors);
+        low > 1.0 / MIN_RATIO && low < 1.0 + RATIO_TOLERANCE && high > 1.0 - RATIO_TOLERANCE
     }
 
     /// Reports a contradiction of two columns, of which `field` is probably wrong. Returns whether they agree.
@@ -500,35 +546,63 @@ impl Comparison {
         columns: [&str; 2],
         (hypotheses, dropped): (&[Hypothesis], &mut Vec<DroppedItem>),
     ) -> Result<bool, RecordingError> {
-        let Some((contradiction, line, is_explained)) = self.find(columns, hypotheses) else {
+        let Some(finding) = self.find(columns, hypotheses) else {
             return Ok(true);
         };
         let path = table.path().to_owned();
-        if is_explained {
-            let column = field.to_owned();
+        if finding.is_explained {
             let problem = LineProblem::Column {
-                column,
-                problem: ColumnProblem::Contradiction(Box::new(contradiction)),
+                column: field.to_owned(),
+                problem: ColumnProblem::Contradiction(Box::new(finding.contradiction)),
             };
             return Err(RecordingError::Line {
                 path,
-                line,
+                line: finding.line,
                 problem,
             });
         }
         dropped.push(DroppedItem {
             path,
-            line,
-            omission: Omission::ColumnsContradict(contradiction),
+            line: finding.line,
+            omission: Omission::ColumnsContradict(finding.contradiction),
         });
         Ok(false)
     }
 }
 
+/// A contradiction in a recording.
+struct FoundContradiction {
+    contradiction: ColumnContradiction,
+    line: u64,
+    /// True if another unit or sign explains it.
+    is_explained: bool,
+}
+
+/// Median error of windows.
+struct MedianError {
+    error_mps: f64,
+    /// Median of the larger rate of each window.
+    scale_mps: f64,
+}
+
+impl MedianError {
+    fn new(windows: &[Window], factors: [f64; 3]) -> Self {
+        let scale_mps = median(windows, |window| window.largest_mps(factors));
+        Self {
+            error_mps: median(windows, |window| window.difference(factors).abs()),
+            scale_mps: scale_mps.max(f64::MIN_POSITIVE),
+        }
+    }
+
+    fn relative(&self) -> f64 {
+        self.error_mps / self.scale_mps
+    }
+}
+
 fn quantile(windows: &[Window], share: f64, value: impl Fn(&Window) -> f64) -> f64 {
     let mut values: Vec<f64> = windows.iter().map(value).collect();
-    let place = (values.len() as f64 * share) as usize;
-    *values.select_nth_unstable_by(place, f64::total_cmp).1
+    let rank = (values.len() as f64 * share) as usize;
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
 fn median(windows: &[Window], value: impl Fn(&Window) -> f64) -> f64 {
@@ -572,29 +646,45 @@ fn describe_pattern(windows: &[Window], given_mps: f64, unit: &str) -> Option<St
     Some(format!("this looks like {pattern}"))
 }
 
-/// Returns an interval of the slope of the first rates over the second ones, with noise in either. The twentieth of the
-/// rates that differs most from the slope does not count.
-fn ratio_interval(mut rates: Vec<[f64; 2]>) -> [f64; 2] {
-    let fit = |rates: &[[f64; 2]]| {
+/// Regression line of first rates over second ones.
+struct LineFit {
+    mean: [f64; 2],
+    slope: f64,
+    /// Square of the correlation coefficient.
+    correlation: f64,
+}
+
+impl LineFit {
+    fn new(rates: &[[f64; 2]]) -> Self {
         let count = rates.len() as f64;
         let mean = [0, 1].map(|index| rates.iter().map(|pair| pair[index]).sum::<f64>() / count);
-        let product = |a: usize, b: usize| {
+        let [first, mixed, second] = [[0, 0], [0, 1], [1, 1]].map(|[a, b]| {
             rates
                 .iter()
                 .map(|pair| (pair[a] - mean[a]) * (pair[b] - mean[b]))
                 .sum::<f64>()
-        };
-        let (slope, correlation) = (
-            product(0, 1) / product(1, 1),
-            product(0, 1).powi(2) / (product(0, 0) * product(1, 1)),
-        );
-        (mean, slope, correlation)
-    };
-    let (mean, slope, _) = fit(&rates);
-    let error = |pair: &[f64; 2]| (pair[0] - mean[0] - slope * (pair[1] - mean[1])).abs();
-    rates.sort_by(|a, b| error(a).total_cmp(&error(b)));
+        });
+        Self {
+            mean,
+            slope: mixed / second,
+            correlation: mixed.powi(2) / (first * second),
+        }
+    }
+
+    fn error(&self, pair: &[f64; 2]) -> f64 {
+        (pair[0] - self.mean[0] - self.slope * (pair[1] - self.mean[1])).abs()
+    }
+}
+
+/// Returns an interval of the slope of the first rates over the second ones, with noise in either. The twentieth of the
+/// rates that differs most from the slope does not count.
+fn ratio_interval(mut rates: Vec<[f64; 2]>) -> [f64; 2] {
+    let fit = LineFit::new(&rates);
+    rates.sort_by(|a, b| fit.error(a).total_cmp(&fit.error(b)));
     rates.truncate(rates.len() - rates.len() / 20);
-    let (_, slope, correlation) = fit(&rates);
+    let LineFit {
+        slope, correlation, ..
+    } = LineFit::new(&rates);
     let least = 1.0
         - RATIO_ERRORS * ((1.0 / correlation - 1.0).max(0.0) / (rates.len() as f64 - 2.0)).sqrt();
     match slope * least {

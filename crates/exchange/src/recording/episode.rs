@@ -1,7 +1,5 @@
 //! Braking episodes and their scenarios.
 
-use std::fmt::Write as _;
-
 use crumple_sim::control::{AebSettings, BuiltInController};
 use crumple_sim::scenario::{
     Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass,
@@ -83,34 +81,7 @@ impl BrakingEpisode {
     /// # Errors
     /// [`InvalidField`] for numbers that a scenario may not hold, such as positions beyond 1000 km.
     pub fn scenario(&self, name: String, file: &str) -> Result<Scenario, InvalidField> {
-        let last = self.vehicles.len().saturating_sub(1);
-        let mut position_m = 0.0;
-        let mut vehicles = Vec::with_capacity(self.vehicles.len());
-        for (index, placed) in self.vehicles.iter().enumerate().rev() {
-            let driver = match index {
-                0 => Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
-                    time_s: self.time_s.clone(),
-                    speed_mps: self.speed_mps.clone(),
-                })),
-                _ if index == last && last > 1 => {
-                    Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
-                }
-                _ => Driver::UnderTest,
-            };
-            let length_m = placed.length_m.unwrap_or(CAR_LENGTH_M);
-            let class = VehicleClass::from_length(length_m);
-            let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
-            vehicle.length_m = Some(length_m);
-            vehicles.push(vehicle);
-            let ahead = index
-                .checked_sub(1)
-                .and_then(|ahead| self.vehicles.get(ahead));
-            let ahead_m = ahead
-                .and_then(|ahead| ahead.length_m)
-                .unwrap_or(CAR_LENGTH_M);
-            position_m = round_to_milli(position_m + placed.gap_ahead_m + ahead_m);
-        }
-        vehicles.reverse();
+        let mut vehicles = self.vehicle_specs();
         if let Some(leader) = vehicles.first_mut() {
             leader.max_brake_mps2 = raise_limit(leader.max_brake_mps2(), self.hardest_brake_mps2);
             leader.max_accel_mps2 = raise_limit(leader.max_accel_mps2(), self.hardest_accel_mps2);
@@ -125,7 +96,73 @@ impl BrakingEpisode {
         })
     }
 
+    /// Returns the vehicles of the scenario, front to rear; the last one is at position 0.
+    fn vehicle_specs(&self) -> Vec<VehicleSpec> {
+        let mut position_m = 0.0;
+        let mut specs = Vec::with_capacity(self.vehicles.len());
+        for (index, vehicle) in self.vehicles.iter().enumerate().rev() {
+            let length_m = vehicle.length_m.unwrap_or(CAR_LENGTH_M);
+            let class = VehicleClass::from_length(length_m);
+            let driver = self.driver(index);
+            let mut spec = VehicleSpec::new(class, position_m, vehicle.speed_mps, driver);
+            spec.length_m = Some(length_m);
+            specs.push(spec);
+            let ahead = index
+                .checked_sub(1)
+                .and_then(|ahead| self.vehicles.get(ahead));
+            let ahead_length_m = ahead
+                .and_then(|ahead| ahead.length_m)
+                .unwrap_or(CAR_LENGTH_M);
+            position_m = round_to_milli(position_m + vehicle.gap_ahead_m + ahead_length_m);
+        }
+        specs.reverse();
+        specs
+    }
+
+    /// Returns the driver of a vehicle of the scenario.
+    fn driver(&self, index: usize) -> Driver {
+        let last = self.vehicles.len().saturating_sub(1);
+        match index {
+            0 => Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
+                time_s: self.time_s.clone(),
+                speed_mps: self.speed_mps.clone(),
+            })),
+            _ if index == last && last > 1 => {
+                Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
+            }
+            _ => Driver::UnderTest,
+        }
+    }
+
+    /// Describes the episode in sentences.
     fn about(&self, file: &str) -> String {
+        let mut sentences = vec![self.describe_braking(file), self.describe_followers()];
+        match self.ahead {
+            VehicleAhead::None => {}
+            VehicleAhead::Recorded(number) => sentences.push(format!(
+                "Vehicle {number}, ahead of it, is no part of the scenario."
+            )),
+            VehicleAhead::NotRecorded(number) => sentences.push(format!(
+                "Vehicle {number}, ahead of it, was not recorded at the time."
+            )),
+        }
+        if let Some(number) = self.not_recorded_behind {
+            sentences.push(format!(
+                "Gap or speed of vehicle {number} is missing, so the line ends before it."
+            ));
+        }
+        if let Some(&end_s) = self.time_s.last()
+            && end_s < self.duration_s
+        {
+            sentences.push(format!(
+                "The recording of its speed ends after {end_s:.1} s; it then holds the last one."
+            ));
+        }
+        sentences.join(" ")
+    }
+
+    /// Describes place and braking of the leader.
+    fn describe_braking(&self, file: &str) -> String {
         let event = self
             .event
             .as_ref()
@@ -136,7 +173,7 @@ impl BrakingEpisode {
             .first()
             .map(EpisodeVehicle::to_string)
             .unwrap_or_default();
-        let mut about = format!(
+        format!(
             "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within {:.1} \
              s, by {:.2} m/s in its hardest second.",
             self.start_s,
@@ -145,59 +182,23 @@ impl BrakingEpisode {
             self.end_speed_mps,
             self.braking_end_s - self.onset_s,
             self.largest_drop_mps,
-        );
+        )
+    }
+
+    /// Describes the vehicles behind the leader.
+    fn describe_followers(&self) -> String {
         let followers: Vec<_> = self
             .vehicles
             .iter()
             .skip(1)
             .map(EpisodeVehicle::to_string)
             .collect();
-        let verb = if followers.len() == 1 {
-            "starts"
+        let names = followers.join(", ");
+        if followers.len() == 1 {
+            format!("Behind it starts {names} at the recorded gap and speed.")
         } else {
-            "start"
-        };
-        let gaps = if followers.len() == 1 {
-            "gap and speed"
-        } else {
-            "gaps and speeds"
-        };
-        // Writing to a String cannot fail.
-        let _ = write!(
-            about,
-            " Behind it {verb} {} at the recorded {gaps}.",
-            followers.join(", ")
-        );
-        let _ = match self.ahead {
-            VehicleAhead::None => Ok(()),
-            VehicleAhead::Recorded(number) => {
-                write!(
-                    about,
-                    " Vehicle {number}, ahead of it, is no part of the scenario."
-                )
-            }
-            VehicleAhead::NotRecorded(number) => {
-                write!(
-                    about,
-                    " Vehicle {number}, ahead of it, was not recorded at the time."
-                )
-            }
-        };
-        if let Some(number) = self.not_recorded_behind {
-            let _ = write!(
-                about,
-                " Gap or speed of vehicle {number} is missing, so the line ends before it."
-            );
+            format!("Behind it start {names} at the recorded gaps and speeds.")
         }
-        if let Some(&end_s) = self.time_s.last()
-            && end_s < self.duration_s
-        {
-            let _ = write!(
-                about,
-                " The recording of its speed ends after {end_s:.1} s; it then holds the last one."
-            );
-        }
-        about
     }
 }
 

@@ -89,7 +89,7 @@ pub fn find_episodes(
     min_brake: MinBrake,
     leaders: LeaderSelection,
 ) -> FoundEpisodes {
-    let mut found = FoundEpisodes::default();
+    let mut result = FoundEpisodes::default();
     for lead in recording.lead_vehicles() {
         for run in lead.segments() {
             let brakings = find_brakings(&run, min_brake.mps2());
@@ -108,12 +108,12 @@ pub fn find_episodes(
                     braking,
                     next_onset_ms,
                 };
-                window.extract(recording, leaders, &mut found);
+                window.extract(recording, leaders, &mut result);
             }
         }
     }
-    found.episodes.sort_by_key(|episode| episode.line);
-    found
+    result.episodes.sort_by_key(|episode| episode.line);
+    result
 }
 
 struct EpisodeWindow<'a> {
@@ -124,55 +124,57 @@ struct EpisodeWindow<'a> {
 }
 
 impl EpisodeWindow<'_> {
-    fn extract(&self, recording: &Recording, leaders: LeaderSelection, found: &mut FoundEpisodes) {
+    /// Adds the episode, or the reason why there is none.
+    fn extract(&self, recording: &Recording, leaders: LeaderSelection, result: &mut FoundEpisodes) {
         let candidates = self.samples_between(
             self.braking.onset_ms - START_SEARCH_MS,
             self.braking.onset_ms,
         );
-        let follows = |sample: &SpeedSample| {
-            matches!(
-                self.lead.vehicle_ahead_at(sample),
-                VehicleAhead::Recorded(_)
-            )
-        };
-        if leaders == LeaderSelection::First && candidates.iter().any(follows) {
+        if leaders == LeaderSelection::First && candidates.iter().any(|sample| self.follows(sample))
+        {
             return;
         }
-        let nearness_ms =
-            |sample: &SpeedSample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
-        let rank = |sample: &&SpeedSample| {
-            (
-                self.lead.followers_at(sample).len(),
-                Reverse(nearness_ms(sample)),
-            )
-        };
-        let Some(start) = candidates.iter().max_by_key(rank) else {
+        let Some(start) = candidates.iter().max_by_key(|sample| self.rank(sample)) else {
             return;
         };
-        let (number, onset_s) = (self.lead.number(), self.braking.onset_ms as f64 / 1000.0);
-        let item = |omission| DroppedItem {
-            path: recording.path.clone(),
-            line: self.lead.line_of(start),
-            omission,
-        };
-        match self.build_episode(start) {
+        let number = self.lead.number();
+        let onset_s = self.braking.onset_ms as f64 / 1000.0;
+        let omission = match self.build_episode(start) {
             Ok(episode) => {
-                if episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2 {
-                    let found_mps2 = format_fixed(episode.largest_drop_mps, 1);
+                let unusual = (episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2).then(|| {
+                    let brake_mps2 = format_fixed(episode.largest_drop_mps, 1);
                     let onset_s = format_number(onset_s);
-                    let unusual = format!(
-                        "vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}"
-                    );
-                    found.dropped.push(item(Omission::Note(unusual)));
-                }
-                found.episodes.push(episode);
+                    Omission::Note(format!(
+                        "vehicle {number} brakes by {brake_mps2} m/s² at {onset_s} s: {CHECK_UNIT}"
+                    ))
+                });
+                result.episodes.push(episode);
+                unusual
             }
-            Err(reason) => found.dropped.push(item(Omission::Episode {
+            Err(reason) => Some(Omission::Episode {
                 number,
                 onset_s,
                 reason,
-            })),
-        }
+            }),
+        };
+        result.dropped.extend(omission.map(|omission| DroppedItem {
+            path: recording.path.clone(),
+            line: self.lead.line_of(start),
+            omission,
+        }));
+    }
+
+    /// Returns whether the leader itself follows a recorded vehicle.
+    fn follows(&self, sample: &SpeedSample) -> bool {
+        let ahead = self.lead.vehicle_ahead_at(sample);
+        matches!(ahead, VehicleAhead::Recorded(_))
+    }
+
+    /// Ranks a start by the number of its followers, and then by its distance from the usual time before braking.
+    fn rank(&self, start: &SpeedSample) -> (usize, Reverse<i64>) {
+        let usual_ms = self.braking.onset_ms - LEAD_IN_MS;
+        let distance_ms = (start.time_ms - usual_ms).abs();
+        (self.lead.followers_at(start).len(), Reverse(distance_ms))
     }
 
     fn samples_between(&self, from_ms: i64, to_ms: i64) -> &[SpeedSample] {
@@ -192,22 +194,7 @@ impl EpisodeWindow<'_> {
         }
         let end_ms = (self.braking.end_ms + TAIL_MS).min(self.next_onset_ms.unwrap_or(i64::MAX));
         let samples = self.samples_between(start.time_ms, end_ms);
-        let mut hardest_brake_mps2: f64 = 0.0;
-        let mut hardest_accel_mps2: f64 = 0.0;
-        for pair in samples.windows(2) {
-            if let [a, b] = pair {
-                let found_mps2 =
-                    1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
-                if found_mps2.abs() > MAX_PLAUSIBLE_ACCEL_MPS2 {
-                    return Err(EpisodeProblem::SpeedJump {
-                        at_s: b.time_ms as f64 / 1000.0,
-                        found_mps2,
-                    });
-                }
-                hardest_brake_mps2 = hardest_brake_mps2.max(-found_mps2);
-                hardest_accel_mps2 = hardest_accel_mps2.max(found_mps2);
-            }
-        }
+        let hardest = HardestAccelerations::new(samples)?;
         let since_start_s = |time_ms: i64| (time_ms - start.time_ms) as f64 / 1000.0;
         let not_recorded_behind = self.lead.next_behind(followers.len());
         Ok(BrakingEpisode {
@@ -220,8 +207,8 @@ impl EpisodeWindow<'_> {
             onset_speed_mps: speed_at_mps(self.run, self.braking.onset_ms),
             end_speed_mps: speed_at_mps(self.run, self.braking.end_ms),
             largest_drop_mps: self.braking.largest_drop_mps,
-            hardest_brake_mps2,
-            hardest_accel_mps2,
+            hardest_brake_mps2: hardest.brake_mps2,
+            hardest_accel_mps2: hardest.accel_mps2,
             vehicles: [vec![self.lead.episode_vehicle(start)], followers].concat(),
             ahead: self.lead.vehicle_ahead_at(start),
             not_recorded_behind,
@@ -231,5 +218,36 @@ impl EpisodeWindow<'_> {
                 .collect(),
             speed_mps: samples.iter().map(|sample| sample.speed_mps).collect(),
         })
+    }
+}
+
+/// Hardest braking and acceleration between two samples, both positive, in m/s².
+struct HardestAccelerations {
+    brake_mps2: f64,
+    accel_mps2: f64,
+}
+
+impl HardestAccelerations {
+    /// Measures samples. The error is an acceleration that no vehicle has.
+    fn new(samples: &[SpeedSample]) -> Result<Self, EpisodeProblem> {
+        let mut hardest = Self {
+            brake_mps2: 0.0,
+            accel_mps2: 0.0,
+        };
+        for pair in samples.windows(2) {
+            if let [a, b] = pair {
+                let found_mps2 =
+                    1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
+                if found_mps2.abs() > MAX_PLAUSIBLE_ACCEL_MPS2 {
+                    return Err(EpisodeProblem::SpeedJump {
+                        at_s: b.time_ms as f64 / 1000.0,
+                        found_mps2,
+                    });
+                }
+                hardest.brake_mps2 = hardest.brake_mps2.max(-found_mps2);
+                hardest.accel_mps2 = hardest.accel_mps2.max(found_mps2);
+            }
+        }
+        Ok(hardest)
     }
 }

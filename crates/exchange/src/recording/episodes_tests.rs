@@ -13,9 +13,9 @@ fn episodes_of_first(text: &str) -> FoundEpisodes {
 }
 
 fn only_episode(text: &str) -> BrakingEpisode {
-    let mut found = episodes_of_first(text);
-    assert_eq!((found.episodes.len(), &found.dropped[..]), (1, &[][..]));
-    found.episodes.remove(0)
+    let mut result = episodes_of_first(text);
+    assert_eq!((result.episodes.len(), &result.dropped[..]), (1, &[][..]));
+    result.episodes.remove(0)
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn edited(text: &str, rows: std::ops::Range<usize>, edit: impl Fn(&mut Vec<Strin
 }
 
 #[test]
-fn a_start_is_where_most_followers_are_known() {
+fn episodes_start_where_most_followers_are_known() {
     let whole = braking_platoon(4);
     let line_at = |text: &str| {
         let episode = only_episode(text);
@@ -93,9 +93,9 @@ fn a_start_is_where_most_followers_are_known() {
         (3.5, 3, Some(4))
     );
     // The first follower is never known: no vehicle follows.
-    let found = episodes_of_first(&edited(&whole, 0..300, |fields| fields[5].clear()));
-    assert_eq!(found.episodes, []);
-    let output = found.dropped[0].to_string();
+    let result = episodes_of_first(&edited(&whole, 0..300, |fields| fields[5].clear()));
+    assert_eq!(result.episodes, []);
+    let output = result.dropped[0].to_string();
     assert!(output.contains(
         "vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"
     ));
@@ -142,22 +142,25 @@ fn every_car_that_brakes_leads_those_behind_it() {
         }
     });
     let recording = read_text(&growing).expect("readable");
-    let of = |leaders| {
-        let found = find_episodes(&recording, MinBrake::default(), leaders);
-        assert_eq!(found.dropped, []);
-        let leads = found
-            .episodes
-            .into_iter()
-            .map(|one| (one.vehicles[0].number, one.vehicles.len(), one.ahead));
-        leads.collect::<Vec<_>>()
+    let leads = |leaders| {
+        let result = find_episodes(&recording, MinBrake::default(), leaders);
+        assert_eq!(result.dropped, []);
+        let numbers = result.episodes.into_iter().map(|episode| {
+            (
+                episode.vehicles[0].number,
+                episode.vehicles.len(),
+                episode.ahead,
+            )
+        });
+        numbers.collect::<Vec<_>>()
     };
     assert_eq!(
-        of(LeaderSelection::First),
+        leads(LeaderSelection::First),
         [],
         "the first brakes at 1 m/s² only"
     );
     assert_eq!(
-        of(LeaderSelection::Any),
+        leads(LeaderSelection::Any),
         [
             (2, 3, VehicleAhead::Recorded(1)),
             (3, 2, VehicleAhead::Recorded(2))
@@ -189,13 +192,13 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
 }
 
 #[test]
-fn a_leap_of_the_speed_is_no_braking() {
+fn a_jump_of_the_speed_is_no_braking() {
     let text = edited(&braking_platoon(2), 60..62, |fields| {
         fields[1] = "9".to_owned()
     });
-    let found = episodes_of_first(&text);
-    assert_eq!(found.episodes, []);
-    let output = found.dropped[0].to_string();
+    let result = episodes_of_first(&text);
+    assert_eq!(result.episodes, []);
+    let output = result.dropped[0].to_string();
     assert!(
         output.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle can do"),
         "{output}"

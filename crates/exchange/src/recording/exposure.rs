@@ -65,12 +65,10 @@ pub fn following_exposure(
 pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     let mut cluster: Vec<usize> = (0..episodes.len()).collect();
     for (index, episode) in episodes.iter().enumerate() {
-        for (before, other) in episodes.iter().enumerate().take(index) {
-            if is_same_cluster(episode, other) {
-                let (from, to) = (
-                    cluster[index].max(cluster[before]),
-                    cluster[index].min(cluster[before]),
-                );
+        for (earlier_index, earlier) in episodes.iter().enumerate().take(index) {
+            if is_same_cluster(episode, earlier) {
+                let from = cluster[index].max(cluster[earlier_index]);
+                let to = cluster[index].min(cluster[earlier_index]);
                 if from != to {
                     cluster
                         .iter_mut()
@@ -80,37 +78,36 @@ pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
             }
         }
     }
-    let mut known: Vec<usize> = Vec::new();
+    let mut in_order: Vec<usize> = Vec::new();
     let numbered = cluster.iter().map(|cluster| {
-        known
+        in_order
             .iter()
-            .position(|other| other == cluster)
+            .position(|earlier| earlier == cluster)
             .unwrap_or_else(|| {
-                known.push(*cluster);
-                known.len() - 1
+                in_order.push(*cluster);
+                in_order.len() - 1
             }) as u32
     });
     numbered.collect()
 }
 
 fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
-    let braking = |episode: &BrakingEpisode| {
-        (
-            episode.start_s + episode.onset_s,
-            episode.start_s + episode.braking_end_s,
-        )
-    };
-    let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
-    let leads_in = |lead: &BrakingEpisode, line: &BrakingEpisode| {
-        let number = lead.vehicles.first().map(|leader| leader.number);
-        line.vehicles
-            .iter()
-            .any(|placed| Some(placed.number) == number)
-    };
-    from_a <= to_b + MERGE_WITHIN_S
-        && from_b <= to_a + MERGE_WITHIN_S
+    let [[a_from_s, a_to_s], [b_from_s, b_to_s]] = [a, b].map(|episode| {
+        [episode.onset_s, episode.braking_end_s].map(|time_s| episode.start_s + time_s)
+    });
+    a_from_s <= b_to_s + MERGE_WITHIN_S
+        && b_from_s <= a_to_s + MERGE_WITHIN_S
         && a.event == b.event
-        && (leads_in(a, b) || leads_in(b, a))
+        && (contains_leader_of(a, b) || contains_leader_of(b, a))
+}
+
+/// Returns whether the leader of another episode is a vehicle of this one.
+fn contains_leader_of(episode: &BrakingEpisode, other: &BrakingEpisode) -> bool {
+    let leader = other.vehicles.first().map(|leader| leader.number);
+    episode
+        .vehicles
+        .iter()
+        .any(|vehicle| Some(vehicle.number) == leader)
 }
 
 #[cfg(test)]
@@ -152,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn following_is_summed_over_all_leaders_and_clusters_stay_together() {
+    fn exposure_sums_all_leaders_and_waves_form_clusters() {
         let recording = platoon();
         // 600 samples span 59.9 s; no braking can begin in the last second. Where the second spacing is missing, 1.1 s
         // of its pair and of those ahead do not count.
@@ -164,10 +161,10 @@ mod tests {
             (LeaderSelection::Any, 3, 57.8),
             (LeaderSelection::First, 3, 57.8),
         ] {
-            let found = seconds(leaders, followers);
+            let measured = seconds(leaders, followers);
             assert!(
-                (found - wanted).abs() < 1e-6,
-                "{leaders:?} {followers}: {found}"
+                (measured - wanted).abs() < 1e-6,
+                "{leaders:?} {followers}: {measured}"
             );
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
@@ -175,11 +172,11 @@ mod tests {
             driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2,
             "{driven:?}"
         );
-        let found =
+        let episodes =
             crate::recording::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any)
                 .episodes;
         assert_eq!(
-            (found.len(), braking_clusters(&found)),
+            (episodes.len(), braking_clusters(&episodes)),
             (6, [0, 0, 0, 1, 1, 1].to_vec())
         );
     }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::binary::{self, FileColumns};
 use super::dropped::{Omission, SPEEDS_LEFT_OUT};
 use super::error::RecordingError;
 use super::load::load_first_rows;
@@ -11,7 +12,7 @@ use super::map::{
     SpeedSpec, SpeedUnit, TimeSpec, TimeUnit, TracksSpec, unit_in_name, words,
 };
 use super::series::NOT_LATER;
-use super::{LineProblem, RecordedTraffic, Recording, binary};
+use super::{LineProblem, RecordedTraffic, Recording};
 
 /// Words in the names of columns, in lower case.
 const TIMES: &str = "time timestamp t zeit sec seconds";
@@ -42,37 +43,52 @@ pub struct MapDraft {
 struct Columns(Vec<(String, Vec<String>)>);
 
 impl Columns {
+    /// Splits names into words.
+    fn new(names: Vec<String>) -> Self {
+        let columns = names.into_iter().map(|name| {
+            let words = words(&name);
+            (name, words)
+        });
+        Self(columns.collect())
+    }
+
     /// Returns the first column with one of the words, and with none of `without`.
     fn find(&self, words: &str, without: &[&str]) -> Option<&String> {
         self.find_both(words, words, without)
     }
 
+    /// Returns the first column with one of the words and one of the others, and with none of `without`.
     fn find_both(&self, words: &str, others: &str, without: &[&str]) -> Option<&String> {
-        let fits = |(_, found): &&(String, Vec<String>)| {
-            // Long words are also found within compounds.
-            let is = |word: &str, wanted: &str| {
-                word == wanted || wanted.len() > 5 && word.contains(wanted)
-            };
-            let has = |words: &str| {
-                found
+        let mut columns = self.0.iter();
+        let column = columns.find(|(_, name_words)| {
+            has_word(name_words, words)
+                && has_word(name_words, others)
+                && !without
                     .iter()
-                    .any(|word| words.split(' ').any(|wanted| is(word, wanted)))
-            };
-            has(words) && has(others) && !without.iter().any(|not| has(not))
-        };
-        self.0.iter().find(fits).map(|(name, _)| name)
+                    .any(|excluded| has_word(name_words, excluded))
+        });
+        column.map(|(name, _)| name)
     }
 }
 
-/// Returns the unit in the name of a column, or `other`.
-fn unit_of<U: serde::de::DeserializeOwned>(
+/// Returns whether a name has one of the wanted words. Long words are also found within compounds.
+fn has_word(name_words: &[String], wanted: &str) -> bool {
+    name_words.iter().any(|word| {
+        wanted
+            .split(' ')
+            .any(|wanted| word == wanted || wanted.len() > 5 && word.contains(wanted))
+    })
+}
+
+/// Returns the unit in the name of a column, or a default unit.
+fn unit_or_default<U: serde::de::DeserializeOwned>(
     all: &[(&'static str, f64)],
     column: &str,
-    other: &str,
+    default_unit: &str,
 ) -> Option<U> {
     serde_json::from_value(
         unit_in_name(all, column)
-            .map_or(other, |(unit, _)| unit)
+            .map_or(default_unit, |(unit, _)| unit)
             .into(),
     )
     .ok()
@@ -115,10 +131,8 @@ impl<'c> NamedColumns<'c> {
     /// Returns the candidate layouts with default units, the likeliest first. A row of a recording of traffic, which
     /// has lanes, may also describe the leader.
     fn layouts(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
-        let (pairs, tracks) = (
-            self.pairs(speed_unit, length_unit),
-            self.tracks(speed_unit, length_unit),
-        );
+        let pairs = self.pairs(speed_unit, length_unit);
+        let tracks = self.tracks(speed_unit, length_unit);
         if self.lane.is_some() {
             tracks.into_iter().chain(pairs).collect()
         } else {
@@ -126,66 +140,55 @@ impl<'c> NamedColumns<'c> {
         }
     }
 
+    /// Returns the layouts of pairs with each sign of the relative speed, also with exchanged speeds.
     fn pairs(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
-        let Self {
-            relative,
-            leader,
-            own,
-            ..
-        } = *self;
         let Some(spacing) = self.spacing else {
             return Vec::new();
         };
-        let exchanges = [
-            (own, leader, Sign::LeaderMinusFollower),
-            (own, leader, Sign::FollowerMinusLeader),
-            (leader, own, Sign::LeaderMinusFollower),
-            (leader, own, Sign::FollowerMinusLeader),
-        ];
-        let pair = |(own, leader, sign): (Option<&String>, Option<&String>, Sign)| {
-            let unit = unit_of(LengthUnit::ALL, spacing, length_unit);
-            let relative = |name: &String| RelativeSpeedSpec {
-                column: name.clone(),
-                unit: unit_of(SpeedUnit::ALL, name, speed_unit),
-                sign,
-            };
-            LayoutSpec::Pairs(PairsSpec {
-                event: self.event.cloned(),
-                spacing: SpacingSpec {
-                    column: spacing.clone(),
-                    unit,
-                    from: Spacing::BumperToBumper,
-                },
-                length_m: None,
-                follower_speed: own.map(|name| speed(name, speed_unit)),
-                leader_speed: leader.map(|name| speed(name, speed_unit)),
-                relative_speed: self.relative.map(relative),
-            })
+        let speeds = [self.relative, self.leader, self.own];
+        if speeds.into_iter().flatten().count() < 2 {
+            return Vec::new();
+        }
+        let spacing = SpacingSpec {
+            column: spacing.clone(),
+            unit: unit_or_default(LengthUnit::ALL, spacing, length_unit),
+            from: Spacing::BumperToBumper,
         };
-        let has_two = [relative, leader, own].into_iter().flatten().count() >= 2;
-        exchanges
-            .into_iter()
-            .filter(|_| has_two)
-            .map(pair)
-            .collect()
+        let mut layouts = Vec::new();
+        for [follower, leader] in [[self.own, self.leader], [self.leader, self.own]] {
+            for sign in [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader] {
+                layouts.push(LayoutSpec::Pairs(PairsSpec {
+                    event: self.event.cloned(),
+                    spacing: spacing.clone(),
+                    length_m: None,
+                    follower_speed: follower.map(|name| speed(name, speed_unit)),
+                    leader_speed: leader.map(|name| speed(name, speed_unit)),
+                    relative_speed: self.relative.map(|name| RelativeSpeedSpec {
+                        column: name.clone(),
+                        unit: unit_or_default(SpeedUnit::ALL, name, speed_unit),
+                        sign,
+                    }),
+                }));
+            }
+        }
+        layouts
     }
 
     fn tracks(&self, speed_unit: &str, length_unit: &str) -> Option<LayoutSpec> {
-        let (vehicle, position, own) = (self.vehicle?, self.position?, self.own?);
-        let unit = |name: &str| unit_of(LengthUnit::ALL, name, length_unit);
+        let position = self.position?;
         let length = self.length.map(|name| LengthColumnSpec {
             name: name.clone(),
-            unit: unit(name),
+            unit: unit_or_default(LengthUnit::ALL, name, length_unit),
         });
         Some(LayoutSpec::Tracks(TracksSpec {
-            vehicle: vehicle.clone(),
+            vehicle: self.vehicle?.clone(),
             lane: self.lane.cloned(),
             position: PositionSpec {
                 column: position.clone(),
-                unit: unit(position),
+                unit: unit_or_default(LengthUnit::ALL, position, length_unit),
                 of: ReferencePoint::Front,
             },
-            speed: speed(own, speed_unit),
+            speed: speed(self.own?, speed_unit),
             length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
             lane_blip_s: 0.5,
         }))
@@ -195,7 +198,7 @@ impl<'c> NamedColumns<'c> {
 fn speed(column: &str, unit: &str) -> SpeedSpec {
     SpeedSpec {
         column: column.to_owned(),
-        unit: unit_of(SpeedUnit::ALL, column, unit),
+        unit: unit_or_default(SpeedUnit::ALL, column, unit),
         acceleration: None,
     }
 }
@@ -207,17 +210,10 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     };
     // Epoch times need no name.
     let time_unit =
-        unit_of(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
-    let with_stated = |units: &[(&'static str, f64)]| {
-        states_units
-            .then_some("")
-            .into_iter()
-            .chain(units.iter().map(|(unit, _)| *unit))
-            .collect::<Vec<_>>()
-    };
+        unit_or_default(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
     let mut layouts: Vec<LayoutSpec> = Vec::new();
-    for speed_unit in with_stated(SpeedUnit::ALL) {
-        for length_unit in with_stated(LengthUnit::ALL) {
+    for speed_unit in unit_names(SpeedUnit::ALL, states_units) {
+        for length_unit in unit_names(LengthUnit::ALL, states_units) {
             for layout in named.layouts(speed_unit, length_unit) {
                 if !layouts.contains(&layout) {
                     layouts.push(layout);
@@ -226,17 +222,27 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
         }
     }
     // The layout weighs more than the units: a recording of pairs may contradict a map of tracks in no unit.
-    let is_tracks = |layout: &LayoutSpec| matches!(layout, LayoutSpec::Tracks(_));
-    let has_tracks_first = layouts.first().is_some_and(is_tracks);
-    layouts.sort_by_key(|layout| is_tracks(layout) != has_tracks_first);
-    let map = |layout| {
+    let has_tracks_first = matches!(layouts.first(), Some(LayoutSpec::Tracks(_)));
+    layouts.sort_by_key(|layout| matches!(layout, LayoutSpec::Tracks(_)) != has_tracks_first);
+    let maps = layouts.into_iter().map(|layout| {
         let time = TimeSpec::Clock(ClockSpec {
             column: named.time.clone(),
             unit: time_unit,
         });
         RecordingMapSpec::new("draft".to_owned(), time, layout)
-    };
-    layouts.into_iter().map(map).collect()
+    });
+    maps.collect()
+}
+
+/// Returns the names of units; before them an empty one, if the file states units.
+fn unit_names(
+    units: &'static [(&'static str, f64)],
+    states_units: bool,
+) -> impl Iterator<Item = &'static str> {
+    states_units
+        .then_some("")
+        .into_iter()
+        .chain(units.iter().map(|(unit, _)| *unit))
 }
 
 /// Returns whether a recording fits its map: no columns contradict each other, the rows of pairs are in order of time,
@@ -247,23 +253,46 @@ fn is_consistent(recording: &Recording) -> bool {
         .iter()
         .map(|platoon| platoon.time_s.len())
         .sum();
-    let contradicts = |what: &Omission| match what {
-        Omission::ColumnsContradict(_) => true,
-        Omission::Counted { count, after, .. } => {
-            after.ends_with(SPEEDS_LEFT_OUT)
-                || after.starts_with(NOT_LATER) && *count > samples / 10
-        }
-        _ => false,
-    };
     let has_followers = recording
         .traffic
         .as_ref()
         .is_none_or(RecordedTraffic::has_followers);
+    let mut dropped = recording.dropped.iter();
     has_followers
-        && !recording
-            .dropped
-            .iter()
-            .any(|dropped| contradicts(&dropped.omission))
+        && !dropped.any(|item| match &item.omission {
+            Omission::ColumnsContradict(_) => true,
+            Omission::Counted { count, after, .. } => {
+                after.ends_with(SPEEDS_LEFT_OUT)
+                    || after.starts_with(NOT_LATER) && *count > samples / 10
+            }
+            _ => false,
+        })
+}
+
+/// Returns the built-in map of a recording with these columns, if its first rows can be read with it.
+fn built_in_draft(path: &Path, names: &[String]) -> Option<MapDraft> {
+    let name = match names.first().map(String::as_str) {
+        Some("Date") => "openacc",
+        _ => RecordingMap::recognise(names.iter().map(String::as_str))?,
+    };
+    let map = RecordingMap::built_in(name)?.ok()?;
+    let recording = load_first_rows(path, &map).ok()?;
+    Some(MapDraft {
+        map: map.spec().clone(),
+        built_in: Some(name),
+        recording,
+    })
+}
+
+/// Returns whether another candidate may name the right columns and units.
+fn is_about_column(error: &RecordingError) -> bool {
+    matches!(
+        error,
+        RecordingError::Line {
+            problem: LineProblem::Column { .. },
+            ..
+        }
+    )
 }
 
 /// Drafts a map of a recording: the first candidate whose columns do not contradict each other. Units in names of
@@ -272,27 +301,16 @@ fn is_consistent(recording: &Recording) -> bool {
 /// # Errors
 /// [`RecordingError`] for a file that cannot be read with any candidate.
 pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
-    let (names, states_units) = binary::column_names(path)?;
-    let built_in = match names.first().map(String::as_str) {
-        Some("Date") => Some("openacc"),
-        _ => RecordingMap::recognise(names.iter().map(String::as_str)),
-    };
-    if let Some(Ok(map)) = built_in.and_then(RecordingMap::built_in)
-        && let Ok(recording) = load_first_rows(path, &map)
-    {
-        return Ok(Some(MapDraft {
-            map: map.spec().clone(),
-            built_in,
-            recording,
-        }));
+    let FileColumns {
+        names,
+        states_units,
+    } = binary::read_columns(path)?;
+    if let Some(draft) = built_in_draft(path, &names) {
+        return Ok(Some(draft));
     }
-    let columns = Columns(
-        names
-            .into_iter()
-            .map(|name| (name.clone(), words(&name)))
-            .collect(),
-    );
-    let (mut second_choice, mut contradiction) = (None, None);
+    let columns = Columns::new(names);
+    let mut second_choice = None;
+    let mut contradiction = None;
     for map in candidates(&columns, states_units) {
         let Ok(checked) = RecordingMap::new(map.clone()) else {
             continue;
@@ -310,12 +328,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
                 }
                 second_choice.get_or_insert(draft);
             }
-            Err(
-                error @ RecordingError::Line {
-                    problem: LineProblem::Column { .. },
-                    ..
-                },
-            ) => {
+            Err(error) if is_about_column(&error) => {
                 contradiction.get_or_insert(error);
             }
             Err(error) => return Err(error),
@@ -398,7 +411,7 @@ mod tests {
 
     /// A row of a vehicle and its leader has ids and positions, too, and one of traffic may describe the leader.
     #[test]
-    fn drafts_tell_pairs_from_tracks() {
+    fn drafts_distinguish_pairs_from_tracks() {
         let folder = tempfile::tempdir().unwrap();
         let draft = |text: String| {
             let path = folder.path().join("log.csv");

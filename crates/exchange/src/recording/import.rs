@@ -75,40 +75,71 @@ pub fn import(
 ) -> Result<ImportResult, RecordingError> {
     let mut imported = ImportResult::default();
     let mut numbers = BTreeMap::new();
-    let mut goes_on = true;
     for path in paths {
-        let mut source: Option<ImportedRecording> = None;
-        let (mut hardest, mut scenarios) = (HardestSearch::default(), 0);
-        let (mut dropped, mut left_out) = (Vec::new(), Vec::new());
-        load_parts(path, map, progress, &mut |mut part| {
-            merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
-            hardest.add(&part);
+        let mut file = FileImport::default();
+        load_parts(path, map, progress, &mut |part| {
             let number = numbers.entry(prefix(&part)).or_insert(0);
-            let mut take = |scenario| {
-                scenarios += 1;
-                goes_on = take(scenario);
-                goes_on
-            };
-            left_out.extend(import_part(&part, options, number, &mut take)?);
-            source = Some(ImportedRecording {
-                path: path.clone(),
-                format: part.format,
-                text: part.text,
-                scenarios,
-                hardest: HardestBrakingResult::NoSpeed,
-            });
-            Ok(goes_on)
+            file.add(part, options, number, take)?;
+            Ok(!file.ends_early)
         })?;
-        imported.dropped.extend(dropped.into_iter().chain(left_out));
-        let hardest = hardest.finish();
-        imported
-            .sources
-            .extend(source.map(|source| ImportedRecording { hardest, ..source }));
-        if !goes_on {
+        let ends_early = file.ends_early;
+        file.finish(path, &mut imported);
+        if ends_early {
             break;
         }
     }
     Ok(imported)
+}
+
+/// Import of the parts of one recording.
+#[derive(Default)]
+struct FileImport {
+    /// Name of the map, and format of the text.
+    formats: Option<(String, TextFormat)>,
+    scenarios: usize,
+    hardest: HardestSearch,
+    dropped: Vec<DroppedItem>,
+    /// Episodes without scenario.
+    dropped_episodes: Vec<DroppedItem>,
+    /// True if no more scenarios are wanted.
+    ends_early: bool,
+}
+
+impl FileImport {
+    /// Passes on the scenarios of a part, whose numbers follow `number`.
+    fn add(
+        &mut self,
+        mut part: Recording,
+        options: &ImportOptions,
+        number: &mut usize,
+        take: &mut dyn FnMut(ImportedScenario) -> bool,
+    ) -> Result<(), RecordingError> {
+        merge_dropped(&mut self.dropped, std::mem::take(&mut part.dropped));
+        self.hardest.add(&part);
+        let dropped = import_part(&part, options, number, &mut |scenario| {
+            self.scenarios += 1;
+            self.ends_early = !take(scenario);
+            !self.ends_early
+        })?;
+        self.dropped_episodes.extend(dropped);
+        self.formats = Some((part.format, part.text));
+        Ok(())
+    }
+
+    /// Adds the result of the recording.
+    fn finish(self, path: &Path, imported: &mut ImportResult) {
+        imported.dropped.extend(self.dropped);
+        imported.dropped.extend(self.dropped_episodes);
+        if let Some((format, text)) = self.formats {
+            imported.sources.push(ImportedRecording {
+                path: path.to_owned(),
+                format,
+                text,
+                scenarios: self.scenarios,
+                hardest: self.hardest.finish(),
+            });
+        }
+    }
 }
 
 /// Passes on the scenarios of a part of a recording. Returns the episodes without scenario.
@@ -132,38 +163,41 @@ fn import_part(
         match episode.scenario(name.clone(), &file) {
             Ok(scenario) => {
                 *number += 1;
-                let file_name = format!("{name}.toml");
-                let path = || recording.path.clone();
-                let toml = to_toml(&scenario).map_err(|source| RecordingError::Render {
-                    path: path(),
-                    name,
-                    source,
-                })?;
-                if !take(ImportedScenario {
-                    file_name,
-                    toml,
-                    scenario,
-                }) {
+                if !take(render(scenario, name, recording)?) {
                     break;
                 }
             }
-            Err(invalid) => {
-                let number = episode.vehicles.first().map_or(0, |leader| leader.number);
-                let onset_s = episode.start_s + episode.onset_s;
-                let what = Omission::Episode {
-                    number,
-                    onset_s,
+            Err(invalid) => dropped.push(DroppedItem {
+                path: recording.path.clone(),
+                line: episode.line,
+                omission: Omission::Episode {
+                    number: episode.vehicles.first().map_or(0, |leader| leader.number),
+                    onset_s: episode.start_s + episode.onset_s,
                     reason: EpisodeProblem::Invalid(invalid),
-                };
-                dropped.push(DroppedItem {
-                    path: recording.path.clone(),
-                    line: episode.line,
-                    omission: what,
-                });
-            }
+                },
+            }),
         }
     }
     Ok(dropped)
+}
+
+/// Returns a scenario with its file.
+fn render(
+    scenario: Scenario,
+    name: String,
+    recording: &Recording,
+) -> Result<ImportedScenario, RecordingError> {
+    let file_name = format!("{name}.toml");
+    let toml = to_toml(&scenario).map_err(|source| RecordingError::Render {
+        path: recording.path.clone(),
+        name,
+        source,
+    })?;
+    Ok(ImportedScenario {
+        file_name,
+        toml,
+        scenario,
+    })
 }
 
 /// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.

@@ -97,13 +97,13 @@ impl LeadVehicle for PlatoonLead<'_> {
 
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {
         let behind = self.index + 1..self.platoon.vehicles.len();
-        let known = behind
-            .map_while(|index| Some((index, self.platoon.gap_and_speed(index, sample.index)?)));
-        known
-            .map(|(index, (gap_m, speed_mps))| {
+        let followers = behind.map_while(|index| {
+            let gap_and_speed = self.platoon.gap_and_speed(index, sample.index);
+            gap_and_speed.map(|(gap_m, speed_mps)| {
                 self.episode_vehicle_at(index, round_to_milli(gap_m), round_to_milli(speed_mps))
             })
-            .collect()
+        });
+        followers.collect()
     }
 
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {

@@ -21,7 +21,7 @@ pub type ReadProgress = Arc<dyn Fn(u64, u64) + Send + Sync>;
 /// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
 /// [`Recording::dropped`]. A file of several parts is an error, see [`load_parts`].
 pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    only_part(path, |each| load_parts(path, map, None, each))
+    only_part(path, |sink| load_parts(path, map, None, sink))
 }
 
 /// Reads the first part of a recording file, as [`load_parts`].
@@ -32,7 +32,7 @@ pub fn load_first_part(
     path: &Path,
     map: Option<&RecordingMap>,
 ) -> Result<Recording, RecordingError> {
-    first_part(path, |each| load_parts(path, map, None, each))
+    first_part(path, |sink| load_parts(path, map, None, sink))
 }
 
 fn first_part(
@@ -59,7 +59,7 @@ pub(super) fn load_first_rows(
 ) -> Result<Recording, RecordingError> {
     let mut table = open(path, Some(map), None)?;
     table.rows_left = SAMPLE_ROWS;
-    first_part(path, |each| read_rows(table, path, Some(map), each))
+    first_part(path, |sink| read_rows(table, path, Some(map), sink))
 }
 
 /// Reads a recording file in parts, so that memory stays bounded: a part has about 500 000 rows, and overlaps the next
@@ -67,14 +67,14 @@ pub(super) fn load_first_rows(
 /// traffic; see [`merge_dropped`](super::merge_dropped).
 ///
 /// # Errors
-/// Those of [`load`], except for the number of parts, and of `each`.
+/// Those of [`load`], except for the number of parts, and of `sink`.
 pub fn load_parts(
     path: &Path,
     map: Option<&RecordingMap>,
     progress: Option<&ReadProgress>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    read_rows(open(path, map, progress)?, path, map, each)
+    read_rows(open(path, map, progress)?, path, map, sink)
 }
 
 fn open<'p>(
@@ -82,16 +82,13 @@ fn open<'p>(
     map: Option<&RecordingMap>,
     progress: Option<&ReadProgress>,
 ) -> Result<RowReader<'p>, RecordingError> {
-    let error = |source| RecordingError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
+    let mut file = binary::RecordingFile::open(path, progress)
+        .map_err(|source| binary::read_error(path, source))?;
     let mut start = Vec::new();
     file.by_ref()
         .take(binary::START_BYTES)
         .read_to_end(&mut start)
-        .map_err(error)?;
+        .map_err(|source| binary::read_error(path, source))?;
     let spec = map.map(RecordingMap::spec);
     match binary::BinaryFormat::detect(&start) {
         Some(format) => binary::open(format, binary::Input::File(file), path, spec),
@@ -133,14 +130,14 @@ pub fn read(
         Some(format) => binary::open(format, binary::Input::Bytes(bytes.to_vec()), path, spec)?,
         None => RowReader::new(bytes, path, spec)?,
     };
-    only_part(path, |each| read_rows(table, path, map, each))
+    only_part(path, |sink| read_rows(table, path, map, sink))
 }
 
 fn read_rows(
     mut table: RowReader<'_>,
     path: &Path,
     map: Option<&RecordingMap>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let Some(first) = table.next_header()? else {
         return Err(RecordingError::Empty {
@@ -154,11 +151,11 @@ fn read_rows(
             let name = match first.text(0) {
                 "Date" => "openacc",
                 "event" => "car-following",
-                other => match RecordingMap::recognise(first.fields.iter()) {
+                name => match RecordingMap::recognise(first.fields.iter()) {
                     Some(map) => return first.reject_line(LineProblem::NeedsMap { map }),
                     None => {
                         return first.reject_line(LineProblem::UnknownFormat {
-                            found: table::excerpt(other),
+                            found: table::excerpt(name),
                         });
                     }
                 },
@@ -171,16 +168,17 @@ fn read_rows(
             }
         }
     };
-    read_with_map(&mut table, map.spec(), first, each)
+    read_with_map(&mut table, map.spec(), first, sink)
 }
 
 fn read_with_map(
     table: &mut RowReader<'_>,
     map: &RecordingMapSpec,
     first: CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    let (mut lines, mut names) = (Vec::new(), first);
+    let mut lines = Vec::new();
+    let mut names = first;
     while lines.len() < map.lines_before_names {
         lines.push(names.fields);
         let expected = if lines.len() < map.lines_before_names {
@@ -194,8 +192,8 @@ fn read_with_map(
         names = next;
     }
     match &map.layout {
-        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names, each),
-        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names, each),
-        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names, each),
+        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names, sink),
+        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names, sink),
+        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names, sink),
     }
 }

@@ -54,20 +54,20 @@ pub(super) fn read_with(text: &str, by: &str) -> Recording {
 
 /// Returns the data of each scenario: start and duration, braking and leader speeds, initial states.
 fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
-    let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let mut rows: Vec<_> = found
+    let episodes = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
+    let mut rows: Vec<_> = episodes
         .into_iter()
-        .map(|one| {
-            let placed = one
+        .map(|episode| {
+            let states = episode
                 .vehicles
                 .iter()
-                .flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps])
+                .flat_map(|vehicle| [vehicle.gap_ahead_m, vehicle.speed_mps])
                 .collect();
             [
-                vec![one.start_s, one.duration_s],
-                one.time_s,
-                one.speed_mps,
-                placed,
+                vec![episode.start_s, episode.duration_s],
+                episode.time_s,
+                episode.speed_mps,
+                states,
             ]
         })
         .collect();
@@ -128,7 +128,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(64))]
 
     #[test]
-    fn one_motion_in_every_layout_is_one_set_of_episodes(mut motion in any_motion(0.0)) {
+    fn every_layout_of_a_motion_gives_the_same_episodes(mut motion in any_motion(0.0)) {
         // Each follower is a little slower than the vehicle ahead, so that gaps grow.
         for row in &mut motion.speeds {
             let lead_mps = row[0].expect("known");
@@ -218,7 +218,7 @@ fn gaps_are_filled_up_to_the_length_in_the_map() {
 }
 
 #[test]
-fn errors_of_a_map_name_their_place() {
+fn errors_of_a_map_name_line_and_field() {
     let length = "length_m = 4.5\n";
     let cases = [
         (
@@ -384,10 +384,10 @@ fn the_hardest_braking_is_found_at_any_threshold() {
         (hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s),
         "{hardest:?}"
     );
-    let seen = preview(&recording).expect("speeds are known");
+    let preview = preview(&recording).expect("speeds are known");
     assert_eq!(
-        (seen.lead_vehicles, seen.samples, seen.step_s),
+        (preview.lead_vehicles, preview.samples, preview.step_s),
         (1, 60, Some(0.1))
     );
-    assert_eq!((seen.time_s, seen.lines.len()), ([0.0, 5.9], 1));
+    assert_eq!((preview.time_s, preview.lines.len()), ([0.0, 5.9], 1));
 }

@@ -42,8 +42,8 @@ pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec
     let Some(vehicle) = platoon.vehicles.get(vehicle) else {
         return Vec::new();
     };
-    let known = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
-    split_at_holes(known.filter_map(|(index, (&time_s, &speed_mps))| {
+    let samples = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
+    split_at_holes(samples.filter_map(|(index, (&time_s, &speed_mps))| {
         Some(SpeedSample {
             index,
             time_ms: (time_s * 1000.0).round() as i64,
@@ -72,7 +72,7 @@ pub(super) fn split_at_holes(samples: impl Iterator<Item = SpeedSample>) -> Vec<
 
 /// Finds where `v(t) - v(t + 1 s)` exceeds the threshold, for t at each sample, in order of time.
 pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<BrakingEvent> {
-    let mut found: Vec<BrakingEvent> = Vec::new();
+    let mut brakings: Vec<BrakingEvent> = Vec::new();
     let mut ahead = run.windows(2).peekable();
     for sample in run {
         let end_ms = sample.time_ms + BRAKING_WINDOW_MS;
@@ -89,16 +89,17 @@ pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<Bra
         if drop_mps <= min_brake_mps2 + ROUNDING_MARGIN_MPS {
             continue;
         }
-        match found.last_mut() {
+        match brakings.last_mut() {
             Some(last) if sample.time_ms - last.end_ms <= MERGE_WITHIN_MS => {
                 last.end_ms = end_ms;
                 if drop_mps > last.largest_drop_mps {
-                    (last.largest_drop_mps, last.hardest_ms) = (drop_mps, sample.time_ms);
+                    last.largest_drop_mps = drop_mps;
+                    last.hardest_ms = sample.time_ms;
                 }
             }
             _ => {
                 let hardest_ms = sample.time_ms;
-                found.push(BrakingEvent {
+                brakings.push(BrakingEvent {
                     onset_ms: hardest_ms,
                     end_ms,
                     largest_drop_mps: drop_mps,
@@ -107,7 +108,7 @@ pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<Bra
             }
         }
     }
-    found
+    brakings
 }
 
 /// Returns the speed at a time of the run, linear between samples, constant outside.

@@ -39,11 +39,11 @@ pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = PlatoonMot
             cells(0.0..50.0, vehicles - 1),
             cells(0.5..200.0, vehicles - 1),
         )
-            .prop_map(move |(known, followers, gaps)| {
+            .prop_map(move |(is_known, followers, gaps)| {
                 let leads = lead
                     .iter()
-                    .zip(known)
-                    .map(|(&speed, known)| known.then_some(speed));
+                    .zip(is_known)
+                    .map(|(&speed, is_known)| is_known.then_some(speed));
                 let speeds = leads
                     .zip(followers)
                     .map(|(lead, rest)| [vec![lead], rest].concat())
@@ -100,7 +100,7 @@ proptest! {
     /// Files are read as written. Every episode is a valid scenario that starts as recorded; its leader loses speed
     /// faster than the threshold and within its limits.
     #[test]
-    fn recordings_survive_the_way_into_scenarios(motion in any_motion(0.05), threshold in 0.5..5.0_f64) {
+    fn scenarios_contain_the_recorded_braking(motion in any_motion(0.05), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.to_csv()).expect("well formed");
         let platoon = &recording.platoons[0];
         for (index, vehicle) in platoon.vehicles.iter().enumerate() {
@@ -141,12 +141,12 @@ proptest! {
     #[test]
     fn every_braking_is_in_one_episode(motion in any_motion(0.0), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.to_csv()).expect("well formed");
-        let found = find_episodes(&recording, MinBrake::new(threshold).expect("in range"), LeaderSelection::First);
-        prop_assert_eq!(&found.dropped, &[]);
+        let result = find_episodes(&recording, MinBrake::new(threshold).expect("in range"), LeaderSelection::First);
+        prop_assert_eq!(&result.dropped, &[]);
         let lead: Vec<f64> = motion.speeds.iter().map(|row| row[0].expect("known")).collect();
         for (k, pair) in lead.windows(11).enumerate() {
             let at_s = 480.0 + 0.1 * k as f64;
-            let holding = found.episodes.iter().filter(|episode| {
+            let holding = result.episodes.iter().filter(|episode| {
                 let from_s = episode.start_s + episode.onset_s;
                 let to_s = episode.start_s + episode.braking_end_s;
                 from_s < at_s + 1e-3 && at_s + 1.0 < to_s + 1e-3

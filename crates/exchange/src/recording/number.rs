@@ -10,10 +10,6 @@ const BLANKS: [char; 5] = [' ', '\'', '\u{2019}', '\u{a0}', '\u{202f}'];
 
 /// Parses a number without blanks around it. `None` unless each thousands separator precedes three digits.
 pub(super) fn parse_number(text: &str, decimal: DecimalMark) -> Option<f64> {
-    let (mark, other) = match decimal {
-        DecimalMark::Point => ('.', ','),
-        DecimalMark::Comma => (',', '.'),
-    };
     if (decimal == DecimalMark::Point || !text.contains(['.', ',']))
         && let Ok(number) = text.parse()
     {
@@ -22,52 +18,88 @@ pub(super) fn parse_number(text: &str, decimal: DecimalMark) -> Option<f64> {
     if text.len() > MAX_NUMBER_BYTES {
         return None;
     }
-    let mut plain = [0; MAX_NUMBER_BYTES];
-    let mut length = 0;
-    let mut push = |letter: char| {
-        if let Some(byte) = plain.get_mut(length) {
-            *byte = letter as u8;
-            length += 1;
-        }
+    let [mark, other_mark] = match decimal {
+        DecimalMark::Point => ['.', ','],
+        DecimalMark::Comma => [',', '.'],
     };
     let end = text.find([mark, 'e', 'E']).unwrap_or(text.len());
-    let (whole, rest) = text.split_at(end);
-    // Digits since the last separator.
-    let (mut separator, mut digits) = (None, 0);
-    for letter in whole.chars() {
-        match letter {
-            '+' | '-' if digits == 0 && separator.is_none() => push(letter),
-            '0'..='9' => {
-                push(letter);
-                digits += 1;
-            }
-            _ if letter == other || BLANKS.contains(&letter) => {
-                let is_placed = match separator {
-                    None => {
-                        (1..=3).contains(&digits)
-                            && !whole.trim_start_matches(['+', '-']).starts_with('0')
-                    }
-                    Some(_) => digits == 3,
-                };
-                if !is_placed || separator.is_some_and(|known| known != letter) {
-                    return None;
+    let mut plain = PlainNumber::default();
+    plain.add_whole(&text[..end], other_mark)?;
+    plain.add_rest(&text[end..], mark)?;
+    plain.parse()
+}
+
+/// Letters of a number without thousands separators, and with a decimal point.
+struct PlainNumber {
+    bytes: [u8; MAX_NUMBER_BYTES],
+    length: usize,
+}
+
+impl Default for PlainNumber {
+    fn default() -> Self {
+        Self {
+            bytes: [0; MAX_NUMBER_BYTES],
+            length: 0,
+        }
+    }
+}
+
+impl PlainNumber {
+    fn push(&mut self, letter: char) {
+        if let Some(byte) = self.bytes.get_mut(self.length) {
+            *byte = letter as u8;
+            self.length += 1;
+        }
+    }
+
+    /// Adds sign and digits before the decimal mark; `None` for other letters and misplaced separators.
+    fn add_whole(&mut self, whole: &str, other_mark: char) -> Option<()> {
+        let mut separator = None;
+        // Digits since the last separator.
+        let mut digits = 0;
+        for letter in whole.chars() {
+            match letter {
+                '+' | '-' if digits == 0 && separator.is_none() => self.push(letter),
+                '0'..='9' => {
+                    self.push(letter);
+                    digits += 1;
                 }
-                (separator, digits) = (Some(letter), 0);
+                _ if letter == other_mark || BLANKS.contains(&letter) => {
+                    let is_placed = match separator {
+                        None => {
+                            (1..=3).contains(&digits)
+                                && !whole.trim_start_matches(['+', '-']).starts_with('0')
+                        }
+                        Some(first) => digits == 3 && first == letter,
+                    };
+                    if !is_placed {
+                        return None;
+                    }
+                    separator = Some(letter);
+                    digits = 0;
+                }
+                _ => return None,
             }
-            _ => return None,
         }
+        (separator.is_none() || digits == 3).then_some(())
     }
-    if separator.is_some() && digits != 3 {
-        return None;
-    }
-    for letter in rest.chars() {
-        match letter {
-            _ if letter == mark => push('.'),
-            '0'..='9' | 'e' | 'E' | '+' | '-' => push(letter),
-            _ => return None,
+
+    /// Adds decimals and exponent; `None` for other letters.
+    fn add_rest(&mut self, rest: &str, mark: char) -> Option<()> {
+        for letter in rest.chars() {
+            match letter {
+                _ if letter == mark => self.push('.'),
+                '0'..='9' | 'e' | 'E' | '+' | '-' => self.push(letter),
+                _ => return None,
+            }
         }
+        Some(())
     }
-    std::str::from_utf8(plain.get(..length)?).ok()?.parse().ok()
+
+    fn parse(&self) -> Option<f64> {
+        let bytes = self.bytes.get(..self.length)?;
+        std::str::from_utf8(bytes).ok()?.parse().ok()
+    }
 }
 
 /// Numbers of fields that show a decimal mark.
@@ -86,13 +118,14 @@ impl NumberMarks {
         let Some(last) = field.rfind(['.', ',']) else {
             return;
         };
-        let is_number = |decimal| parse_number(field, decimal).is_some();
-        let count = match (is_number(DecimalMark::Comma), is_number(DecimalMark::Point)) {
-            (false, false) => return,
-            (true, false) => &mut self.commas,
-            (false, true) => &mut self.points,
-            (true, true) if field[last..].starts_with(',') => &mut self.unclear_commas,
-            (true, true) => &mut self.unclear_points,
+        let is_number = [DecimalMark::Comma, DecimalMark::Point]
+            .map(|decimal| parse_number(field, decimal).is_some());
+        let count = match is_number {
+            [false, false] => return,
+            [true, false] => &mut self.commas,
+            [false, true] => &mut self.points,
+            [true, true] if field[last..].starts_with(',') => &mut self.unclear_commas,
+            [true, true] => &mut self.unclear_points,
         };
         *count += 1;
     }
@@ -115,45 +148,45 @@ impl NumberMarks {
 /// Parses an ISO 8601 time stamp, such as `2026-03-01T12:00:00.5+01:00`, or a time of day. Returns the seconds since
 /// 1970, or since midnight; without time zone the date is taken for UTC.
 pub(super) fn parse_iso_s(text: &str) -> Option<f64> {
-    let (days, time) = match text.split_once(['T', ' ']) {
-        Some((date, time)) => (days_since_1970(date)?, time.trim_start()),
-        None if text.contains(':') => (0, text),
-        None => return None,
-    };
-    let zone = time.rfind(['Z', '+', '-']).unwrap_or(time.len());
-    let (clock, zone) = time.split_at(zone);
-    let mut parts = clock.trim_end().split(':');
+    match text.split_once(['T', ' ']) {
+        Some((date, time)) => parse_time_s(days_since_1970(date)?, time.trim_start()),
+        None if text.contains(':') => parse_time_s(0, text),
+        None => None,
+    }
+}
+
+/// Parses a time with its zone on a day. Returns the seconds since day 0.
+fn parse_time_s(days: i64, time: &str) -> Option<f64> {
+    let end = time.rfind(['Z', '+', '-']).unwrap_or(time.len());
+    let offset_minutes = parse_offset_minutes(&time[end..])?;
+    let mut parts = time[..end].trim_end().split(':');
     let hours: i64 = digits(parts.next()?, 2)?;
     let minutes = digits(parts.next()?, 2)?;
-    let (whole, fraction) = match parts.next() {
-        None => (0, 0.0),
-        Some(seconds) => {
-            let (whole, fraction) = seconds.split_once(['.', ',']).unwrap_or((seconds, "0"));
-            let places = fraction.len().min(MAX_FRACTION_DIGITS);
-            (
-                digits(whole, 2)?,
-                digits(fraction, places)? as f64 / 10_f64.powi(places as i32),
-            )
-        }
-    };
-    let offset_minutes = match zone.strip_prefix(['+', '-']) {
-        Some(offset) => {
-            let (hours, minutes) = offset.split_at_checked(2)?;
-            let minutes = minutes.strip_prefix(':').unwrap_or(minutes);
-            let size = 60 * digits(hours, 2)?
-                + if minutes.is_empty() {
-                    0
-                } else {
-                    digits(minutes, 2)?
-                };
-            if zone.starts_with('+') { size } else { -size }
-        }
-        None => 0,
-    };
+    let seconds = parts.next().unwrap_or("00");
+    let (whole, fraction) = seconds.split_once(['.', ',']).unwrap_or((seconds, "0"));
+    let whole = digits(whole, 2)?;
+    let places = fraction.len().min(MAX_FRACTION_DIGITS);
+    let fraction_s = digits(fraction, places)? as f64 / 10_f64.powi(places as i32);
     let is_valid = hours <= 24 && minutes < 60 && whole <= 60 && parts.next().is_none();
     is_valid.then(|| {
-        (86_400 * days + 3600 * hours + 60 * (minutes - offset_minutes) + whole) as f64 + fraction
+        (86_400 * days + 3600 * hours + 60 * (minutes - offset_minutes) + whole) as f64 + fraction_s
     })
+}
+
+/// Parses the offset of a time zone from UTC, such as `+01:00`; 0 for any text without sign.
+fn parse_offset_minutes(zone: &str) -> Option<i64> {
+    let Some(offset) = zone.strip_prefix(['+', '-']) else {
+        return Some(0);
+    };
+    let (hours, minutes) = offset.split_at_checked(2)?;
+    let minutes = minutes.strip_prefix(':').unwrap_or(minutes);
+    let minutes = if minutes.is_empty() {
+        0
+    } else {
+        digits(minutes, 2)?
+    };
+    let size = 60 * digits(hours, 2)? + minutes;
+    Some(if zone.starts_with('+') { size } else { -size })
 }
 
 fn digits(text: &str, count: usize) -> Option<i64> {
@@ -164,11 +197,9 @@ fn digits(text: &str, count: usize) -> Option<i64> {
 /// Returns the days of a date (Hinnant, "chrono-compatible low-level date algorithms").
 fn days_since_1970(date: &str) -> Option<i64> {
     let mut parts = date.split('-');
-    let (year, month, day) = (
-        digits(parts.next()?, 4)?,
-        digits(parts.next()?, 2)?,
-        digits(parts.next()?, 2)?,
-    );
+    let year = digits(parts.next()?, 4)?;
+    let month = digits(parts.next()?, 2)?;
+    let day = digits(parts.next()?, 2)?;
     let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     let days = match month {
         2 => 28 + i64::from(is_leap),

@@ -10,6 +10,9 @@ use super::pairs::EventReader;
 use super::series::Series;
 use super::table::RowReader;
 
+/// Name of a column, and size of its unit.
+type ColumnAndUnit<'s> = (&'s str, f64);
+
 impl EventReader<'_> {
     /// Compares the closing speed with both speeds, and the gap with the closing speed.
     pub(super) fn check(
@@ -17,74 +20,87 @@ impl EventReader<'_> {
         table: &RowReader<'_>,
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<(), RecordingError> {
-        let name = |series: &Option<Series>| {
-            series
-                .as_ref()
-                .map_or("", |one| &one.column.name)
-                .to_owned()
-        };
-        let (leader, follower, relative) = (
-            name(&self.leader),
-            name(&self.follower),
-            name(&self.relative),
-        );
+        let speeds = [&self.leader, &self.follower].map(column_and_unit);
+        let relative = column_and_unit(&self.relative);
+        self.check_closing_speed(relative, speeds, table, dropped)?;
+        self.check_gap(relative, speeds, table, dropped)
+    }
+
+    /// Compares the relative speed with the speeds of leader and follower.
+    fn check_closing_speed(
+        &self,
+        (relative, relative_unit): ColumnAndUnit<'_>,
+        speeds: [ColumnAndUnit<'_>; 2],
+        table: &RowReader<'_>,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
+        let [(leader, _), (follower, _)] = speeds;
         let difference = format!("{leader} - {follower}");
-        let units =
-            |terms, column, given| Hypothesis::units(column, (SpeedUnit::ALL, given), terms);
-        let unit =
-            |series: &Option<Series>| series.as_ref().map_or(1.0, |one| one.column.factor.abs());
-        let [leader_unit, follower_unit, relative_unit] =
-            [&self.leader, &self.follower, &self.relative].map(unit);
-        let of_speeds = || {
-            Hypothesis::speeds(
-                [(&leader, leader_unit), (&follower, follower_unit)],
-                &difference,
-            )
-        };
-        let flipped = |factors, reason| iter::once(Hypothesis { factors, reason });
-        let wrong_sign = |factors| flipped(factors, format!("{relative} has the opposite sign"));
-        let closing: Vec<_> = wrong_sign([-1.0, 1.0, 1.0])
-            .chain(units([true, false, false], &relative, relative_unit))
-            .chain(of_speeds())
+        let units = (SpeedUnit::ALL, relative_unit);
+        let hypotheses: Vec<_> = iter::once(opposite_sign(relative, [-1.0, 1.0, 1.0]))
+            .chain(Hypothesis::units(relative, units, [true, false, false]))
+            .chain(Hypothesis::speeds(speeds, &difference))
             .collect();
         self.closing.check(
             table,
-            &relative,
-            [&relative, &difference],
-            (&closing, dropped),
+            relative,
+            [relative, &difference],
+            (&hypotheses, dropped),
         )?;
-        let gap = &self.gap.column;
-        let common = Hypothesis::units(
-            &gap.name,
-            (LengthUnit::ALL, gap.factor),
-            [true, false, false],
-        )
-        .chain(Hypothesis::times(
-            &self.spec.0.time,
-            self.clock.column.factor,
-        ));
-        let (stated, hypotheses): (_, Vec<_>) = if self.relative.is_some() {
-            let of_relative = units([false, true, true], &relative, relative_unit);
-            (
-                &relative,
-                wrong_sign([1.0, -1.0, -1.0])
-                    .chain(of_relative)
-                    .chain(common)
-                    .collect(),
-            )
+        Ok(())
+    }
+
+    /// Compares the change of the gap with the relative speed, or with the difference of both speeds.
+    fn check_gap(
+        &self,
+        (relative, relative_unit): ColumnAndUnit<'_>,
+        speeds: [ColumnAndUnit<'_>; 2],
+        table: &RowReader<'_>,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
+        let [(leader, _), (follower, _)] = speeds;
+        let difference = format!("{leader} - {follower}");
+        let has_relative = self.relative.is_some();
+        let mut hypotheses = Vec::new();
+        if has_relative {
+            let units = (SpeedUnit::ALL, relative_unit);
+            hypotheses.push(opposite_sign(relative, [1.0, -1.0, -1.0]));
+            hypotheses.extend(Hypothesis::units(relative, units, [false, true, true]));
         } else {
-            let exchanged = flipped(
-                [1.0, -1.0, -1.0],
-                format!("{leader} and {follower} look exchanged"),
-            );
-            (
-                &difference,
-                exchanged.chain(of_speeds()).chain(common).collect(),
-            )
-        };
+            hypotheses.push(Hypothesis {
+                factors: [1.0, -1.0, -1.0],
+                reason: format!("{leader} and {follower} look exchanged"),
+            });
+            hypotheses.extend(Hypothesis::speeds(speeds, &difference));
+        }
+        let gap = &self.gap.column;
+        let gap_units = (LengthUnit::ALL, gap.factor);
+        hypotheses.extend(Hypothesis::units(
+            &gap.name,
+            gap_units,
+            [true, false, false],
+        ));
+        hypotheses.extend(Hypothesis::times(&self.map.time, self.clock.column.factor));
+        let stated = if has_relative { relative } else { &difference };
         let change = format!("the change of {}", gap.name);
         self.gap_change
             .check(table, stated, [&change, stated], (&hypotheses, dropped))?;
         Ok(())
+    }
+}
+
+/// Returns name and unit of a column of speeds; an empty name if there is no such column.
+fn column_and_unit(series: &Option<Series>) -> ColumnAndUnit<'_> {
+    match series {
+        Some(series) => (series.column.name.as_str(), series.column.factor.abs()),
+        None => ("", 1.0),
+    }
+}
+
+/// Returns the hypothesis that a column has the opposite sign.
+fn opposite_sign(column: &str, factors: [f64; 3]) -> Hypothesis {
+    Hypothesis {
+        factors,
+        reason: format!("{column} has the opposite sign"),
     }
 }

@@ -12,7 +12,10 @@ use super::acceleration::AccelerationCheck;
 use super::consistency::Comparison;
 use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{ColumnUnit, LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
+use super::map::{
+    ColumnUnit, LengthUnit, PairsSpec, RecordingMapSpec, RelativeSpeedSpec, Sign, SpacingSpec,
+    SpeedSpec, SpeedUnit,
+};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
@@ -32,14 +35,14 @@ pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    let mut events = EventReader::new((map, pairs), names)?;
+    let mut events = EventReader::new(map, pairs, names)?;
     while let Some(row) = table.next_sample(&names.fields)? {
         events.read_row(row)?;
         if events.finished_rows > PART_ROWS {
             let part = events.part(table, Vec::new())?;
-            if !each(part)? {
+            if !sink(part)? {
                 return Ok(());
             }
         }
@@ -61,13 +64,15 @@ pub(super) fn read(
     let mut last = events.part(table, dropped)?;
     events.clock.report(&mut last.dropped);
     last.dropped.extend(events.contradictions);
-    each(last)?;
+    sink(last)?;
     Ok(())
 }
 
 /// Finished events, and the current one.
 pub(super) struct EventReader<'m> {
-    pub(super) spec: (&'m RecordingMapSpec, &'m PairsSpec),
+    pub(super) map: &'m RecordingMapSpec,
+    /// Length of a leader that recorded spacings include, in metres.
+    included_length_m: f64,
     platoons: Vec<RecordedPlatoon>,
     /// Number of rows of these platoons.
     finished_rows: usize,
@@ -97,48 +102,16 @@ pub(super) struct EventReader<'m> {
 
 impl<'m> EventReader<'m> {
     fn new(
-        spec: (&'m RecordingMapSpec, &'m PairsSpec),
+        map: &'m RecordingMapSpec,
+        pairs: &PairsSpec,
         names: &CsvRow<'_>,
     ) -> Result<Self, RecordingError> {
-        let (map, pairs) = spec;
-        let series = |name: &str, unit, quantity| {
-            Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity))
-        };
-        let speed = |speed: &Option<SpeedSpec>| {
-            speed
-                .as_ref()
-                .map(|one| {
-                    series(
-                        &one.column,
-                        SpeedUnit::of_column(one.unit),
-                        ColumnQuantity::Speed,
-                    )
-                })
-                .transpose()
-        };
-        let relative = pairs.relative_speed.as_ref().map(|one| {
-            let mut relative = series(
-                &one.column,
-                SpeedUnit::of_column(one.unit),
-                ColumnQuantity::Signed,
-            )?;
-            relative.column.factor *= if one.sign == Sign::LeaderMinusFollower {
-                1.0
-            } else {
-                -1.0
-            };
-            Ok(relative)
-        });
-        let acceleration = |speed: &Option<SpeedSpec>| {
-            speed
-                .as_ref()
-                .map_or(Ok(None), |speed| AccelerationCheck::find(names, speed))
-        };
         Ok(Self {
-            spec,
+            map,
+            included_length_m: pairs.length_m.unwrap_or(0.0),
             accelerations: [
-                acceleration(&pairs.follower_speed)?,
-                acceleration(&pairs.leader_speed)?,
+                find_acceleration(names, pairs.follower_speed.as_ref())?,
+                find_acceleration(names, pairs.leader_speed.as_ref())?,
             ],
             platoons: Vec::new(),
             finished_rows: 0,
@@ -152,14 +125,10 @@ impl<'m> EventReader<'m> {
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
             samples: PairSamples::default(),
-            gap: series(
-                &pairs.spacing.column,
-                LengthUnit::of_column(pairs.spacing.unit),
-                ColumnQuantity::Gap,
-            )?,
-            follower: speed(&pairs.follower_speed)?,
-            relative: relative.transpose()?,
-            leader: speed(&pairs.leader_speed)?,
+            gap: find_spacing(names, &pairs.spacing)?,
+            follower: find_speed(names, pairs.follower_speed.as_ref())?,
+            relative: find_relative_speed(names, pairs.relative_speed.as_ref())?,
+            leader: find_speed(names, pairs.leader_speed.as_ref())?,
             contradictions: None,
             gap_change: Comparison::default(),
             closing: Comparison::default(),
@@ -180,18 +149,12 @@ impl<'m> EventReader<'m> {
         }
         let now_s = self.clock.read(row)?;
         // Without a column, names are not compared: comparisons of empty texts are slow on some processors.
-        if self
+        let is_other_event = self
             .event
             .as_deref()
-            .is_none_or(|known| self.column.is_some() && known != event)
-            || self.clock.starts_anew(row, now_s)
-        {
-            self.finish_event();
-            if self.finished.len() >= MAX_EVENTS {
-                return row.reject_too_large(MAX_EVENTS, "events");
-            }
-            self.check_not_interleaved(row, event, now_s)?;
-            self.event = Some(event.to_owned());
+            .is_none_or(|current| self.column.is_some() && current != event);
+        if is_other_event || self.clock.starts_anew(row, now_s) {
+            self.begin_event(row, event, now_s)?;
         }
         if !self.clock.advance(row, now_s) {
             return Ok(());
@@ -199,28 +162,45 @@ impl<'m> EventReader<'m> {
         if self.bounds.ends_before((now_s * 1000.0).round() as i64) {
             self.end_part();
         }
-        let gap_m = self
-            .gap
-            .read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
-        let read = |series: &mut Option<Series>| {
-            series.as_mut().map_or(Ok(None), |series| series.read(row))
+        self.read_values(row, now_s)
+    }
+
+    /// Ends the current event, and begins that of a row.
+    fn begin_event(
+        &mut self,
+        row: &CsvRow<'_>,
+        event: &str,
+        now_s: f64,
+    ) -> Result<(), RecordingError> {
+        self.finish_event();
+        if self.finished.len() >= MAX_EVENTS {
+            return row.reject_too_large(MAX_EVENTS, "events");
+        }
+        self.check_not_interleaved(row, event, now_s)?;
+        self.event = Some(event.to_owned());
+        Ok(())
+    }
+
+    /// Adds the values of a row to the samples, and to the comparisons of columns.
+    fn read_values(&mut self, row: &CsvRow<'_>, now_s: f64) -> Result<(), RecordingError> {
+        let time_and_line = (now_s, row.line);
+        let gap_m = self.gap.read_minus(row, self.included_length_m)?;
+        let speeds = PairSpeeds {
+            follower_mps: read_optional(&mut self.follower, row)?,
+            relative_mps: read_optional(&mut self.relative, row)?,
+            leader_mps: read_optional(&mut self.leader, row)?,
         };
-        let speeds = (
-            read(&mut self.follower)?,
-            read(&mut self.relative)?,
-            read(&mut self.leader)?,
-        );
-        let (follower_mps, leader_mps) = self.reconcile_speeds(row, speeds);
-        let rates_mps = match speeds {
-            (_, Some(relative), _) => Some([relative, 0.0]),
-            (follower, None, leader) => leader
-                .zip(follower)
-                .map(|(leader, follower)| [leader, -follower]),
-        };
-        self.gap_change.add((now_s, row.line), gap_m, rates_mps);
-        if let (Some(follower), Some(relative), Some(leader)) = speeds {
+        let [follower_mps, leader_mps] = self.reconcile_speeds(row, speeds);
+        self.gap_change
+            .add(time_and_line, gap_m, speeds.rates_of_gap());
+        if let PairSpeeds {
+            follower_mps: Some(follower),
+            relative_mps: Some(relative),
+            leader_mps: Some(leader),
+        } = speeds
+        {
             self.closing
-                .add_instant((now_s, row.line), [relative, leader, -follower]);
+                .add_instant(time_and_line, [relative, leader, -follower]);
         }
         for (acceleration, speed_mps) in self
             .accelerations
@@ -229,7 +209,7 @@ impl<'m> EventReader<'m> {
         {
             if let Some(acceleration) = acceleration {
                 let value = acceleration.series.read(row)?;
-                acceleration.add((now_s, row.line), speed_mps, value);
+                acceleration.add(time_and_line, speed_mps, value);
             }
         }
         self.samples.time_s.push(now_s);
@@ -262,45 +242,47 @@ impl<'m> EventReader<'m> {
 
     /// Returns the speeds of follower and leader from any two of the three columns; neither if they contradict one
     /// another.
-    fn reconcile_speeds(
-        &mut self,
-        row: &CsvRow<'_>,
-        (follower, relative, leader): (Option<f64>, Option<f64>, Option<f64>),
-    ) -> (Option<f64>, Option<f64>) {
-        let possible =
-            |speed_mps: f64| ColumnQuantity::Speed.allows(speed_mps).then_some(speed_mps);
-        match (follower, relative, leader) {
+    fn reconcile_speeds(&mut self, row: &CsvRow<'_>, speeds: PairSpeeds) -> [Option<f64>; 2] {
+        let PairSpeeds {
+            follower_mps,
+            relative_mps,
+            leader_mps,
+        } = speeds;
+        match (follower_mps, relative_mps, leader_mps) {
             (Some(follower), Some(relative), None) => {
-                (Some(follower), possible(follower + relative))
+                [Some(follower), possible_speed(follower + relative)]
             }
-            (None, Some(relative), Some(leader)) => (possible(leader - relative), Some(leader)),
+            (None, Some(relative), Some(leader)) => {
+                [possible_speed(leader - relative), Some(leader)]
+            }
             (Some(follower), Some(relative), Some(leader)) => {
-                let first_error_mps = (relative - (leader - follower)).abs();
-                if first_error_mps <= SPEED_TOLERANCE_MPS {
-                    return (Some(follower), Some(leader));
+                let error_mps = (relative - (leader - follower)).abs();
+                if error_mps <= SPEED_TOLERANCE_MPS {
+                    return [Some(follower), Some(leader)];
                 }
-                let name = |series: &Option<Series>| {
-                    series
-                        .as_ref()
-                        .map_or("", |one| &one.column.name)
-                        .to_owned()
-                };
-                let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
-                let (relative, error_mps) =
-                    (name(&self.relative), format_fixed(first_error_mps, 3));
-                let after =
-                    format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}");
-                let what = Omission::counted(
-                    format!("{relative}: differs from {difference} in "),
-                    0,
-                    after,
-                );
-                row.count(&mut self.contradictions, || what);
-                (None, None)
+                self.count_contradiction(row, error_mps);
+                [None, None]
             }
-            (follower, None, leader) => (follower, leader),
-            (None, Some(_), None) => (None, None),
+            (follower, None, leader) => [follower, leader],
+            (None, Some(_), None) => [None, None],
         }
+    }
+
+    /// Counts a row whose relative speed differs from the difference of both speeds.
+    fn count_contradiction(&mut self, row: &CsvRow<'_>, error_mps: f64) {
+        let [leader, follower, relative] =
+            [&self.leader, &self.follower, &self.relative].map(|series| match series {
+                Some(series) => series.column.name.as_str(),
+                None => "",
+            });
+        row.count(&mut self.contradictions, || {
+            let error_mps = format_fixed(error_mps, 3);
+            Omission::counted(
+                format!("{relative}: differs from {leader} - {follower} in "),
+                0,
+                format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}"),
+            )
+        });
     }
 
     /// Converts the current event to a platoon.
@@ -318,71 +300,70 @@ impl<'m> EventReader<'m> {
         if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
             self.finished.insert(hash_of(&event), (last_s, last_line));
         }
-        let (core_ms, _) = mem::replace(&mut self.bounds, PartBounds::new(3)).next();
-        self.add_platoons(&event, core_ms, samples);
+        let part = mem::replace(&mut self.bounds, PartBounds::new(3)).next();
+        self.add_platoons(&event, &part.core_ms, samples);
     }
 
     /// Converts the first part of a long event to a platoon, and keeps its end for the next part.
     fn end_part(&mut self) {
-        let (core_ms, next_ms) = self.bounds.next();
+        let part = self.bounds.next();
         let end = self
             .samples
             .time_s
-            .partition_point(|time_s| time_s * 1000.0 < next_ms as f64);
-        let part = mem::take(&mut self.samples);
-        self.samples = part.clone().split_off(end);
+            .partition_point(|time_s| time_s * 1000.0 < part.next_from_ms as f64);
+        let samples = mem::take(&mut self.samples);
+        self.samples = samples.clone().split_off(end);
         let event = self.event.clone().unwrap_or_default();
-        self.add_platoons(&event, core_ms, part);
+        self.add_platoons(&event, &part.core_ms, samples);
     }
 
-    fn add_platoons(&mut self, event: &str, core_ms: Range<i64>, mut samples: PairSamples) {
+    /// Adds samples of an event as platoons of two, one for each target of the sensor.
+    fn add_platoons(&mut self, event: &str, core_ms: &Range<i64>, mut samples: PairSamples) {
         self.finished_rows += EVENT_ROWS + samples.time_s.len();
+        self.fill_holes(&mut samples);
+        let event = self.column.is_some().then(|| excerpt(event));
+        for pair in samples.split(&mut self.switches) {
+            self.platoons.push(RecordedPlatoon {
+                event: event.clone(),
+                time_s: pair.time_s,
+                line: pair.line,
+                vehicles: vec![
+                    RecordedVehicle {
+                        number: 1,
+                        name: Some("leader".to_owned()),
+                        speed_mps: pair.leaders_mps,
+                    },
+                    RecordedVehicle {
+                        number: 2,
+                        name: Some("follower".to_owned()),
+                        speed_mps: pair.followers_mps,
+                    },
+                ],
+                gaps_m: vec![pair.gaps_m],
+                core_ms: core_ms.clone(),
+            });
+        }
+    }
+
+    /// Interpolates short holes, as the map demands, and counts the new values.
+    fn fill_holes(&mut self, samples: &mut PairSamples) {
         let PairSamples {
             time_s,
             line,
             gaps_m,
             followers_mps,
             leaders_mps,
-        } = &mut samples;
+        } = samples;
         for (values, interpolated) in [gaps_m, followers_mps, leaders_mps]
             .into_iter()
             .zip(&mut self.interpolated)
         {
-            if let Some((count, first)) =
-                interpolate_holes(values, time_s, self.spec.0.interpolate_s)
+            if let Some((count, first)) = interpolate_holes(values, time_s, self.map.interpolate_s)
             {
                 interpolated
                     .get_or_insert((line.get(first).copied().unwrap_or(0), 0))
                     .1 += count;
             }
-        }
-        let event = self.column.is_some().then(|| excerpt(event));
-        for PairSamples {
-            time_s,
-            line,
-            gaps_m,
-            followers_mps,
-            leaders_mps,
-        } in samples.split(&mut self.switches)
-        {
-            let vehicle = |number, role: &str, speed_mps| RecordedVehicle {
-                number,
-                name: Some(role.to_owned()),
-                speed_mps,
-            };
-            let vehicles = vec![
-                vehicle(1, "leader", leaders_mps),
-                vehicle(2, "follower", followers_mps),
-            ];
-            let (event, core_ms) = (event.clone(), core_ms.clone());
-            self.platoons.push(RecordedPlatoon {
-                event,
-                time_s,
-                line,
-                vehicles,
-                gaps_m: vec![gaps_m],
-                core_ms,
-            });
         }
     }
 
@@ -392,32 +373,31 @@ impl<'m> EventReader<'m> {
         table: &RowReader<'_>,
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
-        let item = |line, omission| DroppedItem {
-            path: table.path().to_owned(),
-            line,
-            omission,
-        };
+        let path = table.path();
         let columns = ["spacings", "the follower's speed", "the leader's speed"];
-        for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
-            dropped.extend(
-                found.map(|(line, count)| item(line, Omission::interpolated(column, count))),
-            );
+        for (column, interpolated) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
+            dropped.extend(interpolated.map(|(line, count)| DroppedItem {
+                path: path.to_owned(),
+                line,
+                omission: Omission::interpolated(column, count),
+            }));
         }
         self.check(table, &mut dropped)?;
         let accelerations = self.accelerations.iter_mut().flatten();
         accelerations
             .into_iter()
             .try_for_each(|acceleration| acceleration.check(table, &mut dropped))?;
-        (self.gap_change, self.closing, self.finished_rows) =
-            (Comparison::default(), Comparison::default(), 0);
-        dropped.extend(
-            self.switches
-                .take()
-                .map(|(line, omission)| item(line, omission)),
-        );
+        self.gap_change = Comparison::default();
+        self.closing = Comparison::default();
+        self.finished_rows = 0;
+        dropped.extend(self.switches.take().map(|(line, omission)| DroppedItem {
+            path: path.to_owned(),
+            line,
+            omission,
+        }));
         Ok(Recording {
-            path: table.path().to_owned(),
-            format: self.spec.0.name.clone(),
+            path: path.to_owned(),
+            format: self.map.name.clone(),
             text: TextFormat {
                 time: self.clock.detected(),
                 ..table.format()
@@ -427,6 +407,86 @@ impl<'m> EventReader<'m> {
             dropped,
         })
     }
+}
+
+/// Speeds of a row, as far as they are recorded.
+#[derive(Debug, Clone, Copy)]
+struct PairSpeeds {
+    follower_mps: Option<f64>,
+    /// Speed of the leader minus that of the follower.
+    relative_mps: Option<f64>,
+    leader_mps: Option<f64>,
+}
+
+impl PairSpeeds {
+    /// Returns rates whose sum should be the change of the gap: the relative speed, or else both speeds.
+    fn rates_of_gap(&self) -> Option<[f64; 2]> {
+        match self.relative_mps {
+            Some(relative_mps) => Some([relative_mps, 0.0]),
+            None => self
+                .leader_mps
+                .zip(self.follower_mps)
+                .map(|(leader, follower)| [leader, -follower]),
+        }
+    }
+}
+
+fn possible_speed(speed_mps: f64) -> Option<f64> {
+    Some(speed_mps).filter(|speed_mps| ColumnQuantity::Speed.allows(*speed_mps))
+}
+
+/// Reads the value of a column, if there is one.
+fn read_optional(
+    series: &mut Option<Series>,
+    row: &CsvRow<'_>,
+) -> Result<Option<f64>, RecordingError> {
+    match series {
+        Some(series) => series.read(row),
+        None => Ok(None),
+    }
+}
+
+fn find_spacing(names: &CsvRow<'_>, spacing: &SpacingSpec) -> Result<Series, RecordingError> {
+    let unit = LengthUnit::column_unit(spacing.unit);
+    let column = CsvColumn::find(names, &spacing.column, unit)?;
+    Ok(Series::new(column, ColumnQuantity::Gap))
+}
+
+/// Finds the column of a speed, if the map names one.
+fn find_speed(
+    names: &CsvRow<'_>,
+    speed: Option<&SpeedSpec>,
+) -> Result<Option<Series>, RecordingError> {
+    let Some(speed) = speed else {
+        return Ok(None);
+    };
+    let unit = SpeedUnit::column_unit(speed.unit);
+    let column = CsvColumn::find(names, &speed.column, unit)?;
+    Ok(Some(Series::new(column, ColumnQuantity::Speed)))
+}
+
+/// Finds the column of the relative speed, and gives it the sign of the leader's speed minus the follower's.
+fn find_relative_speed(
+    names: &CsvRow<'_>,
+    speed: Option<&RelativeSpeedSpec>,
+) -> Result<Option<Series>, RecordingError> {
+    let Some(speed) = speed else {
+        return Ok(None);
+    };
+    let unit = SpeedUnit::column_unit(speed.unit);
+    let mut column = CsvColumn::find(names, &speed.column, unit)?;
+    column.factor *= match speed.sign {
+        Sign::LeaderMinusFollower => 1.0,
+        Sign::FollowerMinusLeader => -1.0,
+    };
+    Ok(Some(Series::new(column, ColumnQuantity::Signed)))
+}
+
+fn find_acceleration(
+    names: &CsvRow<'_>,
+    speed: Option<&SpeedSpec>,
+) -> Result<Option<AccelerationCheck>, RecordingError> {
+    speed.map_or(Ok(None), |speed| AccelerationCheck::find(names, speed))
 }
 
 fn hash_of(event: &str) -> u64 {

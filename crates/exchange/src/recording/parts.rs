@@ -53,15 +53,23 @@ impl PartBounds {
         time_ms >= self.core_ms.end.saturating_add(MARGIN_MS) || self.rows > 2 * PART_ROWS
     }
 
-    /// Begins the next part. Returns the core of the part before, and the start of the next part with its margin.
-    pub(super) fn next(&mut self) -> (Range<i64>, i64) {
+    /// Ends the part, and begins the next one.
+    pub(super) fn next(&mut self) -> EndedPart {
         let from_ms = self.core_ms.end;
         self.rows = 0;
-        (
-            std::mem::replace(&mut self.core_ms, from_ms..i64::MAX),
-            from_ms.saturating_sub(MARGIN_MS),
-        )
+        EndedPart {
+            core_ms: std::mem::replace(&mut self.core_ms, from_ms..i64::MAX),
+            next_from_ms: from_ms.saturating_sub(MARGIN_MS),
+        }
     }
+}
+
+/// Times of a part that has ended.
+pub(super) struct EndedPart {
+    /// Times at which braking belongs to the part.
+    pub(super) core_ms: Range<i64>,
+    /// Start of the next part with its margin.
+    pub(super) next_from_ms: i64,
 }
 
 /// Adds the omissions of another part.
@@ -69,7 +77,7 @@ pub fn merge_dropped(all: &mut Vec<DroppedItem>, more: Vec<DroppedItem>) {
     for item in more {
         if !all
             .iter_mut()
-            .any(|known| known.omission.absorb(&item.omission))
+            .any(|earlier| earlier.omission.absorb(&item.omission))
         {
             all.push(item);
         }

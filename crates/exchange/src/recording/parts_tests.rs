@@ -108,7 +108,7 @@ fn imported(
 
 /// Every braking of a recording of several parts makes one scenario, with the same speeds everywhere.
 #[test]
-fn episodes_of_long_recordings_are_those_of_short_ones() {
+fn reading_in_parts_changes_no_episode() {
     let map = tracks_map();
     // At least two and a half parts.
     let minutes = 5 * PART_ROWS / 1200 / 4 * 4 + 4;
@@ -134,12 +134,12 @@ fn episodes_of_long_recordings_are_those_of_short_ones() {
         );
         let duration_s: Vec<f64> = scenarios
             .iter()
-            .map(|one| one.scenario.spec().duration_s)
+            .map(|imported| imported.scenario.spec().duration_s)
             .collect();
         assert!(
             duration_s
                 .iter()
-                .all(|one| (one - duration_s[0]).abs() < 0.2),
+                .all(|duration| (duration - duration_s[0]).abs() < 0.2),
             "{duration_s:?}"
         );
         let dropped = result.dropped.iter().map(DroppedItem::to_string);
@@ -168,7 +168,7 @@ fn memory_is_bounded_for_dense_traffic() {
                 .lead_vehicles()
                 .into_iter()
                 .flat_map(|lead| lead.segments())
-                .map(|one| one.len());
+                .map(|segment| segment.len());
             sizes.push(samples.sum::<usize>());
             Ok(true)
         })

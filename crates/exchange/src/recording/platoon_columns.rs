@@ -31,20 +31,20 @@ impl PlatoonHeader {
 
     /// Returns the name of a vehicle. Names count from vehicle 1 if there are enough, or from the first recorded
     /// vehicle if each has one; otherwise they are ambiguous.
-    pub(super) fn name_of(
+    pub(super) fn name_of<T>(
         &self,
         number: usize,
-        recorded: &BTreeMap<usize, CsvColumn>,
+        recorded: &BTreeMap<usize, T>,
     ) -> Option<String> {
         let last = *recorded.keys().next_back()?;
-        let place = if self.order.len() >= last {
+        let index = if self.order.len() >= last {
             number.checked_sub(1)?
         } else if self.order.len() == recorded.len() {
-            recorded.keys().position(|&known| known == number)?
+            recorded.keys().position(|&vehicle| vehicle == number)?
         } else {
             return None;
         };
-        self.order.get(place).cloned()
+        self.order.get(index).cloned()
     }
 }
 
@@ -64,22 +64,24 @@ impl PlatoonColumns {
         names: &CsvRow<'_>,
     ) -> Result<Self, RecordingError> {
         let time = Clock::find(names, &map.time)?;
-        let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
+        let mut speeds = BTreeMap::new();
+        let mut gaps = BTreeMap::new();
         for (index, name) in names
             .fields
             .iter()
             .enumerate()
             .filter(|(index, _)| *index != time.column.index)
         {
-            let column = |unit| names.column(index, unit);
-            let before = if let Some(number) = column_number(name, &platoon.speed.column) {
-                speeds.insert(number, column(SpeedUnit::of_column(platoon.speed.unit))?)
+            let earlier = if let Some(number) = column_number(name, &platoon.speed.column) {
+                let unit = SpeedUnit::column_unit(platoon.speed.unit);
+                speeds.insert(number, names.column(index, unit)?)
             } else if let Some(number) = column_number(name, &platoon.spacing.column) {
-                gaps.insert(number, column(LengthUnit::of_column(platoon.spacing.unit))?)
+                let unit = LengthUnit::column_unit(platoon.spacing.unit);
+                gaps.insert(number, names.column(index, unit)?)
             } else {
                 None
             };
-            if before.is_some() {
+            if earlier.is_some() {
                 return names.reject(&excerpt(name), ColumnProblem::Repeated);
             }
         }
@@ -101,48 +103,17 @@ impl PlatoonColumns {
         header: &PlatoonHeader,
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<Vec<Vec<usize>>, RecordingError> {
-        let mut report = |what| dropped.push(names.dropped_item(Omission::Note(what)));
-        let missing = |first, last, consequence| match first == last {
-            true => format!("vehicle {first} has no speed column: {consequence}"),
-            false => format!("vehicles {first} to {last} have no speed column: {consequence}"),
-        };
-        let mut lines: Vec<Vec<usize>> = Vec::new();
-        let mut ahead = 0;
-        for &number in self.speeds.keys() {
-            if number > ahead + 1 {
-                let consequence = match ahead {
-                    0 => "the platoon starts behind",
-                    _ => "the platoon is split there, because the spacing is unknown",
-                };
-                report(missing(ahead + 1, number - 1, consequence));
-            }
-            match lines.last_mut() {
-                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => {
-                    line.push(number)
-                }
-                _ => {
-                    if number == ahead + 1 && ahead > 0 {
-                        let column = self.spacing.replace("{}", &ahead.to_string());
-                        report(format!(
-                            "{column}: no such column, so the platoon is split between vehicles {ahead} and {number}"
-                        ));
-                    }
-                    lines.push(vec![number]);
-                }
-            }
-            ahead = number;
-        }
+        let mut notes = Vec::new();
+        let mut lines = self.split_at_unknown_spacings(&mut notes);
         // A count far beyond the columns is a typing error.
-        if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
-            report(missing(
-                ahead + 1,
-                header.number_of_vehicles,
-                "the platoon ends before",
-            ));
+        let last = self.speeds.keys().next_back().copied().unwrap_or(0);
+        let count = header.number_of_vehicles;
+        if count > last && count <= MAX_VEHICLES {
+            notes.push(missing_vehicles(last + 1, count, "the platoon ends before"));
         }
         for (number, column) in &self.gaps {
             if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
-                report(format!(
+                notes.push(format!(
                     "{}: ignored, because one of its two vehicles has no speed column",
                     column.name
                 ));
@@ -151,9 +122,11 @@ impl PlatoonColumns {
         for line in &lines {
             if let [number] = **line {
                 let reason = "no spacing to a vehicle ahead of it or behind it is recorded";
-                report(format!("vehicle {number}: left out, because {reason}"));
+                notes.push(format!("vehicle {number}: left out, because {reason}"));
             }
         }
+        let omissions = notes.into_iter().map(Omission::Note);
+        dropped.extend(omissions.map(|omission| names.dropped_item(omission)));
         lines.retain(|line| line.len() > 1);
         if lines.is_empty() {
             return names.reject(
@@ -162,6 +135,46 @@ impl PlatoonColumns {
             );
         }
         Ok(lines)
+    }
+
+    /// Returns the vehicles in lines whose spacings are all known, and adds the reasons of splits to `notes`.
+    fn split_at_unknown_spacings(&self, notes: &mut Vec<String>) -> Vec<Vec<usize>> {
+        let mut lines: Vec<Vec<usize>> = Vec::new();
+        let mut ahead = 0;
+        for &number in self.speeds.keys() {
+            if number > ahead + 1 {
+                let consequence = match ahead {
+                    0 => "the platoon starts behind",
+                    _ => "the platoon is split there, because the spacing is unknown",
+                };
+                notes.push(missing_vehicles(ahead + 1, number - 1, consequence));
+            }
+            match lines.last_mut() {
+                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => {
+                    line.push(number)
+                }
+                _ => {
+                    if number == ahead + 1 && ahead > 0 {
+                        let column = self.spacing.replace("{}", &ahead.to_string());
+                        notes.push(format!(
+                            "{column}: no such column, so the platoon is split between vehicles {ahead} and {number}"
+                        ));
+                    }
+                    lines.push(vec![number]);
+                }
+            }
+            ahead = number;
+        }
+        lines
+    }
+}
+
+/// Describes vehicles without speed columns.
+fn missing_vehicles(first: usize, last: usize, consequence: &str) -> String {
+    if first == last {
+        format!("vehicle {first} has no speed column: {consequence}")
+    } else {
+        format!("vehicles {first} to {last} have no speed column: {consequence}")
     }
 }
 

@@ -19,7 +19,7 @@ use super::error::RecordingError;
 use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec};
 use super::parts::{PartBounds, PartSink};
 use super::platoon_columns::{PlatoonColumns, PlatoonHeader};
-use super::series::{ColumnQuantity, Series, interpolate_holes};
+use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader};
 use super::text_rows::Fields;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
@@ -30,97 +30,101 @@ pub(super) fn read(
     (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
     lines: &[Fields],
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
-    let mut header = PlatoonHeader::default();
-    lines
-        .iter()
-        .for_each(|fields| header.read_line(platoon, fields));
-    let layout = PlatoonColumns::from_names((map, platoon), names)?;
-    let mut dropped = Vec::new();
-    let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
-
-    let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
-    let speed_series = |(&number, column)| (number, series(column, ColumnQuantity::Speed));
-    let gap_series = |(&number, column)| (number, series(column, ColumnQuantity::Gap));
-    let mut samples = PlatoonSamples {
-        map,
-        header,
-        speeds: layout.speeds.iter().map(speed_series).collect(),
-        gaps: layout.gaps.iter().map(gap_series).collect(),
-        time_s: Vec::new(),
-        line: Vec::new(),
-    };
-    let (mut clock, speeds) = (layout.time, &layout.speeds);
-    let mut bounds = PartBounds::new(2 * speeds.len());
+    let mut reader = PlatoonReader::new((map, platoon), lines, names)?;
+    let mut bounds = PartBounds::new(2 * reader.speeds.len());
     while let Some(row) = table.next_sample(&names.fields)? {
-        let now_s = clock.read(row)?;
-        if !clock.advance(row, now_s) {
+        let now_s = reader.clock.read(row)?;
+        if !reader.clock.advance(row, now_s) {
             continue;
         }
         if bounds.ends_before((now_s * 1000.0).round() as i64) {
-            let (core_ms, next_ms) = bounds.next();
-            let text = TextFormat {
-                time: clock.detected(),
-                ..table.format()
-            };
-            let time = clock.column.factor;
-            let part = samples.part(
-                table,
-                (&lines_of_vehicles, speeds),
-                (core_ms, time, text),
-                mem::take(&mut dropped),
-            )?;
-            if !each(part)? {
+            let part = bounds.next();
+            if !sink(reader.part(table, part.core_ms)?)? {
                 return Ok(());
             }
-            samples.forget_before(next_ms as f64 / 1000.0);
+            reader.forget_before(part.next_from_ms as f64 / 1000.0);
         }
-        let row = table.row();
-        samples.time_s.push(now_s);
-        samples.line.push(row.line);
-        for series in samples.speeds.values_mut() {
-            let value = series.read(row)?;
-            series.values.push(value);
-        }
-        for series in samples.gaps.values_mut() {
-            let value = series.read_minus(row, platoon.length_m.unwrap_or(0.0))?;
-            series.values.push(value);
-        }
+        reader.read_values(table.row(), now_s)?;
     }
-    table.check_samples(&mut dropped)?;
-    let text = TextFormat {
-        time: clock.detected(),
-        ..table.format()
-    };
-    let time_factor = clock.column.factor;
-    clock.report(&mut dropped);
-    for series in samples.speeds.values().chain(samples.gaps.values()) {
-        series.report(table.path(), table.samples, &mut dropped);
-    }
-    let core_ms = bounds.next().0;
-    each(samples.part(
-        table,
-        (&lines_of_vehicles, speeds),
-        (core_ms, time_factor, text),
-        dropped,
-    )?)?;
+    table.check_samples(&mut reader.dropped)?;
+    reader.report_values(table);
+    sink(reader.part(table, bounds.next().core_ms)?)?;
     Ok(())
 }
 
-/// Samples of the current part.
-struct PlatoonSamples<'m> {
+/// Columns of a platoon with the samples of the current part.
+struct PlatoonReader<'m> {
     map: &'m RecordingMapSpec,
+    /// Length of a leader that recorded spacings include, in metres.
+    included_length_m: f64,
     header: PlatoonHeader,
+    /// Numbers of the vehicles of each line without holes.
+    lines_of_vehicles: Vec<Vec<usize>>,
+    clock: Clock,
+    /// Speeds by number of the vehicle.
     speeds: BTreeMap<usize, Series>,
+    /// Spacings by number of the vehicle ahead.
     gaps: BTreeMap<usize, Series>,
     time_s: Vec<f64>,
     line: Vec<u64>,
+    /// Omissions that no part contains so far.
+    dropped: Vec<DroppedItem>,
 }
 
-impl PlatoonSamples<'_> {
+impl<'m> PlatoonReader<'m> {
+    /// Finds the columns of the platoon, and splits it where a spacing is unknown.
+    fn new(
+        (map, platoon): (&'m RecordingMapSpec, &PlatoonSpec),
+        lines: &[Fields],
+        names: &CsvRow<'_>,
+    ) -> Result<Self, RecordingError> {
+        let mut header = PlatoonHeader::default();
+        lines
+            .iter()
+            .for_each(|fields| header.read_line(platoon, fields));
+        let columns = PlatoonColumns::from_names((map, platoon), names)?;
+        let mut dropped = Vec::new();
+        Ok(Self {
+            map,
+            included_length_m: platoon.length_m.unwrap_or(0.0),
+            lines_of_vehicles: columns.split(names, &header, &mut dropped)?,
+            header,
+            clock: columns.time,
+            speeds: series_by_number(columns.speeds, ColumnQuantity::Speed),
+            gaps: series_by_number(columns.gaps, ColumnQuantity::Gap),
+            time_s: Vec::new(),
+            line: Vec::new(),
+            dropped,
+        })
+    }
+
+    /// Adds the values of a row.
+    fn read_values(&mut self, row: &CsvRow<'_>, now_s: f64) -> Result<(), RecordingError> {
+        self.time_s.push(now_s);
+        self.line.push(row.line);
+        for series in self.speeds.values_mut() {
+            let value = series.read(row)?;
+            series.values.push(value);
+        }
+        for series in self.gaps.values_mut() {
+            let value = series.read_minus(row, self.included_length_m)?;
+            series.values.push(value);
+        }
+        Ok(())
+    }
+
+    /// Adds missing and impossible values of all rows to the omissions.
+    fn report_values(&mut self, table: &RowReader<'_>) {
+        self.clock.report(&mut self.dropped);
+        for series in self.speeds.values().chain(self.gaps.values()) {
+            series.report(table.path(), table.samples, &mut self.dropped);
+        }
+    }
+
     fn forget_before(&mut self, time_s: f64) {
-        let count = self.time_s.partition_point(|known_s| *known_s < time_s);
+        let count = self.time_s.partition_point(|row_s| *row_s < time_s);
         self.time_s.drain(..count);
         self.line.drain(..count);
         let series = self.speeds.values_mut().chain(self.gaps.values_mut());
@@ -129,108 +133,130 @@ impl PlatoonSamples<'_> {
 
     /// Converts the samples to platoons.
     fn part(
-        &self,
+        &mut self,
         table: &RowReader<'_>,
-        (lines_of_vehicles, recorded): (&[Vec<usize>], &BTreeMap<usize, CsvColumn>),
-        (core_ms, time_factor, text): (Range<i64>, f64, TextFormat),
-        mut dropped: Vec<DroppedItem>,
+        core_ms: Range<i64>,
     ) -> Result<Recording, RecordingError> {
-        let Self {
-            map,
-            header,
-            speeds,
-            gaps,
-            time_s,
-            line,
-            ..
-        } = self;
-        for (ahead, gap) in gaps {
-            let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1)))
-            else {
-                continue;
-            };
-            let mut comparison = Comparison::default();
-            let samples = time_s
-                .iter()
-                .zip(line)
-                .zip(&gap.values)
-                .zip(leader.values.iter().zip(&follower.values));
-            for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
-                let rates_mps = leader
-                    .zip(*follower)
-                    .map(|(leader, follower)| [leader, -follower]);
-                comparison.add((at_s, line), gap_m, rates_mps);
-            }
-            let [leader, follower, gap] = [leader, follower, gap].map(|series| &series.column);
-            let difference = format!("{} - {}", leader.name, follower.name);
-            let speeds = [leader, follower].map(|column| (column.name.as_str(), column.factor));
-            let hypotheses: Vec<_> = Hypothesis::speeds(speeds, &difference)
-                .chain(Hypothesis::units(
-                    &gap.name,
-                    (LengthUnit::ALL, gap.factor),
-                    [true, false, false],
-                ))
-                .chain(Hypothesis::times(&map.time, time_factor))
-                .collect();
-            let columns = [&format!("the change of {}", gap.name), &*difference];
-            comparison.check(table, &difference, columns, (&hypotheses, &mut dropped))?;
-        }
-
-        let mut filled = |series: &Series| {
-            let mut values = series.values.clone();
-            if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s)
-            {
-                let (path, line) = (
-                    table.path().to_owned(),
-                    line.get(first).copied().unwrap_or(0),
-                );
-                let omission = Omission::interpolated(&series.column.name, count);
-                dropped.push(DroppedItem {
-                    path,
-                    line,
-                    omission,
-                });
-            }
-            values
-        };
-        let mut speeds_mps: BTreeMap<_, _> = speeds
-            .iter()
-            .map(|(&number, one)| (number, filled(one)))
-            .collect();
-        let mut gaps_by_number: BTreeMap<_, _> = gaps
-            .iter()
-            .map(|(&number, one)| (number, filled(one)))
-            .collect();
-
+        let mut dropped = mem::take(&mut self.dropped);
+        self.check_gaps(table, &mut dropped)?;
+        let mut speeds_mps = self.fill_holes(&self.speeds, table, &mut dropped);
+        let mut gaps_m = self.fill_holes(&self.gaps, table, &mut dropped);
         let mut platoons = Vec::new();
-        for numbers in lines_of_vehicles {
-            let gaps_m = numbers.iter().rev().skip(1).rev();
-            let gaps_m = gaps_m
-                .map(|number| gaps_by_number.remove(number).unwrap_or_default())
-                .collect();
-            let vehicle = |&number: &usize| RecordedVehicle {
+        for numbers in &self.lines_of_vehicles {
+            let vehicles = numbers.iter().map(|&number| RecordedVehicle {
                 number,
-                name: header.name_of(number, recorded),
+                name: self.header.name_of(number, &self.speeds),
                 speed_mps: speeds_mps.remove(&number).unwrap_or_default(),
-            };
-            let (vehicles, core_ms) = (numbers.iter().map(vehicle).collect(), core_ms.clone());
-            let (time_s, line) = (time_s.clone(), line.clone());
+            });
+            let vehicles = vehicles.collect();
+            let followed = numbers[..numbers.len().saturating_sub(1)].iter();
+            let gaps_m = followed.map(|number| gaps_m.remove(number).unwrap_or_default());
             platoons.push(RecordedPlatoon {
                 event: None,
-                time_s,
-                line,
+                time_s: self.time_s.clone(),
+                line: self.line.clone(),
                 vehicles,
-                gaps_m,
-                core_ms,
+                gaps_m: gaps_m.collect(),
+                core_ms: core_ms.clone(),
             });
         }
         Ok(Recording {
             path: table.path().to_owned(),
-            format: map.name.clone(),
-            text,
+            format: self.map.name.clone(),
+            text: TextFormat {
+                time: self.clock.detected(),
+                ..table.format()
+            },
             platoons,
             traffic: None,
             dropped,
         })
     }
+
+    /// Compares the change of each gap with the speeds of its two vehicles.
+    fn check_gaps(
+        &self,
+        table: &RowReader<'_>,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
+        for (number, gap) in &self.gaps {
+            if let Some(leader) = self.speeds.get(number)
+                && let Some(follower) = self.speeds.get(&(number + 1))
+            {
+                self.check_gap(gap, [leader, follower], table, dropped)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Compares the change of a gap with the speeds of leader and follower.
+    fn check_gap(
+        &self,
+        gap: &Series,
+        [leader, follower]: [&Series; 2],
+        table: &RowReader<'_>,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<(), RecordingError> {
+        let mut comparison = Comparison::default();
+        let samples = self
+            .time_s
+            .iter()
+            .zip(&self.line)
+            .zip(&gap.values)
+            .zip(leader.values.iter().zip(&follower.values));
+        for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
+            let rates_mps = leader
+                .zip(*follower)
+                .map(|(leader, follower)| [leader, -follower]);
+            comparison.add((at_s, line), gap_m, rates_mps);
+        }
+        let [leader, follower, gap] = [leader, follower, gap].map(|series| &series.column);
+        let difference = format!("{} - {}", leader.name, follower.name);
+        let speeds = [leader, follower].map(|column| (column.name.as_str(), column.factor));
+        let hypotheses: Vec<_> = Hypothesis::speeds(speeds, &difference)
+            .chain(Hypothesis::units(
+                &gap.name,
+                (LengthUnit::ALL, gap.factor),
+                [true, false, false],
+            ))
+            .chain(Hypothesis::times(&self.map.time, self.clock.column.factor))
+            .collect();
+        let columns = [&format!("the change of {}", gap.name), &*difference];
+        comparison.check(table, &difference, columns, (&hypotheses, dropped))?;
+        Ok(())
+    }
+
+    /// Returns the values of columns with short holes interpolated, as the map demands.
+    fn fill_holes(
+        &self,
+        columns: &BTreeMap<usize, Series>,
+        table: &RowReader<'_>,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> BTreeMap<usize, Vec<Option<f64>>> {
+        let mut values_by_number = BTreeMap::new();
+        for (&number, series) in columns {
+            let mut values = series.values.clone();
+            if let Some((count, first)) =
+                interpolate_holes(&mut values, &self.time_s, self.map.interpolate_s)
+            {
+                dropped.push(DroppedItem {
+                    path: table.path().to_owned(),
+                    line: self.line.get(first).copied().unwrap_or(0),
+                    omission: Omission::interpolated(&series.column.name, count),
+                });
+            }
+            values_by_number.insert(number, values);
+        }
+        values_by_number
+    }
+}
+
+fn series_by_number(
+    columns: BTreeMap<usize, CsvColumn>,
+    quantity: ColumnQuantity,
+) -> BTreeMap<usize, Series> {
+    columns
+        .into_iter()
+        .map(|(number, column)| (number, Series::new(column, quantity)))
+        .collect()
 }

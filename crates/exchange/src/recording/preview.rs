@@ -45,27 +45,28 @@ pub enum HardestBrakingResult {
     },
 }
 
+impl HardestBraking {
+    /// Describes the braking as the rest of a sentence about a file.
+    fn describe(&self) -> String {
+        let event = self
+            .event
+            .as_ref()
+            .map(|event| format!(" of event {event}"))
+            .unwrap_or_default();
+        format!(
+            "the hardest braking is {} m/s within a second, of vehicle {}{event} from {} s on",
+            format_fixed(self.drop_mps, 2),
+            self.number,
+            format_fixed(self.from_s, 2)
+        )
+    }
+}
+
 /// Writes the result as the rest of a sentence about a file.
 impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Braking(HardestBraking {
-                event,
-                number,
-                from_s,
-                drop_mps,
-            }) => {
-                let event = event
-                    .as_ref()
-                    .map(|event| format!(" of event {event}"))
-                    .unwrap_or_default();
-                write!(
-                    out,
-                    "the hardest braking is {} m/s within a second, of vehicle {number}{event} from {} s on",
-                    format_fixed(*drop_mps, 2),
-                    format_fixed(*from_s, 2)
-                )
-            }
+            Self::Braking(braking) => out.write_str(&braking.describe()),
             Self::NoBraking => out.write_str("no vehicle brakes"),
             Self::NoSpeed => out.write_str(
                 "no vehicle that can be a leader has a known speed, so crumple cannot find braking",
@@ -128,8 +129,10 @@ pub struct SpeedLine {
 /// Summarises a recording; `None` if no speed is known.
 #[must_use]
 pub fn preview(recording: &Recording) -> Option<Preview> {
-    let (mut speeds_mps, mut gaps_m, mut steps_s, mut lines) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut speeds_mps = Vec::new();
+    let mut gaps_m = Vec::new();
+    let mut steps_s = Vec::new();
+    let mut lines = Vec::new();
     let mut time_s = [f64::INFINITY, f64::NEG_INFINITY];
     let leads = recording.lead_vehicles();
     for lead in &leads {
@@ -202,16 +205,13 @@ impl HardestSearch {
                     if self
                         .hardest
                         .as_ref()
-                        .is_none_or(|known| braking.largest_drop_mps > known.drop_mps)
+                        .is_none_or(|hardest| braking.largest_drop_mps > hardest.drop_mps)
                     {
-                        let (event, number) = (lead.event().map(str::to_owned), lead.number());
-                        let (from_s, drop_mps) =
-                            (braking.hardest_ms as f64 / 1000.0, braking.largest_drop_mps);
                         self.hardest = Some(HardestBraking {
-                            event,
-                            number,
-                            from_s,
-                            drop_mps,
+                            event: lead.event().map(str::to_owned),
+                            number: lead.number(),
+                            from_s: braking.hardest_ms as f64 / 1000.0,
+                            drop_mps: braking.largest_drop_mps,
                         });
                     }
                 }

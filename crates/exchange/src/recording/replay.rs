@@ -5,7 +5,6 @@ use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
 use crumple_core::digits::format_fixed;
 use crumple_measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
-use crumple_sim::control::ControllerFailure;
 use crumple_sim::engine::{Run, RunError, RunOptions};
 use crumple_sim::observation::{Neighbour, Observation};
 use crumple_sim::scenario::{
@@ -95,18 +94,10 @@ pub fn replay(
 ) -> Result<Vec<ReplayedDrive>, OpenLoopError> {
     let mut replayed = Vec::new();
     let leads = recording.lead_vehicles();
-    let duration_s = |segment: &Vec<SpeedSample>| {
-        segment
-            .first()
-            .zip(segment.last())
-            .map_or(0.0, |(from, to)| {
-                (to.time_ms - from.time_ms) as f64 / 1000.0
-            })
-    };
     let total_s: f64 = leads
         .iter()
         .flat_map(|lead| lead.segments())
-        .map(|segment| duration_s(&segment))
+        .map(|segment| segment_duration_s(&segment))
         .sum();
     let mut done_s = 0.0;
     for lead in &leads {
@@ -114,9 +105,10 @@ pub fn replay(
             for drive in drives(&**lead, &segment) {
                 let steps = resample(&drive);
                 let lasts_long = steps.len() as f64 * STEP_S >= MIN_DRIVE_S;
-                if let (Some(first), true) = (drive.first(), lasts_long) {
-                    let advance = |now_s: f64| advance(done_s + now_s - first.time_s, total_s);
-                    let commands_mps2 = commands(first, &steps, options, &advance)?;
+                if let Some(first) = drive.first().filter(|_| lasts_long) {
+                    let commands_mps2 = commands(first, &steps, options, &|now_s| {
+                        advance(done_s + now_s - first.time_s, total_s);
+                    })?;
                     replayed.push(evaluate(
                         lead.event(),
                         first,
@@ -125,10 +117,19 @@ pub fn replay(
                     ));
                 }
             }
-            done_s += duration_s(&segment);
+            done_s += segment_duration_s(&segment);
         }
     }
     Ok(replayed)
+}
+
+fn segment_duration_s(segment: &[SpeedSample]) -> f64 {
+    segment
+        .first()
+        .zip(segment.last())
+        .map_or(0.0, |(first, last)| {
+            (last.time_ms - first.time_ms) as f64 / 1000.0
+        })
 }
 
 /// Splits a segment where the follower changes.
@@ -151,13 +152,15 @@ fn drives(lead: &dyn LeadVehicle, segment: &[SpeedSample]) -> Vec<Vec<Instant>> 
             vehicle,
             behind: followers.next(),
         };
-        let number = |behind: &Option<EpisodeVehicle>| behind.as_ref().map(|one| one.number);
-        let continues = |last: &Instant| {
-            last.vehicle.number == instant.vehicle.number
-                && number(&last.behind) == number(&instant.behind)
-        };
         match drives.last_mut() {
-            Some(drive) if is_open && drive.last().is_some_and(continues) => drive.push(instant),
+            Some(drive)
+                if is_open
+                    && drive
+                        .last()
+                        .is_some_and(|last| last.has_same_vehicles(&instant)) =>
+            {
+                drive.push(instant);
+            }
             _ => drives.push(vec![instant]),
         }
         is_open = true;
@@ -165,193 +168,255 @@ fn drives(lead: &dyn LeadVehicle, segment: &[SpeedSample]) -> Vec<Vec<Instant>> 
     drives
 }
 
-/// Interpolates to the time step, with the time of the recording.
-fn resample(drive: &[Instant]) -> Vec<(f64, Observation)> {
-    let (Some(first), Some(last)) = (drive.first(), drive.last()) else {
-        return Vec::new();
-    };
-    let count = ((last.time_s - first.time_s) / STEP_S + 1e-6) as usize;
-    // Leader's speed, gap, own speed, gap and speed behind.
-    let state = |one: &Instant| {
-        let [gap_m, speed_mps] = one
+impl Instant {
+    fn has_same_vehicles(&self, other: &Self) -> bool {
+        let [behind, other_behind] =
+            [self, other].map(|instant| instant.behind.as_ref().map(|vehicle| vehicle.number));
+        self.vehicle.number == other.vehicle.number && behind == other_behind
+    }
+
+    /// Returns speeds and gaps of all three vehicles.
+    fn state(&self) -> DriveState {
+        let [gap_behind_m, behind_mps] = self
             .behind
             .as_ref()
             .map_or([0.0; 2], |behind| [behind.gap_ahead_m, behind.speed_mps]);
-        [
-            one.leader_mps,
-            one.vehicle.gap_ahead_m,
-            one.vehicle.speed_mps,
-            gap_m,
-            speed_mps,
-        ]
+        DriveState {
+            leader_mps: self.leader_mps,
+            gap_m: self.vehicle.gap_ahead_m,
+            speed_mps: self.vehicle.speed_mps,
+            gap_behind_m,
+            behind_mps,
+        }
+    }
+}
+
+/// Speeds and gaps of the three vehicles at one time; 0 for a missing follower.
+struct DriveState {
+    leader_mps: f64,
+    gap_m: f64,
+    speed_mps: f64,
+    gap_behind_m: f64,
+    behind_mps: f64,
+}
+
+impl DriveState {
+    /// Returns the state at a share of the way to another one.
+    fn interpolate(&self, to: &Self, share: f64) -> Self {
+        let between = |from: f64, to: f64| from + share * (to - from);
+        Self {
+            leader_mps: between(self.leader_mps, to.leader_mps),
+            gap_m: between(self.gap_m, to.gap_m),
+            speed_mps: between(self.speed_mps, to.speed_mps),
+            gap_behind_m: between(self.gap_behind_m, to.gap_behind_m),
+            behind_mps: between(self.behind_mps, to.behind_mps),
+        }
+    }
+}
+
+/// Observation of the controller at a time of the recording.
+struct ReplayStep {
+    time_s: f64,
+    observed: Observation,
+}
+
+/// Interpolates a drive to the time step, with the time of the recording.
+fn resample(drive: &[Instant]) -> Vec<ReplayStep> {
+    let Some(first) = drive.first() else {
+        return Vec::new();
     };
+    let states = interpolate_states(drive);
+    let steps = (0..states.len()).map(|step| ReplayStep {
+        time_s: first.time_s + step as f64 * STEP_S,
+        observed: observe(&states, step, first.behind.is_some()),
+    });
+    steps.collect()
+}
+
+/// Returns the state at each step, interpolated between samples.
+fn interpolate_states(drive: &[Instant]) -> Vec<DriveState> {
+    let Some((first, last)) = drive.first().zip(drive.last()) else {
+        return Vec::new();
+    };
+    let count = ((last.time_s - first.time_s) / STEP_S + 1e-6) as usize;
     let mut after = 1;
-    let mut states: Vec<[f64; 5]> = Vec::with_capacity(count);
+    let mut states = Vec::with_capacity(count);
     for step in 0..count {
         let at_s = first.time_s + step as f64 * STEP_S;
         while drive.get(after).is_some_and(|next| next.time_s <= at_s) {
             after += 1;
         }
-        let (Some(from), Some(to)) = (drive.get(after - 1), drive.get(after)) else {
+        let Some((from, to)) = drive.get(after - 1).zip(drive.get(after)) else {
             break;
         };
         let share = ((at_s - from.time_s) / (to.time_s - from.time_s)).clamp(0.0, 1.0);
-        let (from, to) = (state(from), state(to));
-        states.push(std::array::from_fn(|index| {
-            from[index] + share * (to[index] - from[index])
-        }));
+        states.push(from.state().interpolate(&to.state(), share));
     }
-    let acceleration = |step: usize, index: usize| {
-        let before = step.saturating_sub(ACCELERATION_STEPS);
-        let seconds = (step - before).max(1) as f64 * STEP_S;
-        (states[step][index] - states[before][index]) / seconds
-    };
-    let observation =
-        |(step, &[leader_mps, gap_m, speed_mps, gap_behind_m, behind_mps]): (usize, &[f64; 5])| {
-            let neighbour = |gap_m, speed_mps, acceleration_mps2| Neighbour {
-                gap_m,
-                speed_mps,
-                acceleration_mps2,
-            };
-            let observed = Observation {
-                speed_mps,
-                acceleration_mps2: acceleration(step, 2),
-                ahead: Some(neighbour(gap_m, leader_mps, acceleration(step, 0))),
-                behind: first
-                    .behind
-                    .as_ref()
-                    .map(|_| neighbour(gap_behind_m, behind_mps, acceleration(step, 4))),
-            };
-            (first.time_s + step as f64 * STEP_S, observed)
-        };
-    states.iter().enumerate().map(observation).collect()
+    states
+}
+
+/// Returns the observation of the controller at a step.
+fn observe(states: &[DriveState], step: usize, has_follower: bool) -> Observation {
+    let earlier_step = step.saturating_sub(ACCELERATION_STEPS);
+    let seconds = (step - earlier_step).max(1) as f64 * STEP_S;
+    let earlier = &states[earlier_step];
+    let now = &states[step];
+    Observation {
+        speed_mps: now.speed_mps,
+        acceleration_mps2: (now.speed_mps - earlier.speed_mps) / seconds,
+        ahead: Some(Neighbour {
+            gap_m: now.gap_m,
+            speed_mps: now.leader_mps,
+            acceleration_mps2: (now.leader_mps - earlier.leader_mps) / seconds,
+        }),
+        behind: has_follower.then(|| Neighbour {
+            gap_m: now.gap_behind_m,
+            speed_mps: now.behind_mps,
+            acceleration_mps2: (now.behind_mps - earlier.behind_mps) / seconds,
+        }),
+    }
 }
 
 /// Returns the acceleration that the controller commands at each step, within the limits of the vehicle.
 fn commands(
     first: &Instant,
-    steps: &[(f64, Observation)],
+    steps: &[ReplayStep],
     options: &RunOptions,
     advance: &dyn Fn(f64),
 ) -> Result<Vec<f64>, OpenLoopError> {
-    let placed = |vehicle: &EpisodeVehicle, position_m, driver| {
-        let length_m = vehicle.length_m.unwrap_or(CAR_LENGTH_M);
-        let mut spec = VehicleSpec::new(
-            VehicleClass::from_length(length_m),
-            position_m,
-            vehicle.speed_mps,
-            driver,
-        );
-        spec.length_m = Some(length_m);
-        spec
-    };
-    let holds_speed = || Driver::Profile(LeadProfile::ConstantSpeed);
-    let mut leader = VehicleSpec::new(VehicleClass::Light, 0.0, first.leader_mps, holds_speed());
-    leader.length_m = Some(CAR_LENGTH_M);
-    let front_m = -CAR_LENGTH_M - first.vehicle.gap_ahead_m;
-    let mut vehicles = vec![leader, placed(&first.vehicle, front_m, Driver::UnderTest)];
-    if let Some(behind) = &first.behind {
-        let length_m = first.vehicle.length_m.unwrap_or(CAR_LENGTH_M);
-        vehicles.push(placed(
-            behind,
-            front_m - length_m - behind.gap_ahead_m,
-            holds_speed(),
-        ));
-    }
-    let spec = ScenarioSpec {
-        step_s: STEP_S,
-        ..ScenarioSpec::new("replay".to_owned(), 1.0, vehicles)
-    };
-    let run = Run::new(&Scenario::new(spec)?, options.clone())?;
+    let run = Run::new(&initial_scenario(first)?, options.clone())?;
     let Some(mut controller) = run.open_loop_controller(1) else {
         return Ok(Vec::new());
     };
-    let mut command = |(time_s, observed): &(f64, Observation)| {
-        let no_answer = |failure: ControllerFailure| OpenLoopError::NoAnswer {
-            time_s: *time_s,
-            reason: failure.to_string(),
-        };
-        controller.command_mps2(observed).map_err(no_answer)
-    };
     let commands = steps.iter().enumerate().map(|(index, step)| {
         if index % 256 == 0 {
-            advance(step.0);
+            advance(step.time_s);
         }
-        command(step)
+        controller
+            .command_mps2(&step.observed)
+            .map_err(|failure| OpenLoopError::NoAnswer {
+                time_s: step.time_s,
+                reason: failure.to_string(),
+            })
     });
     commands.collect()
 }
 
+/// Returns a scenario of the vehicles at the start of a drive, of which the controller drives the second one.
+fn initial_scenario(first: &Instant) -> Result<Scenario, InvalidField> {
+    let mut leader = VehicleSpec::new(VehicleClass::Light, 0.0, first.leader_mps, constant_speed());
+    leader.length_m = Some(CAR_LENGTH_M);
+    let front_m = -CAR_LENGTH_M - first.vehicle.gap_ahead_m;
+    let follower = vehicle_spec(&first.vehicle, front_m, Driver::UnderTest);
+    let mut vehicles = vec![leader, follower];
+    if let Some(behind) = &first.behind {
+        let length_m = first.vehicle.length_m.unwrap_or(CAR_LENGTH_M);
+        let behind_front_m = front_m - length_m - behind.gap_ahead_m;
+        vehicles.push(vehicle_spec(behind, behind_front_m, constant_speed()));
+    }
+    Scenario::new(ScenarioSpec {
+        step_s: STEP_S,
+        ..ScenarioSpec::new("replay".to_owned(), 1.0, vehicles)
+    })
+}
+
+fn constant_speed() -> Driver {
+    Driver::Profile(LeadProfile::ConstantSpeed)
+}
+
+fn vehicle_spec(vehicle: &EpisodeVehicle, position_m: f64, driver: Driver) -> VehicleSpec {
+    let length_m = vehicle.length_m.unwrap_or(CAR_LENGTH_M);
+    let class = VehicleClass::from_length(length_m);
+    let mut spec = VehicleSpec::new(class, position_m, vehicle.speed_mps, driver);
+    spec.length_m = Some(length_m);
+    spec
+}
+
+/// Measures the braking that the controller commands, and that of the driver.
 fn evaluate(
     event: Option<&str>,
     first: &Instant,
-    (steps, commands_mps2): (&[(f64, Observation)], &[f64]),
+    (steps, commands_mps2): (&[ReplayStep], &[f64]),
     min_brake_mps2: f64,
 ) -> ReplayedDrive {
-    let drive_step = |&(time_s, observed): &(f64, Observation), acceleration_mps2: f64| {
-        let ahead = observed.ahead.map(|ahead| PairState {
-            time_s,
-            gap_m: ahead.gap_m,
-            front_speed_mps: ahead.speed_mps,
-            rear_speed_mps: observed.speed_mps,
-            front_acceleration_mps2: ahead.acceleration_mps2,
-            rear_acceleration_mps2: acceleration_mps2,
-        });
-        DriveStep {
-            time_s,
-            duration_s: STEP_S,
-            speed_mps: observed.speed_mps,
-            acceleration_mps2,
-            ahead,
-        }
-    };
-    let of_controller = steps
+    let controller_steps = steps
         .iter()
         .zip(commands_mps2)
-        .map(|(step, &command)| drive_step(step, command));
-    let of_driver = steps
+        .map(|(step, &command_mps2)| step.with_acceleration(command_mps2));
+    let driver_steps = steps
         .iter()
-        .map(|step| drive_step(step, step.1.acceleration_mps2));
-    let mut brakings = Vec::new();
-    let is_braking: Vec<bool> = commands_mps2
-        .iter()
-        .map(|command| -command >= min_brake_mps2)
-        .collect();
-    let mut from = 0;
-    for part in is_braking.chunk_by(|a, b| a == b) {
-        let (start, end) = (from, from + part.len());
-        from = end;
-        if !part.contains(&true) || part.len() as f64 * STEP_S < MIN_BRAKING_S - 1e-9 {
-            continue;
-        }
-        let until = (end + (1.0 / STEP_S) as usize).min(steps.len());
-        let driver = steps[start..until]
-            .iter()
-            .map(|(_, observed)| -observed.acceleration_mps2);
-        let (from_s, observed) = steps[start];
-        brakings.push(ReplayedBraking {
-            from_s,
-            duration_s: part.len() as f64 * STEP_S,
-            brake_mps2: commands_mps2[start..end]
-                .iter()
-                .fold(0.0, |hardest: f64, command| hardest.max(-command)),
-            driver_brake_mps2: driver.fold(0.0, f64::max),
-            speed_mps: observed.speed_mps,
-            gap_m: observed.ahead.map_or(0.0, |ahead| ahead.gap_m),
-        });
-    }
+        .map(|step| step.with_acceleration(step.observed.acceleration_mps2));
     ReplayedDrive {
         event: event.map(str::to_owned),
         vehicle: first.vehicle.clone(),
         duration_s: steps.len() as f64 * STEP_S,
         distance_m: steps
             .iter()
-            .map(|(_, observed)| observed.speed_mps * STEP_S)
+            .map(|step| step.observed.speed_mps * STEP_S)
             .sum(),
-        brakings,
+        brakings: replayed_brakings(steps, commands_mps2, min_brake_mps2),
         unnecessary: [
-            UnnecessaryBraking::from_steps(of_controller),
-            UnnecessaryBraking::from_steps(of_driver),
+            UnnecessaryBraking::from_steps(controller_steps),
+            UnnecessaryBraking::from_steps(driver_steps),
         ],
     }
+}
+
+impl ReplayStep {
+    /// Returns the step of a drive in which the vehicle had this acceleration.
+    fn with_acceleration(&self, acceleration_mps2: f64) -> DriveStep {
+        let Self { time_s, observed } = self;
+        DriveStep {
+            time_s: *time_s,
+            duration_s: STEP_S,
+            speed_mps: observed.speed_mps,
+            acceleration_mps2,
+            ahead: observed.ahead.map(|ahead| PairState {
+                time_s: *time_s,
+                gap_m: ahead.gap_m,
+                front_speed_mps: ahead.speed_mps,
+                rear_speed_mps: observed.speed_mps,
+                front_acceleration_mps2: ahead.acceleration_mps2,
+                rear_acceleration_mps2: acceleration_mps2,
+            }),
+        }
+    }
+}
+
+/// Finds the brakings that the controller commands for long enough.
+fn replayed_brakings(
+    steps: &[ReplayStep],
+    commands_mps2: &[f64],
+    min_brake_mps2: f64,
+) -> Vec<ReplayedBraking> {
+    let mut brakings = Vec::new();
+    let is_braking: Vec<bool> = commands_mps2
+        .iter()
+        .map(|command| -command >= min_brake_mps2)
+        .collect();
+    let mut end = 0;
+    for interval in is_braking.chunk_by(|a, b| a == b) {
+        let start = end;
+        end += interval.len();
+        let duration_s = interval.len() as f64 * STEP_S;
+        if !interval.contains(&true) || duration_s < MIN_BRAKING_S - 1e-9 {
+            continue;
+        }
+        let until = (end + (1.0 / STEP_S) as usize).min(steps.len());
+        let driver_brakes_mps2 = steps[start..until]
+            .iter()
+            .map(|step| -step.observed.acceleration_mps2);
+        let ReplayStep { time_s, observed } = &steps[start];
+        brakings.push(ReplayedBraking {
+            from_s: *time_s,
+            duration_s,
+            brake_mps2: commands_mps2[start..end]
+                .iter()
+                .fold(0.0, |hardest: f64, command| hardest.max(-command)),
+            driver_brake_mps2: driver_brakes_mps2.fold(0.0, f64::max),
+            speed_mps: observed.speed_mps,
+            gap_m: observed.ahead.map_or(0.0, |ahead| ahead.gap_m),
+        });
+    }
+    brakings
 }

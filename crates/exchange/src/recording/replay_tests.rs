@@ -36,7 +36,7 @@ impl ControllerSource for BrakesWithLeader {
 }
 
 #[test]
-fn brakings_stand_beside_those_of_the_driver() {
+fn replayed_brakings_state_the_braking_of_the_driver() {
     let mut text =
         "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     let mut gap_m = 40.0;
@@ -73,7 +73,7 @@ fn brakings_stand_beside_those_of_the_driver() {
             "{braking:?}"
         );
         assert_eq!(
-            drive.unnecessary.map(|found| found.count),
+            drive.unnecessary.map(|braking| braking.count),
             [unnecessary, 0],
             "{drive:?}"
         );
@@ -85,8 +85,8 @@ fn brakings_stand_beside_those_of_the_driver() {
 struct ExecutedLog(Arc<Mutex<[Vec<f64>; 2]>>);
 
 impl Controller for ExecutedLog {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        self.0.lock().unwrap()[0].push(seen.acceleration_mps2);
+    fn decide(&mut self, observed: &Observation) -> Result<f64, ControllerFailure> {
+        self.0.lock().unwrap()[0].push(observed.acceleration_mps2);
         Ok(-5.0)
     }
 

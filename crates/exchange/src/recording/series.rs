@@ -56,11 +56,15 @@ enum ClockFormat {
 
 impl Clock {
     pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
-        let (column, unit) = match time {
-            TimeSpec::Clock(clock) => (&clock.column, TimeUnit::of_column(clock.unit)),
-            TimeSpec::Frames(frames) => (&frames.column, ColumnUnit::Frames(1.0 / frames.rate_hz)),
-        };
-        let column = CsvColumn::find(names, column, unit)?;
+        let column = match time {
+            TimeSpec::Clock(clock) => {
+                CsvColumn::find(names, &clock.column, TimeUnit::column_unit(clock.unit))
+            }
+            TimeSpec::Frames(frames) => {
+                let unit = ColumnUnit::Frames(1.0 / frames.rate_hz);
+                CsvColumn::find(names, &frames.column, unit)
+            }
+        }?;
         let format = match time {
             // Times in seconds may count from 1970, in a smaller unit.
             TimeSpec::Clock(ClockSpec { unit: None, .. })
@@ -99,13 +103,14 @@ impl Clock {
         }
         // Times since 1970 are 1.7 x 10^9 s.
         let size = row.number(&self.column)?.unwrap_or(0.0).abs();
-        let (unit, factor) = match size {
-            1e17.. => ("ns", 1e-9),
-            1e14.. => ("us", 1e-6),
-            1e11.. => ("ms", 1e-3),
-            _ => ("s", 1.0),
+        let unit = match size {
+            1e17.. => TimeUnit::Nanoseconds,
+            1e14.. => TimeUnit::Microseconds,
+            1e11.. => TimeUnit::Milliseconds,
+            _ => TimeUnit::Seconds,
         };
-        (self.column.factor, self.format) = (factor, ClockFormat::Unit(unit));
+        self.column.factor = unit.seconds();
+        self.format = ClockFormat::Unit(unit.name());
         Ok(())
     }
 
@@ -120,41 +125,38 @@ impl Clock {
         }
         let text = row.text(self.column.index);
         if self.format == ClockFormat::Iso && !text.is_empty() {
-            let wrong = || {
-                row.reject(
+            return match parse_iso_s(text) {
+                Some(time_s) => Ok(time_s),
+                None => row.reject(
                     &self.column.name,
                     ColumnProblem::NotATime {
                         found: excerpt(text),
                     },
-                )
+                ),
             };
-            return parse_iso_s(text).map_or_else(wrong, Ok);
         }
         match row.number(&self.column)? {
             None => row.reject(&self.column.name, ColumnProblem::Empty),
-            Some(found) if found.abs() > MAX_TIME_S => row.reject(
+            Some(time_s) if time_s.abs() > MAX_TIME_S => row.reject(
                 &self.column.name,
                 ColumnProblem::OutOfRange {
                     limit: MAX_TIME_S,
-                    found,
+                    found: time_s,
                 },
             ),
-            Some(found_s) => Ok(found_s),
+            Some(time_s) => Ok(time_s),
         }
     }
 
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
-    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
-        let Some(before_s) = self
-            .last_s
-            .filter(|last_s| found_s < last_s - MIN_RESTART_S)
-        else {
+    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, row_s: f64) -> bool {
+        let Some(before_s) = self.last_s.filter(|last_s| row_s < last_s - MIN_RESTART_S) else {
             return false;
         };
         let before = format!(
             "{}: the time starts anew here ({} s after {} s); of ",
             self.column.name,
-            format_number(found_s),
+            format_number(row_s),
             format_number(before_s)
         );
         row.count(&mut self.restarts, || {
@@ -164,24 +166,25 @@ impl Clock {
     }
 
     /// Returns whether a row's time is later than the last, and counts those that are not.
-    pub(super) fn advance(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
+    pub(super) fn advance(&mut self, row: &CsvRow<'_>, row_s: f64) -> bool {
         if let Some(before_s) = self.last_s
-            && round_to_milli(found_s) <= round_to_milli(before_s)
+            && round_to_milli(row_s) <= round_to_milli(before_s)
         {
-            let first = || {
-                let [found_s, before_s] = [found_s, before_s].map(format_number);
-                let after = format!("{NOT_LATER} ({found_s} s after {before_s} s)");
+            row.count(&mut self.not_later, || {
+                let [row_s, before_s] = [row_s, before_s].map(format_number);
+                let after = format!("{NOT_LATER} ({row_s} s after {before_s} s)");
                 Omission::counted(format!("{}: ", self.column.name), 0, after)
-            };
-            row.count(&mut self.not_later, first);
+            });
             return false;
         }
-        self.last_s = Some(found_s);
+        self.last_s = Some(row_s);
         true
     }
 
-    pub(super) fn report(self, dropped: &mut Vec<DroppedItem>) {
-        dropped.extend(self.not_later.into_iter().chain(self.restarts));
+    /// Moves the omissions of all rows to `dropped`.
+    pub(super) fn report(&mut self, dropped: &mut Vec<DroppedItem>) {
+        dropped.extend(self.not_later.take());
+        dropped.extend(self.restarts.take());
     }
 }
 
@@ -271,8 +274,8 @@ impl Series {
                 ColumnQuantity::Speed | ColumnQuantity::SignedSpeed
             );
             if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
-                let (_, largest_mps) = self.unusual.get_or_insert((row.line, 0.0));
-                *largest_mps = largest_mps.max(value.abs());
+                let unusual = self.unusual.get_or_insert((row.line, 0.0));
+                unusual.1 = unusual.1.max(value.abs());
             }
             return Ok(Some(value));
         }
@@ -282,68 +285,67 @@ impl Series {
             count: 0,
             worst: value,
         };
-        let found = self.impossible.get_or_insert(first);
-        found.last_line = row.line;
-        found.count += 1;
-        if self.quantity.excess(value) > self.quantity.excess(found.worst) {
-            found.worst = value;
+        let impossible = self.impossible.get_or_insert(first);
+        impossible.last_line = row.line;
+        impossible.count += 1;
+        if self.quantity.excess(value) > self.quantity.excess(impossible.worst) {
+            impossible.worst = value;
         }
         Ok(None)
     }
 
     /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
-        let column = &self.column.name;
-        let mut report = |line, note: String| {
-            let omission = Omission::Note(format!("{column}: {note}"));
-            dropped.push(DroppedItem {
-                path: path.to_owned(),
-                line,
-                omission,
-            });
-        };
+        let mut notes = Vec::new();
         if let Some((line, count)) = self.missing {
-            report(
-                line,
-                format!("{count} of {rows} values are missing, the first one here"),
-            );
+            let note = format!("{count} of {rows} values are missing, the first one here");
+            notes.push((line, note));
         }
-        if let Some((line, found_mps)) = self.unusual {
-            report(
+        if let Some((line, largest_mps)) = self.unusual {
+            let largest_mps = format_fixed(largest_mps, 1);
+            notes.push((
                 line,
-                format!(
-                    "speeds up to {} m/s, {CHECK_UNIT}",
-                    format_fixed(found_mps, 1)
-                ),
-            );
+                format!("speeds up to {largest_mps} m/s, {CHECK_UNIT}"),
+            ));
         }
-        if let Some(ImpossibleValues {
-            first_line,
+        if let Some(impossible) = &self.impossible {
+            notes.push((impossible.first_line, self.describe(impossible, rows)));
+        }
+        dropped.extend(notes.into_iter().map(|(line, note)| DroppedItem {
+            path: path.to_owned(),
+            line,
+            omission: Omission::Note(format!("{}: {note}", self.column.name)),
+        }));
+    }
+
+    /// Describes impossible values, in a column with a number of rows.
+    fn describe(&self, impossible: &ImpossibleValues, rows: usize) -> String {
+        let ImpossibleValues {
             last_line,
             count,
             worst,
-        }) = self.impossible
-        {
-            let (what, unit) = match self.quantity {
-                ColumnQuantity::Gap => ("spacings", "m"),
-                ColumnQuantity::Length => ("lengths", "m"),
-                _ => ("speeds", "m/s"),
-            };
-            let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
-            let all = if is_all {
-                ", and no possible one: its sign or unit is probably wrong"
-            } else {
-                ""
-            };
-            let worst = format_number(worst);
-            let place = format!(
-                "the first one here, the last one on line {last_line}, the worst {worst} {unit}"
-            );
-            report(
-                first_line,
-                format!("{count} impossible {what}, {place}{all}"),
-            );
-        }
+            ..
+        } = impossible;
+        let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
+        let all = if is_all {
+            ", and no possible one: its sign or unit is probably wrong"
+        } else {
+            ""
+        };
+        let plural = match self.quantity {
+            ColumnQuantity::Gap => "spacings",
+            ColumnQuantity::Length => "lengths",
+            _ => "speeds",
+        };
+        let unit = match self.quantity {
+            ColumnQuantity::Gap | ColumnQuantity::Length => "m",
+            _ => "m/s",
+        };
+        format!(
+            "{count} impossible {plural}, the first one here, the last one on line {last_line}, the worst {} {unit}\
+             {all}",
+            format_number(*worst)
+        )
     }
 }
 
@@ -353,9 +355,13 @@ pub(super) fn interpolate_holes(
     time_s: &[f64],
     longest_s: f64,
 ) -> Option<(usize, usize)> {
-    let (mut before, mut filled) = (None, None);
+    let mut before = None;
+    let mut filled = None;
     for after in 0..values.len() {
-        let (Some(&to_s), Some(&Some(to))) = (time_s.get(after), values.get(after)) else {
+        let Some(&to_s) = time_s.get(after) else {
+            continue;
+        };
+        let Some(&Some(to)) = values.get(after) else {
             continue;
         };
         if let Some((from, from_s, value)) = before.replace((after, to_s, to))

@@ -2,7 +2,7 @@
 
 use super::error::BinaryProblem;
 use super::limits;
-use super::map::{RecordingMapSpec, TimeSpec};
+use super::map::{ColumnRole, RecordingMapSpec, TimeSpec};
 use super::mdf::{MdfError, Signal, SignalStream};
 use super::table::BinaryRows;
 use super::text_rows::Fields;
@@ -28,67 +28,67 @@ pub(super) struct ResampledSignals {
 }
 
 impl ResampledSignals {
-    /// Returns the rows, and names and units of the columns. The time of the map stands for the clocks of the groups.
-    pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields, Fields) {
-        let signals = &stream.set;
-        let is_base = |signal: &&Signal| {
-            map.column_role(&signal.name)
-                .is_some_and(|role| role.is_spacing)
-        };
-        let base = signals
+    /// Creates the rows at the times of the first spacing or position of the map.
+    pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> Self {
+        let roles: Vec<Option<ColumnRole>> = stream
+            .set
             .signals
             .iter()
-            .find(is_base)
-            .map_or(0, |signal| signal.clock);
-        let is_id = signals
-            .signals
+            .map(|signal| map.column_role(&signal.name))
+            .collect();
+        let spacing = roles
             .iter()
-            .map(|one| map.column_role(&one.name).is_some_and(|role| role.is_id))
-            .collect();
-        let (time, time_unit_s) = match &map.time {
-            TimeSpec::Clock(clock) => (
-                Some(clock.column.as_str()),
-                Some(clock.unit.map_or(1.0, |unit| unit.seconds())),
-            ),
-            TimeSpec::Frames(_) => (None, None),
+            .position(|role| role.is_some_and(|role| role.is_spacing));
+        Self {
+            base: spacing.map_or(0, |spacing| stream.set.signals[spacing].clock),
+            row: 0,
+            rows_left: limits::max_rows(stream.file_bytes()),
+            row_s: None,
+            last: vec![0; stream.set.clocks_s.len()],
+            is_id: roles
+                .into_iter()
+                .map(|role| role.is_some_and(|role| role.is_id))
+                .collect(),
+            time_unit_s: match &map.time {
+                TimeSpec::Clock(clock) => Some(clock.unit.map_or(1.0, |unit| unit.seconds())),
+                TimeSpec::Frames(_) => None,
+            },
+            stream,
+        }
+    }
+
+    /// Returns the names of the columns. The time of the map stands for the clocks of the groups.
+    pub(super) fn names(&self, map: &RecordingMapSpec) -> Fields {
+        let time = match &map.time {
+            TimeSpec::Clock(clock) => Some(clock.column.as_str()),
+            TimeSpec::Frames(_) => None,
         };
-        let names = time
-            .into_iter()
-            .chain(signals.signals.iter().map(|signal| signal.name.as_str()))
-            .collect();
-        let units = time
+        let signals = self.stream.set.signals.iter();
+        time.into_iter()
+            .chain(signals.map(|signal| signal.name.as_str()))
+            .collect()
+    }
+
+    /// Returns the units of the columns.
+    pub(super) fn units(&self) -> Fields {
+        let signals = self.stream.set.signals.iter();
+        self.time_unit_s
             .map(|_| "")
             .into_iter()
-            .chain(signals.signals.iter().map(|one| one.unit.as_str()))
-            .collect();
-        let last = vec![0; signals.clocks_s.len()];
-        let rows_left = limits::max_rows(stream.file_bytes());
-        (
-            Self {
-                stream,
-                base,
-                row: 0,
-                rows_left,
-                row_s: None,
-                last,
-                is_id,
-                time_unit_s,
-            },
-            names,
-            units,
-        )
+            .chain(signals.map(|signal| signal.unit.as_str()))
+            .collect()
     }
 
     /// Returns the value of a signal at a time, between the last time of its clock that is not later and the next.
     fn value(&self, signal: &Signal, is_id: bool, at_s: f64) -> f64 {
         let last = self.last.get(signal.clock).copied().unwrap_or(0);
-        let sample = |index: usize| {
+        let [before, after] = [last, last + 1].map(|index| {
             Some((
                 *self.stream.set.clocks_s.get(signal.clock)?.get(index)?,
                 *signal.values.get(index)?,
             ))
-        };
-        match (sample(last), sample(last + 1)) {
+        });
+        match (before, after) {
             (Some((time_s, value)), _) if time_s == at_s => value,
             (Some((time_s, value)), _)
                 if is_id && (0.0..=MAX_INTERVAL_S).contains(&(at_s - time_s)) =>
@@ -112,55 +112,56 @@ impl ResampledSignals {
     /// Returns the time of the next row, and reads all values until then and [`MAX_INTERVAL_S`] longer.
     fn next_time_s(&mut self) -> Result<Option<f64>, BinaryProblem> {
         loop {
-            let at_s = self
-                .stream
-                .set
-                .clocks_s
-                .get(self.base)
-                .and_then(|clock| clock.get(self.row))
-                .copied();
-            let is_read = |at_s: f64| {
-                self.stream
-                    .read_until_s()
-                    .is_none_or(|until_s| until_s > at_s + MAX_INTERVAL_S)
-            };
-            if at_s.is_some_and(is_read) {
-                self.row_s = at_s;
-                return Ok(at_s);
+            if let Some(at_s) = self.row_time_s()
+                && self.is_read_around(at_s)
+            {
+                self.row_s = Some(at_s);
+                return Ok(self.row_s);
             }
-            // Values before the row are not needed any more.
             if self.stream.is_full() {
-                let mut counts = self.last.clone();
-                if let Some(count) = counts.get_mut(self.base) {
-                    *count = self.row.saturating_sub(1).min(*count);
-                }
-                // Values are moved in memory, so few of them are not worth it.
-                for (count, clock) in counts.iter_mut().zip(&self.stream.set.clocks_s) {
-                    *count = if *count * 4 < clock.len() { 0 } else { *count };
-                }
-                self.row -= counts.get(self.base).copied().unwrap_or(0);
-                self.stream.set.forget(&counts, self.row_s);
-                self.last
-                    .iter_mut()
-                    .zip(counts)
-                    .for_each(|(last, count)| *last -= count);
+                self.forget_earlier_values();
             }
             loop {
                 if !self.stream.advance()? {
                     self.stream.check_frames()?;
-                    return Ok(self
-                        .stream
-                        .set
-                        .clocks_s
-                        .get(self.base)
-                        .and_then(|clock| clock.get(self.row))
-                        .copied());
+                    return Ok(self.row_time_s());
                 }
                 if self.stream.is_full() {
                     break;
                 }
             }
         }
+    }
+
+    /// Returns the time of the next row, if it was read.
+    fn row_time_s(&self) -> Option<f64> {
+        let clock_s = self.stream.set.clocks_s.get(self.base)?;
+        clock_s.get(self.row).copied()
+    }
+
+    /// Returns whether all values until a time, and [`MAX_INTERVAL_S`] longer, were read.
+    fn is_read_around(&self, at_s: f64) -> bool {
+        self.stream
+            .read_until_s()
+            .is_none_or(|until_s| until_s > at_s + MAX_INTERVAL_S)
+    }
+
+    /// Removes values before the row, which are not needed any more.
+    fn forget_earlier_values(&mut self) {
+        let mut counts = self.last.clone();
+        if let Some(count) = counts.get_mut(self.base) {
+            *count = self.row.saturating_sub(1).min(*count);
+        }
+        // Values are moved in memory, so few of them are not worth it.
+        for (count, clock) in counts.iter_mut().zip(&self.stream.set.clocks_s) {
+            *count = if *count * 4 < clock.len() { 0 } else { *count };
+        }
+        self.row -= counts.get(self.base).copied().unwrap_or(0);
+        self.stream.set.forget(&counts, self.row_s);
+        self.last
+            .iter_mut()
+            .zip(counts)
+            .for_each(|(last, count)| *last -= count);
     }
 }
 

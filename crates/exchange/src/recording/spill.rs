@@ -132,10 +132,15 @@ impl SortedPoints<'_> {
 
 /// Unknown numbers are NaN.
 fn encode(point: &TrackPoint) -> [u8; POINT_BYTES] {
-    let number = |value: Option<f64>| value.unwrap_or(f64::NAN).to_bits();
     let ids = u64::from(point.vehicle) | u64::from(point.lane) << 32;
-    let [position, speed, length] = [point.position_m, point.speed_mps, point.length_m].map(number);
-    let acceleration = number(point.acceleration_mps2.map(f64::from));
+    let acceleration_mps2 = point.acceleration_mps2.map(f64::from);
+    let [position, speed, length, acceleration] = [
+        point.position_m,
+        point.speed_mps,
+        point.length_m,
+        acceleration_mps2,
+    ]
+    .map(|value| value.unwrap_or(f64::NAN).to_bits());
     let words = [
         ids,
         point.time_ms as u64,
@@ -146,31 +151,33 @@ fn encode(point: &TrackPoint) -> [u8; POINT_BYTES] {
         acceleration,
     ];
     let mut bytes = [0; POINT_BYTES];
-    for (place, word) in bytes.chunks_exact_mut(8).zip(words) {
-        place.copy_from_slice(&word.to_le_bytes());
+    for (bytes, word) in bytes.chunks_exact_mut(8).zip(words) {
+        bytes.copy_from_slice(&word.to_le_bytes());
     }
     bytes
 }
 
 fn decode(bytes: &[u8; POINT_BYTES]) -> TrackPoint {
     let mut words = [0; POINT_BYTES / 8];
-    for (word, place) in words.iter_mut().zip(bytes.chunks_exact(8)) {
-        *word = place
+    for (word, bytes) in words.iter_mut().zip(bytes.chunks_exact(8)) {
+        *word = bytes
             .iter()
             .rev()
             .fold(0, |all: u64, byte| all << 8 | u64::from(*byte));
     }
     let [ids, time, line, position, speed, length, acceleration] = words;
-    let number = |bits| Some(f64::from_bits(bits)).filter(|value| !value.is_nan());
+    let [position_m, speed_mps, length_m, acceleration_mps2] =
+        [position, speed, length, acceleration]
+            .map(|bits| Some(f64::from_bits(bits)).filter(|value| !value.is_nan()));
     TrackPoint {
         vehicle: ids as u32,
         lane: (ids >> 32) as u32,
         time_ms: time as i64,
         line,
-        position_m: number(position),
-        speed_mps: number(speed),
-        length_m: number(length),
-        acceleration_mps2: number(acceleration).map(|value| value as f32),
+        position_m,
+        speed_mps,
+        length_m,
+        acceleration_mps2: acceleration_mps2.map(|value| value as f32),
         ..Default::default()
     }
 }

@@ -17,12 +17,20 @@ pub(super) struct RowReader<'a> {
     path: &'a Path,
     rows: RowSource<'a>,
     row: CsvRow<'a>,
-    /// Number of decimals of the last column, and true if all rows have this number.
-    decimals: Option<(usize, bool)>,
+    decimals: Option<LastDecimals>,
     /// Number of rows until reading ends.
     pub(super) rows_left: usize,
     /// Number of samples that were read.
     pub(super) samples: usize,
+}
+
+/// Decimals of the last column in the rows so far.
+#[derive(Clone, Copy)]
+struct LastDecimals {
+    /// Number of decimals in the last row that has some.
+    count: usize,
+    /// True if all rows have this number.
+    is_fixed: bool,
 }
 
 enum RowSource<'a> {
@@ -85,11 +93,10 @@ impl<'a> RowReader<'a> {
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
-        let (rows, row) = (RowSource::Text(Box::new(rows)), CsvRow::new(path, decimal));
         Ok(Self {
             path,
-            rows,
-            row,
+            rows: RowSource::Text(Box::new(rows)),
+            row: CsvRow::new(path, decimal),
             decimals: None,
             rows_left: usize::MAX,
             samples: 0,
@@ -125,53 +132,20 @@ impl<'a> RowReader<'a> {
         };
         self.rows_left = rows_left;
         let Self {
-            rows, row, path, ..
+            rows,
+            row,
+            decimals,
+            ..
         } = self;
-        match rows {
-            RowSource::Text(rows) => match rows.next_row(&mut row.fields) {
-                Ok(Some(line)) => {
-                    row.line = line;
-                    let last = row
-                        .fields
-                        .get(row.fields.len() - 1)
-                        .unwrap_or_default()
-                        .trim();
-                    let decimals = last.rfind(['.', ',']).map_or(0, |mark| last.len() - mark);
-                    // The end of the file may have cut off decimals, if each row has equally many.
-                    row.is_cut = rows.is_cut
-                        && self
-                            .decimals
-                            .is_some_and(|(count, is_fixed)| is_fixed && decimals < count);
-                    if decimals > 0 {
-                        let is_fixed = self
-                            .decimals
-                            .is_none_or(|(count, is_fixed)| is_fixed && count == decimals);
-                        self.decimals = Some((decimals, is_fixed));
-                    }
-                    Ok((!row.is_cut).then_some(row))
-                }
-                Ok(None) => Ok(None),
-                Err((line, error)) => {
-                    row.line = line;
-                    Err(row.io_error(error))
-                }
-            },
+        let is_row = match rows {
+            RowSource::Text(rows) => row.read_text(rows, decimals)?,
             RowSource::Binary { names, .. } if names.is_some() => {
                 (row.fields, row.units) = names.take().unwrap_or_default();
-                Ok(Some(row))
+                true
             }
-            RowSource::Binary { rows, .. } => {
-                row.line += 1;
-                row.fields.clear();
-                row.numbers.clear();
-                let is_row = rows.next_row(&mut row.fields, &mut row.numbers);
-                let problem = |problem| RecordingError::Binary {
-                    path: path.to_path_buf(),
-                    problem,
-                };
-                Ok(is_row.map_err(problem)?.then_some(row))
-            }
-        }
+            RowSource::Binary { rows, .. } => row.read_binary(&mut **rows)?,
+        };
+        Ok(is_row.then_some(row))
     }
 
     /// Returns the next row, which must have a field for each column; `None` at the end of the file.
@@ -182,16 +156,17 @@ impl<'a> RowReader<'a> {
         if self.next_row()?.is_none() {
             return Ok(None);
         }
-        let (expected, found) = (names.len(), self.row.fields.len());
-        if found != expected {
-            let column = excerpt(
-                names
-                    .get(found.min(expected.saturating_sub(1)))
-                    .unwrap_or_default(),
+        let expected = names.len();
+        let count = self.row.fields.len();
+        if count != expected {
+            let index = count.min(expected.saturating_sub(1));
+            return self.row.reject(
+                &excerpt(names.get(index).unwrap_or_default()),
+                ColumnProblem::FieldCount {
+                    expected,
+                    found: count,
+                },
             );
-            return self
-                .row
-                .reject(&column, ColumnProblem::FieldCount { expected, found });
         }
         self.samples += 1;
         Ok(Some(&self.row))
@@ -241,20 +216,66 @@ pub(super) struct CsvRow<'a> {
 
 impl<'a> CsvRow<'a> {
     fn new(path: &'a Path, decimal: DecimalMark) -> Self {
-        let (fields, units) = Default::default();
         Self {
             path,
             decimal,
             line: 0,
-            fields,
-            units,
+            fields: Fields::default(),
+            units: Fields::default(),
             numbers: Vec::new(),
             is_cut: false,
         }
     }
 
+    /// Reads the next row of a text. Returns false at its end, and for a last row whose decimals are cut off.
+    fn read_text(
+        &mut self,
+        rows: &mut TextRows<'_>,
+        earlier: &mut Option<LastDecimals>,
+    ) -> Result<bool, RecordingError> {
+        match rows.next_row(&mut self.fields) {
+            Ok(Some(line)) => self.line = line,
+            Ok(None) => return Ok(false),
+            Err((line, error)) => {
+                self.line = line;
+                return Err(self.io_error(error));
+            }
+        }
+        let last = self.text(self.fields.len() - 1);
+        let count = last.rfind(['.', ',']).map_or(0, |mark| last.len() - mark);
+        // The end of the file may have cut off decimals, if each row has equally many.
+        self.is_cut =
+            rows.is_cut && earlier.is_some_and(|earlier| earlier.is_fixed && count < earlier.count);
+        if count > 0 {
+            let is_fixed = earlier.is_none_or(|earlier| earlier.is_fixed && earlier.count == count);
+            *earlier = Some(LastDecimals { count, is_fixed });
+        }
+        Ok(!self.is_cut)
+    }
+
+    /// Reads the next row of a file that is no text. Returns false at the end.
+    fn read_binary(&mut self, rows: &mut dyn BinaryRows) -> Result<bool, RecordingError> {
+        self.line += 1;
+        self.fields.clear();
+        self.numbers.clear();
+        rows.next_row(&mut self.fields, &mut self.numbers)
+            .map_err(|problem| RecordingError::Binary {
+                path: self.path.to_owned(),
+                problem,
+            })
+    }
+
     pub(super) fn text(&self, index: usize) -> &str {
         self.fields.get(index).unwrap_or_default().trim()
+    }
+
+    /// Returns the indices of the fields with a property.
+    fn indices_of(&self, has_property: impl Fn(&str) -> bool) -> Vec<usize> {
+        let fields = self.fields.iter().enumerate();
+        fields
+            .filter(|(_, field)| has_property(field))
+            .map(|(index, _)| index)
+            .collect()
     }
 
     /// Returns an error of reading the line, or of its text.
@@ -318,27 +339,35 @@ impl<'a> CsvRow<'a> {
         unit: ColumnUnit,
     ) -> Result<CsvColumn, RecordingError> {
         let full_name = self.fields.get(index).unwrap_or_default();
-        let name = excerpt(full_name);
-        let column = |factor, unit_in_name| CsvColumn {
-            name: name.clone(),
-            index,
-            factor,
-            unit_in_name,
-        };
-        let (units, stated) = match unit {
-            ColumnUnit::None => return Ok(column(1.0, None)),
-            ColumnUnit::Frames(interval_s) => return Ok(column(interval_s, None)),
-            ColumnUnit::Quantity { units, stated } => (units, stated),
-        };
         let in_file = self.units.get(index).filter(|unit| !is_missing(unit));
-        let Some(in_file) = in_file else {
-            let (factor, in_name) = self.unit_of_name(full_name, units, stated)?;
-            return Ok(column(factor, in_name));
+        let unit = match unit {
+            ColumnUnit::None => DetectedUnit::stated(1.0),
+            ColumnUnit::Frames(interval_s) => DetectedUnit::stated(interval_s),
+            ColumnUnit::Quantity { units, stated } => match in_file {
+                Some(in_file) => self.unit_of_file(full_name, in_file, units, stated)?,
+                None => self.unit_of_name(full_name, units, stated)?,
+            },
         };
+        Ok(CsvColumn {
+            name: excerpt(full_name),
+            index,
+            factor: unit.factor,
+            unit_in_name: unit.in_name,
+        })
+    }
+
+    /// Returns the unit of a column for which the file states one. That of the map takes precedence.
+    fn unit_of_file(
+        &self,
+        full_name: &str,
+        in_file: &str,
+        units: &[NamedUnit],
+        stated: Option<NamedUnit>,
+    ) -> Result<DetectedUnit, RecordingError> {
         match stated.or_else(|| unit_by_name(units, in_file)) {
-            Some((_, factor)) => Ok(column(factor, None)),
+            Some((_, factor)) => Ok(DetectedUnit::stated(factor)),
             None => self.reject(
-                &name,
+                &excerpt(full_name),
                 ColumnProblem::UnknownUnit {
                     unit: excerpt(in_file),
                     advice: unit_advice(units, STATE_UNIT),
@@ -347,17 +376,17 @@ impl<'a> CsvRow<'a> {
         }
     }
 
-    /// Returns the size of the unit of a column, and the unit if only its name states it.
+    /// Returns the unit of a column for which only its name or the map can state one.
     fn unit_of_name(
         &self,
         full_name: &str,
         units: &[NamedUnit],
         stated: Option<NamedUnit>,
-    ) -> Result<(f64, Option<&'static str>), RecordingError> {
+    ) -> Result<DetectedUnit, RecordingError> {
         let named = unit_in_name(units, full_name);
         let unknown = unknown_unit_in_name(units, full_name);
         let problem = match (stated, named, unknown) {
-            (Some((in_map, factor)), Some((in_name, other)), _) if other != factor => {
+            (Some((in_map, factor)), Some((in_name, name_factor)), _) if name_factor != factor => {
                 ColumnProblem::OtherUnit {
                     in_name: in_name.into(),
                     in_map,
@@ -373,18 +402,19 @@ impl<'a> CsvRow<'a> {
             }
             (None, None, Some(unknown)) => ColumnProblem::UnknownUnit {
                 unit: excerpt(&unknown.text),
-                advice: unit_advice(
-                    units,
-                    if unknown.is_certain {
-                        CONVERT
-                    } else {
-                        STATE_UNIT
-                    },
-                ),
+                advice: match unknown.is_certain {
+                    true => unit_advice(units, CONVERT),
+                    false => unit_advice(units, STATE_UNIT),
+                },
             },
-            (Some((_, factor)), ..) => return Ok((factor, None)),
-            (None, Some((unit, factor)), _) => return Ok((factor, Some(unit))),
-            (None, None, None) => return Ok((1.0, None)),
+            (Some((_, factor)), ..) => return Ok(DetectedUnit::stated(factor)),
+            (None, Some((unit, factor)), _) => {
+                return Ok(DetectedUnit {
+                    factor,
+                    in_name: Some(unit),
+                });
+            }
+            (None, None, None) => return Ok(DetectedUnit::stated(1.0)),
         };
         self.reject(&excerpt(full_name), problem)
     }
@@ -417,16 +447,38 @@ impl<'a> CsvRow<'a> {
     }
 
     /// Counts an omission whose first occurrence, with count 0, is `first`.
-    pub(super) fn count(&self, found: &mut Option<DroppedItem>, first: impl FnOnce() -> Omission) {
-        let item = found.get_or_insert_with(|| self.dropped_item(first()));
+    pub(super) fn count(
+        &self,
+        counted: &mut Option<DroppedItem>,
+        first: impl FnOnce() -> Omission,
+    ) {
+        let item = counted.get_or_insert_with(|| self.dropped_item(first()));
         item.omission.add(1);
     }
 
-    pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
+    pub(super) fn dropped_item(&self, omission: Omission) -> DroppedItem {
         DroppedItem {
             path: self.path.to_owned(),
             line: self.line,
-            omission: what,
+            omission,
+        }
+    }
+}
+
+/// Unit of a column.
+struct DetectedUnit {
+    /// Size of the unit in seconds, metres or metres per second.
+    factor: f64,
+    /// The unit, if only the name of the column states it.
+    in_name: Option<&'static str>,
+}
+
+impl DetectedUnit {
+    /// Returns a unit that the map or the file states.
+    fn stated(factor: f64) -> Self {
+        Self {
+            factor,
+            in_name: None,
         }
     }
 }
@@ -449,14 +501,16 @@ pub(super) fn is_missing(text: &str) -> bool {
 /// Returns the beginning of a text, on one line.
 pub(super) fn excerpt(text: &str) -> String {
     const MAX_LENGTH: usize = 40;
-    let visible = |letter: char| {
-        if letter.is_control() {
-            char::REPLACEMENT_CHARACTER
-        } else {
-            letter
-        }
-    };
-    let mut excerpt: String = text.chars().take(MAX_LENGTH).map(visible).collect();
+    let letters = text.chars().take(MAX_LENGTH);
+    let mut excerpt: String = letters
+        .map(|letter| {
+            if letter.is_control() {
+                char::REPLACEMENT_CHARACTER
+            } else {
+                letter
+            }
+        })
+        .collect();
     if text.chars().nth(MAX_LENGTH).is_some() {
         excerpt += "...";
     }
@@ -480,26 +534,17 @@ impl CsvColumn {
         name: &str,
         unit: ColumnUnit,
     ) -> Result<Self, RecordingError> {
-        let find_by = |is: &dyn Fn(&str) -> bool| {
-            let mut found = names
-                .fields
-                .iter()
-                .enumerate()
-                .filter(|(_, known)| is(known))
-                .map(|(index, _)| index);
-            (found.next(), found.next())
-        };
-        let found = match find_by(&|known| known == name) {
-            (None, _) => find_by(&|known| is_same_name(known, name)),
-            exact => exact,
-        };
-        match found {
-            (Some(index), None) => names.column(index, unit),
-            (Some(_), Some(_)) => names.reject(&excerpt(name), ColumnProblem::Repeated),
-            (None, _) => {
+        let mut indices = names.indices_of(|column| column == name);
+        if indices.is_empty() {
+            indices = names.indices_of(|column| is_same_name(column, name));
+        }
+        match indices[..] {
+            [index] => names.column(index, unit),
+            [] => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
                 names.reject(&excerpt(name), ColumnProblem::Missing { known })
             }
+            _ => names.reject(&excerpt(name), ColumnProblem::Repeated),
         }
     }
 }

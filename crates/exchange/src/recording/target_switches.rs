@@ -20,6 +20,15 @@ pub(super) struct PairSamples {
     pub(super) leaders_mps: Vec<Option<f64>>,
 }
 
+/// A sample with known gap and speeds.
+#[derive(Clone, Copy)]
+struct ClosingSample {
+    index: usize,
+    time_s: f64,
+    gap_m: f64,
+    closing_mps: f64,
+}
+
 /// Change of the gap between two samples with known gaps and speeds.
 struct GapChange {
     /// Index of the later sample.
@@ -34,36 +43,34 @@ impl GapChange {
     fn error_m(&self) -> f64 {
         (self.change_m - self.driven_m).abs()
     }
+
+    /// Returns the omission of which this is the first occurrence, with count 0.
+    fn omission(&self) -> Omission {
+        let [change_m, driven_m] =
+            [self.change_m, self.driven_m].map(|metres| format_fixed(metres, 1));
+        let before = format!(
+            "the gap changes by {change_m} m within {} s here, but the speeds by {driven_m} m: the sensor switched to \
+             another target; of ",
+            format_fixed(self.seconds, 2)
+        );
+        Omission::counted(before, 0, " such places each begins another pair")
+    }
 }
 
 impl PairSamples {
     /// Ends the samples wherever the gap changes by more than noise and closing speed explain. `switches` counts these
     /// places, with the line of the first one.
     pub(super) fn split(mut self, switches: &mut Option<(u64, Omission)>) -> Vec<Self> {
-        let found = self.switches();
-        for &GapChange {
-            to,
-            seconds,
-            change_m,
-            driven_m,
-        } in &found
-        {
-            let first = || {
-                let [change_m, driven_m] =
-                    [change_m, driven_m].map(|metres| format_fixed(metres, 1));
-                let before = format!(
-                    "the gap changes by {change_m} m within {} s here, but the speeds by {driven_m} m: the sensor \
-                     switched to another target; of ",
-                    format_fixed(seconds, 2)
-                );
-                let omission =
-                    Omission::counted(before, 0, " such places each begins another pair");
-                (self.line.get(to).copied().unwrap_or(0), omission)
-            };
-            switches.get_or_insert_with(first).1.add(1);
+        let changes = self.switches();
+        for change in &changes {
+            let first = switches.get_or_insert_with(|| {
+                let line = self.line.get(change.to).copied().unwrap_or(0);
+                (line, change.omission())
+            });
+            first.1.add(1);
         }
         let mut parts = Vec::new();
-        for GapChange { to, .. } in found.into_iter().rev() {
+        for GapChange { to, .. } in changes.into_iter().rev() {
             parts.push(self.split_off(to));
         }
         parts.push(self);
@@ -82,6 +89,7 @@ impl PairSamples {
         }
     }
 
+    /// Returns the changes of the gap that noise and closing speed do not explain.
     fn switches(&self) -> Vec<GapChange> {
         let speeds = self.leaders_mps.iter().zip(&self.followers_mps);
         let closing_mps =
@@ -92,30 +100,34 @@ impl PairSamples {
             .zip(&self.gaps_m)
             .zip(closing_mps)
             .enumerate();
-        let mut known = samples.filter_map(|(to, ((&at_s, gap_m), closing_mps))| {
-            Some((to, at_s, (*gap_m)?, closing_mps?))
+        let mut samples = samples.filter_map(|(index, ((&time_s, gap_m), closing_mps))| {
+            Some(ClosingSample {
+                index,
+                time_s,
+                gap_m: (*gap_m)?,
+                closing_mps: closing_mps?,
+            })
         });
-        let Some(mut before) = known.next() else {
+        let Some(mut before) = samples.next() else {
             return Vec::new();
         };
-        let changes = known.map(|now| {
-            let ((_, from_s, from_m, from_mps), (to, to_s, to_m, to_mps)) = (before, now);
-            before = now;
-            let seconds = to_s - from_s;
+        let changes = samples.map(|now| {
+            let from = std::mem::replace(&mut before, now);
+            let seconds = now.time_s - from.time_s;
             GapChange {
-                to,
+                to: now.index,
                 seconds,
-                change_m: to_m - from_m,
-                driven_m: 0.5 * (from_mps + to_mps) * seconds,
+                change_m: now.gap_m - from.gap_m,
+                driven_m: 0.5 * (from.closing_mps + now.closing_mps) * seconds,
             }
         });
         let mut changes: Vec<GapChange> = changes.collect();
         let mut errors_m: Vec<f64> = changes.iter().map(GapChange::error_m).collect();
         errors_m.sort_unstable_by(f64::total_cmp);
         let noise_m = MIN_SWITCH_ERRORS * errors_m.get(errors_m.len() / 2).copied().unwrap_or(0.0);
-        changes.retain(|one| {
-            one.error_m()
-                > MIN_SWITCH_M.max(noise_m) + SPEED_CHANGE_MPS2 * one.seconds * one.seconds
+        changes.retain(|change| {
+            change.error_m()
+                > MIN_SWITCH_M.max(noise_m) + SPEED_CHANGE_MPS2 * change.seconds * change.seconds
         });
         changes
     }

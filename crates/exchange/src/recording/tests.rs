@@ -320,7 +320,7 @@ fn each_car_following_event_is_a_platoon_of_two() {
 
 /// Concatenated files restart their events at time 0.
 #[test]
-fn an_event_that_begins_anew_is_another_one() {
+fn an_event_whose_time_starts_anew_is_another_event() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n\
         2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,9.1,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::io::{self, BufRead, Read};
+use std::ops::Range;
 
 use encoding_rs::{Decoder, DecoderResult, UTF_16BE, UTF_16LE, WINDOWS_1252};
 
@@ -70,80 +71,90 @@ impl TextFormat {
     /// # Errors
     /// A first line that states a separator which crumple does not read, in words.
     pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Result<Self, String> {
-        if let Some(found) = unknown_separator(sample) {
-            let found = excerpt(found);
+        if let Some(separator) = unknown_separator(sample) {
+            let separator = excerpt(separator);
             return Err(format!(
-                "the first line states the separator `{found}`, but crumple reads only comma, semicolon and tab"
+                "the first line states the separator `{separator}`, but crumple reads only comma, semicolon and tab"
             ));
         }
         Ok(Self::detect_known(sample, map))
     }
 
     fn detect_known(sample: &str, map: Option<&RecordingMapSpec>) -> Self {
-        let (delimiter, decimal) = map.map_or((None, None), |map| (map.delimiter, map.decimal));
         let before_names = map.map_or(0, |map| map.lines_before_names);
         let sample = sample.trim_start_matches('\u{feff}');
         let in_file = stated_separator(sample);
-        let delimiter = delimiter.or(in_file);
-        let skipped = usize::from(in_file.is_some());
-        let lines = || {
-            sample
-                .lines()
-                .filter(|line| !line.trim().is_empty())
-                .skip(skipped)
-        };
-        let is_comment = |letter: char| {
-            let is_marked = |line: &str| line.starts_with(letter);
-            let rows = lines().skip(before_names);
-            // Ids may begin with the letter, too.
-            !lines().take(before_names).any(is_marked)
-                && rows.clone().any(is_marked)
-                && !rows.skip(1).all(is_marked)
-        };
-        let comment = ['#', '%'].into_iter().find(|&letter| is_comment(letter));
-        let mut rows = lines()
-            .filter(|line| comment.is_none_or(|letter| !line.starts_with(letter)))
-            .skip(before_names);
-        let (names, first) = (rows.next().unwrap_or(""), rows.clone().next().unwrap_or(""));
-        let count = |line, of: Delimiter| fields(line, of).count() - 1;
-        let known = KNOWN_DELIMITERS;
-        let splits_both =
-            |of: &Delimiter| count(names, *of) > 0 && count(names, *of) == count(first, *of);
-        let splits = |of: &Delimiter| count(names, *of) > 0;
-        let found = known
+        let lines: Vec<&str> = sample
+            .lines()
+            .filter(|line| !line.trim().is_empty())
+            .skip(usize::from(in_file.is_some()))
+            .collect();
+        let comment = ['#', '%']
             .into_iter()
-            .find(splits_both)
-            .or_else(|| known.into_iter().find(splits));
-        let separator = delimiter.or(found).unwrap_or_default();
-        let is_quoted = |field: &str| field.trim_start().starts_with('"');
-        let has_quoted = |is: &dyn Fn(&str) -> bool| {
-            [names]
-                .into_iter()
-                .chain(rows.clone())
-                .any(|line| fields(line, separator).any(is))
-        };
-        let has_quotes = has_quoted(&is_quoted);
-        let has_blanks_before_quotes =
-            has_quotes && has_quoted(&|field| field.starts_with(' ') && is_quoted(field));
-        let mut marks = NumberMarks::default();
-        for field in rows
-            .take(MAX_SAMPLE_ROWS)
-            .flat_map(|line| fields(line, separator))
-        {
-            marks.add(field.trim().trim_matches('"'));
-        }
+            .find(|letter| begins_comments(*letter, &lines, before_names));
+        let rows: Vec<&str> = lines
+            .into_iter()
+            .filter(|line| comment.is_none_or(|letter| !line.starts_with(letter)))
+            .skip(before_names)
+            .collect();
+        let in_map = map.and_then(|map| map.delimiter);
+        let delimiter = in_map
+            .or(in_file)
+            .or_else(|| detect_delimiter(&rows))
+            .unwrap_or_default();
+        let mut quoted = rows
+            .iter()
+            .flat_map(|row| fields(row, delimiter))
+            .filter(|field| field.trim_start().starts_with('"'))
+            .peekable();
+        let has_quotes = quoted.peek().is_some();
+        let has_blanks_before_quotes = quoted.any(|field| field.starts_with(' '));
+        let decimal = map.and_then(|map| map.decimal);
         Self {
             encoding: "UTF-8",
-            delimiter: separator,
-            decimal: decimal.unwrap_or_else(|| marks.decimal(separator)),
+            delimiter,
+            decimal: decimal.unwrap_or_else(|| detect_decimal_mark(&rows, delimiter)),
             has_quotes,
             comment,
             time: None,
-            stated: [delimiter.is_some() && in_file.is_none(), decimal.is_some()],
+            stated: [in_map.is_some() && in_file.is_none(), decimal.is_some()],
             has_separator_line: in_file.is_some(),
             has_blanks_before_quotes,
         }
     }
+}
+
+/// Returns whether lines that begin with a letter are comments.
+fn begins_comments(letter: char, lines: &[&str], before_names: usize) -> bool {
+    let mut header = lines.iter().take(before_names);
+    let rows = lines.iter().skip(before_names);
+    // Ids may begin with the letter, too.
+    !header.any(|line| line.starts_with(letter))
+        && rows.clone().any(|line| line.starts_with(letter))
+        && !rows.skip(1).all(|line| line.starts_with(letter))
+}
+
+/// Returns the separator that splits the names of columns, preferably into as many fields as the first row.
+fn detect_delimiter(rows: &[&str]) -> Option<Delimiter> {
+    let [names, first] = [0, 1].map(|index| rows.get(index).copied().unwrap_or(""));
+    let splitting = KNOWN_DELIMITERS
+        .into_iter()
+        .filter(|delimiter| fields(names, *delimiter).count() > 1);
+    splitting
+        .clone()
+        .find(|delimiter| fields(names, *delimiter).count() == fields(first, *delimiter).count())
+        .or_else(|| splitting.clone().next())
+}
+
+/// Returns the decimal mark of the numbers in the first rows after the names.
+fn detect_decimal_mark(rows: &[&str], delimiter: Delimiter) -> DecimalMark {
+    let mut marks = NumberMarks::default();
+    for row in rows.iter().skip(1).take(MAX_SAMPLE_ROWS) {
+        for field in fields(row, delimiter) {
+            marks.add(field.trim().trim_matches('"'));
+        }
+    }
+    marks.decimal(delimiter)
 }
 
 /// Separators that crumple reads.
@@ -160,11 +171,13 @@ fn separator_text(sample: &str) -> Option<&str> {
 /// Returns the separator of a first line such as `sep=;`. Spreadsheets fill the line with more separators.
 fn stated_separator(sample: &str) -> Option<Delimiter> {
     let text = separator_text(sample)?;
-    let is_stated = |known: &Delimiter| {
-        let byte = char::from(known.byte());
-        text.starts_with(byte) && text.chars().all(|letter| letter == byte || letter == '"')
-    };
-    KNOWN_DELIMITERS.into_iter().find(is_stated)
+    KNOWN_DELIMITERS.into_iter().find(|delimiter| {
+        let separator = char::from(delimiter.byte());
+        text.starts_with(separator)
+            && text
+                .chars()
+                .all(|letter| letter == separator || letter == '"')
+    })
 }
 
 /// Returns the separator of a first line such as `sep=|`, if crumple does not read it.
@@ -172,7 +185,7 @@ fn unknown_separator(sample: &str) -> Option<&str> {
     let text = separator_text(sample)?;
     let has_known = KNOWN_DELIMITERS
         .iter()
-        .any(|known| text.contains(char::from(known.byte())));
+        .any(|delimiter| text.contains(char::from(delimiter.byte())));
     (!has_known).then(|| text.trim_end_matches('"'))
 }
 
@@ -194,9 +207,10 @@ pub(super) struct Utf8Reader<R> {
     decoder: Option<Decoder>,
     is_started: bool,
     is_finished: bool,
-    /// Bytes that were read, of which the first `kept` begin an incomplete letter.
+    /// Bytes that were read, of which the first ones begin an incomplete letter.
     input: Vec<u8>,
-    kept: usize,
+    /// Number of bytes of the incomplete letter.
+    incomplete: usize,
     output: Vec<u8>,
     /// Number of bytes of `output` that were returned.
     returned: usize,
@@ -204,16 +218,15 @@ pub(super) struct Utf8Reader<R> {
 
 impl<R: Read> Utf8Reader<R> {
     pub(super) fn new(inner: R) -> Self {
-        let (input, output) = (vec![0; CHUNK_BYTES], Vec::new());
         Self {
             inner,
             encoding: "UTF-8",
             decoder: None,
             is_started: false,
             is_finished: false,
-            input,
-            kept: 0,
-            output,
+            input: vec![0; CHUNK_BYTES],
+            incomplete: 0,
+            output: Vec::new(),
             returned: 0,
         }
     }
@@ -227,60 +240,79 @@ impl<R: Read> Utf8Reader<R> {
         if self.is_finished {
             return Ok(false);
         }
-        let mut end = self.kept;
-        loop {
-            let count = self.inner.read(&mut self.input[end..])?;
-            end += count;
-            // The first chunk shows the format.
-            if count == 0 || self.is_started || end == self.input.len() {
-                break;
-            }
-        }
-        let is_last = end == self.kept;
+        let end = self.read_input()?;
+        let is_last = end == self.incomplete;
         self.is_finished = is_last;
-        let bytes = &self.input[..end];
         if !std::mem::replace(&mut self.is_started, true)
-            && let Some(encoding) = utf_16(bytes)
+            && let Some(encoding) = utf_16(&self.input[..end])
         {
             self.encoding = encoding.name();
             self.decoder = Some(encoding.new_decoder_with_bom_removal());
         }
         self.output.clear();
-        (self.returned, self.kept) = (0, 0);
-        let mut valid = 0;
-        if self.decoder.is_none() {
-            valid = match std::str::from_utf8(bytes) {
-                Ok(_) => end,
-                Err(error) if error.error_len().is_none() && !is_last => {
-                    self.kept = end - error.valid_up_to();
-                    error.valid_up_to()
-                }
-                Err(error) => {
+        self.returned = 0;
+        self.incomplete = 0;
+        let valid = match self.decoder {
+            Some(_) => 0,
+            None => self.pass_on_utf_8(end, is_last),
+        };
+        self.decode(valid..end, is_last)?;
+        Ok(!is_last || !self.output.is_empty())
+    }
+
+    /// Reads a chunk behind the incomplete letter. Returns the end of the input.
+    fn read_input(&mut self) -> io::Result<usize> {
+        let mut end = self.incomplete;
+        loop {
+            let count = self.inner.read(&mut self.input[end..])?;
+            end += count;
+            // The first chunk shows the format.
+            if count == 0 || self.is_started || end == self.input.len() {
+                return Ok(end);
+            }
+        }
+    }
+
+    /// Passes on the input up to the first byte that is not UTF-8, from which on it is Windows-1252, or up to an
+    /// incomplete letter. Returns the number of bytes.
+    fn pass_on_utf_8(&mut self, end: usize, is_last: bool) -> usize {
+        let bytes = &self.input[..end];
+        let valid = match std::str::from_utf8(bytes) {
+            Ok(_) => end,
+            Err(error) => {
+                if error.error_len().is_none() && !is_last {
+                    self.incomplete = end - error.valid_up_to();
+                } else {
                     self.encoding = WINDOWS_1252.name();
                     self.decoder = Some(WINDOWS_1252.new_decoder_without_bom_handling());
-                    error.valid_up_to()
                 }
-            };
-            self.output.extend_from_slice(&bytes[..valid]);
-        }
-        if let Some(decoder) = &mut self.decoder {
-            let rest = &bytes[valid..];
-            let capacity = decoder
-                .max_utf8_buffer_length_without_replacement(rest.len())
-                .unwrap_or(4 * CHUNK_BYTES);
-            let from = self.output.len();
-            self.output.resize(from + capacity, 0);
-            let (result, _, written) =
-                decoder.decode_to_utf8_without_replacement(rest, &mut self.output[from..], is_last);
-            self.output.truncate(from + written);
-            if matches!(result, DecoderResult::Malformed(..)) {
-                let message = format!("is not text in {}", self.encoding);
-                return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+                error.valid_up_to()
             }
-        } else {
-            self.input.copy_within(valid..end, 0);
+        };
+        self.output.extend_from_slice(&bytes[..valid]);
+        valid
+    }
+
+    /// Decodes input that is not UTF-8; otherwise moves the incomplete letter to the start of the input.
+    fn decode(&mut self, rest: Range<usize>, is_last: bool) -> io::Result<()> {
+        let Some(decoder) = &mut self.decoder else {
+            self.input.copy_within(rest, 0);
+            return Ok(());
+        };
+        let rest = &self.input[rest];
+        let capacity = decoder
+            .max_utf8_buffer_length_without_replacement(rest.len())
+            .unwrap_or(4 * CHUNK_BYTES);
+        let from = self.output.len();
+        self.output.resize(from + capacity, 0);
+        let (result, _, written) =
+            decoder.decode_to_utf8_without_replacement(rest, &mut self.output[from..], is_last);
+        self.output.truncate(from + written);
+        if matches!(result, DecoderResult::Malformed(..)) {
+            let message = format!("is not text in {}", self.encoding);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, message));
         }
-        Ok(!is_last || !self.output.is_empty())
+        Ok(())
     }
 }
 
@@ -305,20 +337,16 @@ impl<R: Read> Read for Utf8Reader<R> {
 
 /// Recognises UTF-16 by its byte order mark, or by the zero bytes of Latin letters.
 fn utf_16(bytes: &[u8]) -> Option<&'static encoding_rs::Encoding> {
-    let zeros = |from: usize| {
-        bytes
-            .iter()
-            .skip(from)
-            .step_by(2)
-            .filter(|byte| **byte == 0)
-            .count()
-    };
+    let [even_zeros, odd_zeros] = [0, 1].map(|from| {
+        let every_other = bytes.iter().skip(from).step_by(2);
+        every_other.filter(|byte| **byte == 0).count()
+    });
     let most = bytes.len() * 3 / 8;
     match bytes {
         [0xff, 0xfe, ..] => Some(UTF_16LE),
         [0xfe, 0xff, ..] => Some(UTF_16BE),
-        _ if bytes.len() >= 4 && zeros(0) == 0 && zeros(1) > most => Some(UTF_16LE),
-        _ if bytes.len() >= 4 && zeros(1) == 0 && zeros(0) > most => Some(UTF_16BE),
+        _ if bytes.len() >= 4 && even_zeros == 0 && odd_zeros > most => Some(UTF_16LE),
+        _ if bytes.len() >= 4 && odd_zeros == 0 && even_zeros > most => Some(UTF_16BE),
         _ => None,
     }
 }

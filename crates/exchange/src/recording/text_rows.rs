@@ -37,28 +37,15 @@ impl<'a> TextRows<'a> {
             detect(&sample)
         }
         .map_err(|problem| io::Error::new(io::ErrorKind::InvalidData, problem))?;
-        let source = LineSource {
-            text,
-            has_only_carriage_returns,
-            blanks: format
-                .has_blanks_before_quotes
-                .then(|| BlankFilter::new(&format)),
-            passed: 0,
-            row_at: 0,
-            line_at: 0,
-            last: b'\n',
-            end: SourceEnd::NotReached,
-        };
-        let mut options = ReaderBuilder::new();
-        options
+        let source = LineSource::new(text, has_only_carriage_returns, &format);
+        let rows = ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
-            .buffer_capacity(BUFFER_BYTES);
-        options
+            .buffer_capacity(BUFFER_BYTES)
             .delimiter(format.delimiter.byte())
-            .terminator(Terminator::Any(b'\n'));
-        options.comment(format.comment.and_then(|letter| u8::try_from(letter).ok()));
-        let rows = options.from_reader(source);
+            .terminator(Terminator::Any(b'\n'))
+            .comment(format.comment.and_then(|letter| u8::try_from(letter).ok()))
+            .from_reader(source);
         Ok(Self {
             rows,
             skips_line: format.has_separator_line,
@@ -90,8 +77,8 @@ impl<'a> TextRows<'a> {
             if !is_row {
                 return Ok(None);
             }
-            let read = self.rows.position();
-            let (line, byte) = (read.line(), read.byte());
+            let line = self.rows.position().line();
+            let byte = self.rows.position().byte();
             let source = self.rows.get_mut();
             source.row_at = byte;
             if source.end == SourceEnd::Read {
@@ -185,7 +172,26 @@ impl Read for LineSource<'_> {
     }
 }
 
-impl LineSource<'_> {
+impl<'a> LineSource<'a> {
+    fn new(
+        text: Utf8Reader<Box<dyn Read + 'a>>,
+        has_only_carriage_returns: bool,
+        format: &TextFormat,
+    ) -> Self {
+        Self {
+            text,
+            has_only_carriage_returns,
+            blanks: format
+                .has_blanks_before_quotes
+                .then(|| BlankFilter::new(format)),
+            passed: 0,
+            row_at: 0,
+            line_at: 0,
+            last: b'\n',
+            end: SourceEnd::NotReached,
+        }
+    }
+
     fn check_limits(&self) -> io::Result<()> {
         let problem = if self.passed - self.line_at > MAX_LINE_BYTES {
             format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers")
@@ -220,11 +226,11 @@ impl LineSource<'_> {
 struct BlankFilter {
     delimiter: u8,
     comment: Option<u8>,
-    place: TextPlace,
+    state: TextState,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum TextPlace {
+enum TextState {
     LineStart,
     FieldStart,
     Field,
@@ -240,7 +246,7 @@ impl BlankFilter {
         Self {
             delimiter: format.delimiter.byte(),
             comment,
-            place: TextPlace::LineStart,
+            state: TextState::LineStart,
         }
     }
 
@@ -260,15 +266,15 @@ impl BlankFilter {
 
     /// Moves behind a byte. Returns whether it is removed.
     fn advance(&mut self, byte: u8) -> bool {
-        use TextPlace::{Comment, Field, FieldStart, LineStart, Quoted, QuotedMark};
+        use TextState::{Comment, Field, FieldStart, LineStart, Quoted, QuotedMark};
         let unquoted = match byte {
             b'\n' => LineStart,
             _ if byte == self.delimiter => FieldStart,
             _ => Field,
         };
-        let is_start = matches!(self.place, LineStart | FieldStart);
+        let is_start = matches!(self.state, LineStart | FieldStart);
         let is_blank = is_start && byte == b' ';
-        self.place = match self.place {
+        self.state = match self.state {
             LineStart if self.comment == Some(byte) => Comment,
             LineStart | FieldStart if byte == b'"' => Quoted,
             LineStart | FieldStart if is_blank => FieldStart,

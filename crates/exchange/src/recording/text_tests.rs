@@ -152,7 +152,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn one_recording_is_read_alike_however_it_is_written(
+    fn the_text_format_changes_no_value(
         writing in any_writing(),
         speeds in prop::collection::vec(0.0..40.0_f64, 2..40),
         step in 1..9_u32,
@@ -177,10 +177,10 @@ proptest! {
         });
         let samples: Vec<[f64; 4]> = samples.collect();
         prop_assert_eq!(samples.len(), rows.len());
-        for (found, written) in samples.iter().zip(&rows) {
+        for (sample, written) in samples.iter().zip(&rows) {
             // Gaps are written to a millimetre.
-            let is_equal = found.iter().zip(written).all(|(a, b)| (a - b).abs() < 1.1e-3);
-            prop_assert!(is_equal, "{found:?} {written:?} {text:?}");
+            let is_equal = sample.iter().zip(written).all(|(a, b)| (a - b).abs() < 1.1e-3);
+            prop_assert!(is_equal, "{sample:?} {written:?} {text:?}");
         }
         let shown = text.to_string();
         prop_assert_eq!(shown.contains("ISO 8601"), writing.time == 4);
@@ -377,7 +377,7 @@ fn a_separator_that_crumple_does_not_read_is_named() {
 
 /// Columns have the units of their quantity under several names.
 #[test]
-fn units_in_names_have_several_names() {
+fn units_in_column_names_have_several_spellings() {
     use super::map::{SpeedUnit, TimeUnit, unit_in_name, unknown_unit_in_name};
     for (name, expected) in [
         ("v [km/hr]", "km/h"),
@@ -387,8 +387,8 @@ fn units_in_names_have_several_names() {
         ("v [m / sec]", "m/s"),
         ("v_ms", "m/s"),
     ] {
-        let found = unit_in_name(SpeedUnit::ALL, name).map(|(unit, _)| unit);
-        assert_eq!(found, Some(expected), "{name}");
+        let unit = unit_in_name(SpeedUnit::ALL, name).map(|(unit, _)| unit);
+        assert_eq!(unit, Some(expected), "{name}");
     }
     let unknown = |units, name| unknown_unit_in_name(units, name).map(|unit| unit.text);
     for (name, expected) in [
@@ -406,7 +406,7 @@ fn units_in_names_have_several_names() {
 
 /// The unit in a name holds unless the map states another one, which is an error.
 #[test]
-fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
+fn units_in_column_names_apply_and_must_not_contradict_the_map() {
     let read_with = |header: &str, unit: &str| {
         let columns = format!("spacing = {{ column = \"{header}\"{unit} }}\n");
         let text = format!(
@@ -416,7 +416,7 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         let map = RecordingMap::from_toml(&text, Path::new("m.toml")).expect("a map");
         let rows = format!("t,{header},v,lead\n0,100,20,20\n1,100,20,20\n");
         read(rows.as_bytes(), Path::new("a.csv"), Some(&map))
-            .map(|found| found.platoons[0].gap_ahead_m(1)[0])
+            .map(|recording| recording.platoons[0].gap_ahead_m(1)[0])
     };
     for (header, unit, expected_m) in [
         ("gap [ft]", "", 30.48),
@@ -429,10 +429,10 @@ fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
         ("gap_min", "", 100.0),
         ("abstand", "", 100.0),
     ] {
-        let found = read_with(header, unit)
+        let gap_m = read_with(header, unit)
             .unwrap_or_else(|error| panic!("{header}: {error}"))
             .expect("known");
-        assert!((found - expected_m).abs() < 1e-9, "{header}: {found}");
+        assert!((gap_m - expected_m).abs() < 1e-9, "{header}: {gap_m}");
     }
     for (header, unit, expected) in [
         (

@@ -13,7 +13,9 @@ use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{LineProblem, RecordingError};
 use super::map::{LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec};
-use super::parts::{ALL_TIMES, MAX_POINTS, MAX_SIMULTANEOUS, PART_ROWS, PartBounds, PartSink};
+use super::parts::{
+    ALL_TIMES, EndedPart, MAX_POINTS, MAX_SIMULTANEOUS, PART_ROWS, PartBounds, PartSink,
+};
 use super::spill::SpilledPoints;
 use super::table::{CsvColumn, CsvRow, RowReader};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
@@ -24,7 +26,7 @@ pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     names: &CsvRow<'_>,
-    each: &mut PartSink<'_>,
+    sink: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut columns = TrackColumns::find(names, map, spec)?;
     let mut spilled = SpilledPoints::default();
@@ -43,10 +45,10 @@ pub(super) fn read(
         dropped,
     };
     if spilled.is_empty() {
-        each(parts.part(points, ALL_TIMES)?)?;
+        sink(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
     }
-    parts.emit(points, spilled, each)
+    parts.emit(points, spilled, sink)
 }
 
 /// Reads all points. Those that are too many for memory go to `spilled`.
@@ -97,20 +99,21 @@ impl TrafficParts<'_, '_> {
         mut self,
         mut points: Vec<TrackPoint>,
         mut spilled: SpilledPoints,
-        each: &mut PartSink<'_>,
+        sink: &mut PartSink<'_>,
     ) -> Result<(), RecordingError> {
         let path = self.table.path();
-        let disk = |source| spill_error(path, source);
-        spilled.write(&mut points).map_err(disk)?;
-        let mut sorted = spilled.read().map_err(disk)?;
+        spilled
+            .write(&mut points)
+            .map_err(|source| spill_error(path, source))?;
+        let mut sorted = spilled.read().map_err(|source| spill_error(path, source))?;
         let mut bounds = PartBounds::new(0);
         let mut simultaneous = 0;
-        while let Some(point) = sorted.next().map_err(disk)? {
+        while let Some(point) = sorted.next().map_err(|source| spill_error(path, source))? {
             if bounds.ends_before(point.time_ms) {
-                let (core_ms, next_ms) = bounds.next();
-                let margin = next_margin(&points, core_ms.end, next_ms);
-                let part = std::mem::replace(&mut points, margin);
-                if !each(self.part(part, core_ms)?)? {
+                let part = bounds.next();
+                let margin = next_margin(&points, &part);
+                let part_points = std::mem::replace(&mut points, margin);
+                if !sink(self.part(part_points, part.core_ms)?)? {
                     return Ok(());
                 }
             }
@@ -123,7 +126,7 @@ impl TrafficParts<'_, '_> {
             }
             points.push(point);
         }
-        each(self.part(points, bounds.next().0)?)?;
+        sink(self.part(points, bounds.next().core_ms)?)?;
         Ok(())
     }
 
@@ -160,7 +163,11 @@ impl TrafficParts<'_, '_> {
         let mut omissions = Vec::new();
         let traffic = RecordedTraffic::build(points, (vehicles, core_ms), rules, &mut omissions)
             .map_err(|line| self.too_large(line, MAX_POINTS, "rows, with those that are filled"))?;
-        dropped.extend(omissions.into_iter().map(|found| dropped_item(path, found)));
+        dropped.extend(
+            omissions
+                .into_iter()
+                .map(|omission| dropped_item(path, omission)),
+        );
         Ok(Recording {
             path: path.to_owned(),
             format: self.map.name.clone(),
@@ -238,8 +245,8 @@ impl TrafficParts<'_, '_> {
 }
 
 /// Returns the last points of a part, which are the margin of the next one. Margins of dense traffic are shorter.
-fn next_margin(points: &[TrackPoint], core_end_ms: i64, next_from_ms: i64) -> Vec<TrackPoint> {
-    let [margin, core_end] = [next_from_ms, core_end_ms]
+fn next_margin(points: &[TrackPoint], part: &EndedPart) -> Vec<TrackPoint> {
+    let [margin, core_end] = [part.next_from_ms, part.core_ms.end]
         .map(|from_ms| points.partition_point(|point| point.time_ms < from_ms));
     points[margin.max(core_end.saturating_sub(PART_ROWS))..].to_vec()
 }

@@ -7,7 +7,7 @@ use super::map_tests::{TRACKS, map, read_with};
 use super::*;
 
 #[test]
-fn vehicles_come_go_and_change_lanes() {
+fn followers_change_where_vehicles_change_lanes() {
     // Lane 1 drives up, lane 2 down. Vehicle 7 leaves lane 1 at 0.2 s, so that 8 follows 6 from then on.
     let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
     for k in 0..5 {
@@ -39,11 +39,11 @@ fn vehicles_come_go_and_change_lanes() {
         assert!(
             followers
                 .iter()
-                .all(|one| one.speed_mps == 20.0 && one.length_m == Some(5.0))
+                .all(|follower| follower.speed_mps == 20.0 && follower.length_m == Some(5.0))
         );
         followers
             .into_iter()
-            .map(|one| (one.number, one.gap_ahead_m))
+            .map(|follower| (follower.number, follower.gap_ahead_m))
             .collect::<Vec<_>>()
     };
     assert_eq!(behind(6, 1), [(7, 15.0), (8, 15.0)]);
@@ -70,12 +70,14 @@ fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
         }
     }
     let recording = read_with(&text, &TRACKS.replace("centre", "front"));
-    let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::First).episodes;
-    let scenario = found[0].scenario("a".to_owned(), "a.csv").expect("valid");
+    let episodes = find_episodes(&recording, MinBrake::default(), LeaderSelection::First).episodes;
+    let scenario = episodes[0]
+        .scenario("a".to_owned(), "a.csv")
+        .expect("valid");
     let built: Vec<_> = scenario
         .vehicles()
         .iter()
-        .map(|one| (one.class.name(), one.length_m()))
+        .map(|vehicle| (vehicle.class.name(), vehicle.length_m()))
         .collect();
     assert_eq!(built, [("light", 4.2), ("heavy", 12.5), ("light", 5.0)]);
     let gap_m = |index| scenario.initial_gap_m(index).expect("follows");
@@ -139,7 +141,7 @@ fn impossible_values_are_excluded_and_reported() {
 
 /// Three cars in one lane; a field of the second car's second row is damaged. No vehicle follows across it.
 #[test]
-fn no_following_across_an_unknown_vehicle() {
+fn no_vehicle_follows_across_an_unknown_one() {
     let text = |damage: &dyn Fn(u32, u32) -> [String; 4]| {
         let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
         for k in 0..3 {
@@ -178,7 +180,7 @@ fn no_following_across_an_unknown_vehicle() {
             first
                 .followers_at(sample)
                 .into_iter()
-                .map(|one| one.number)
+                .map(|follower| follower.number)
                 .collect()
         };
         first.segments()[0].iter().map(numbers).collect()

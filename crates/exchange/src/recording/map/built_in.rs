@@ -55,23 +55,26 @@ impl RecordingMap {
     /// # Errors
     /// [`FileError`] never, since tests read every built-in map.
     pub fn built_in(name: &str) -> Option<Result<Self, FileError>> {
-        let (name, text) = BUILT_IN_MAPS.iter().find(|(known, _)| *known == name)?;
-        Some(Self::from_toml(text, Path::new(name)))
+        BUILT_IN_MAPS
+            .iter()
+            .find(|(built_in, _)| *built_in == name)
+            .map(|(name, text)| Self::from_toml(text, Path::new(name)))
     }
 
     /// Returns the name of the built-in map whose columns are all among `names`.
     pub(in crate::recording) fn recognise<'n>(
         names: impl Iterator<Item = &'n str> + Clone,
     ) -> Option<&'static str> {
-        let is_for = |text: &str| {
-            let map = Self::from_toml(text, Path::new(""));
-            let has = |column: &str| names.clone().any(|name| is_same_name(name, column));
-            map.is_ok_and(|map| map.spec.columns().iter().all(|(_, column)| has(column)))
-        };
-        BUILT_IN_MAPS
-            .iter()
-            .find(|(_, text)| is_for(text))
-            .map(|(name, _)| *name)
+        let mut maps = BUILT_IN_MAPS.iter();
+        maps.find(|(_, text)| {
+            Self::from_toml(text, Path::new("")).is_ok_and(|map| {
+                map.spec
+                    .columns()
+                    .iter()
+                    .all(|(_, column)| names.clone().any(|name| is_same_name(name, column)))
+            })
+        })
+        .map(|(name, _)| *name)
     }
 }
 

@@ -8,6 +8,7 @@ use crumple_core::format_version::check_version;
 use super::super::platoon_columns::column_number;
 use super::{
     LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec,
+    TracksSpec,
 };
 
 pub(super) const MAP_VERSION: u32 = 1;
@@ -20,40 +21,18 @@ const MAX_LANE_BLIP_S: f64 = 5.0;
 
 /// Checks a map. The error names the first invalid field.
 pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), FieldError> {
-    let wrong = |field: &str, problem: String| Err(FieldError::new(field, problem));
     if let Err(unsupported) = check_version(spec.version, MAP_VERSION) {
-        return wrong("version", unsupported.to_string());
+        return Err(FieldError::new("version", unsupported.to_string()));
     }
-    let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-    if spec.name.is_empty() || spec.name.len() > 40 || !spec.name.chars().all(is_plain) {
-        return wrong(
-            "name",
-            "must be 1 to 40 lower-case letters, digits and hyphens".to_owned(),
-        );
-    }
+    check_map_name(&spec.name)?;
     if spec.lines_before_names > MAX_LINES_BEFORE_NAMES {
-        let found = spec.lines_before_names;
-        return wrong(
-            "lines_before_names",
-            format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"),
-        );
+        let lines = spec.lines_before_names;
+        let problem = format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {lines}");
+        return Err(FieldError::new("lines_before_names", problem));
     }
-    for (field, is_stated) in [
-        ("bus_channel", spec.bus_channel.is_some()),
-        ("source_address", spec.source_address.is_some()),
-    ] {
-        if is_stated && spec.dbc.is_none() {
-            return wrong(
-                field,
-                "applies only to raw CAN frames, which need a DBC file (`dbc`)".to_owned(),
-            );
-        }
-    }
-    check_range(
-        "interpolate_s",
-        spec.interpolate_s,
-        [0.0, MAX_INTERPOLATION_S],
-    )?;
+    check_frame_choices(spec)?;
+    let interpolation_s = [0.0, MAX_INTERPOLATION_S];
+    check_range("interpolate_s", spec.interpolate_s, interpolation_s)?;
     let columns = spec.columns();
     columns
         .iter()
@@ -64,34 +43,54 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), FieldError> {
     match &spec.layout {
         LayoutSpec::Platoon(platoon) => check_platoon(platoon),
         LayoutSpec::Pairs(pairs) => check_pairs(pairs),
-        LayoutSpec::Tracks(tracks) => {
-            check_range(
-                "layout.tracks.lane_blip_s",
-                tracks.lane_blip_s,
-                [0.0, MAX_LANE_BLIP_S],
-            )?;
-            match tracks.length {
-                LengthSpec::Column(_) => Ok(()),
-                LengthSpec::Metres(metres) => {
-                    check_range("layout.tracks.length.metres", metres, [0.1, 100.0])
-                }
-            }
-        }
+        LayoutSpec::Tracks(tracks) => check_tracks(tracks),
     }?;
-    for (index, (field, column)) in columns.iter().enumerate() {
-        if let Some((other, _)) = columns
-            .iter()
-            .take(index)
-            .find(|(_, known)| known == column)
-        {
-            return wrong(
-                field,
-                format!("`{column}` is already the column of `{other}`"),
-            );
+    check_distinct(&columns)
+}
+
+fn check_map_name(name: &str) -> Result<(), FieldError> {
+    let is_plain = name
+        .chars()
+        .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-');
+    if (1..=40).contains(&name.len()) && is_plain {
+        Ok(())
+    } else {
+        let problem = "must be 1 to 40 lower-case letters, digits and hyphens";
+        Err(FieldError::new("name", problem))
+    }
+}
+
+/// Checks that a map without a DBC file chooses no CAN frames.
+fn check_frame_choices(spec: &RecordingMapSpec) -> Result<(), FieldError> {
+    for (field, choice) in [
+        ("bus_channel", &spec.bus_channel),
+        ("source_address", &spec.source_address),
+    ] {
+        if choice.is_some() && spec.dbc.is_none() {
+            let problem = "applies only to raw CAN frames, which need a DBC file (`dbc`)";
+            return Err(FieldError::new(field, problem));
         }
     }
     Ok(())
 }
+
+/// Checks that no two fields name the same column.
+fn check_distinct(columns: &[FieldColumn<'_>]) -> Result<(), FieldError> {
+    for (index, (field, column)) in columns.iter().enumerate() {
+        let mut earlier = columns.iter().take(index);
+        if let Some((other_field, _)) = earlier.find(|(_, name)| name == column) {
+            let problem = format!("`{column}` is already the column of `{other_field}`");
+            return Err(FieldError::new(*field, problem));
+        }
+    }
+    Ok(())
+}
+
+/// A field of a map that names a column, and the name.
+pub(in crate::recording) type FieldColumn<'m> = (&'static str, &'m str);
+
+/// A field of a map that may name a column.
+type OptionalColumn<'m> = (&'static str, Option<&'m String>);
 
 /// Role of a column of a file in a map.
 #[cfg(feature = "mdf")]
@@ -114,21 +113,19 @@ impl RecordingMapSpec {
     /// Returns whether the map names a column of a table, except for capital letters.
     #[cfg(feature = "parquet")]
     pub(in crate::recording) fn has_column(&self, name: &str) -> bool {
-        let is_named =
-            |column: &str| is_same_name(column, name) || column_number(name, column).is_some();
         self.columns()
             .into_iter()
-            .any(|(_, column)| is_named(column))
+            .any(|(_, column)| is_same_name(column, name) || column_number(name, column).is_some())
     }
 
     /// Returns the role of a column; `None` if the map does not name it.
     #[cfg(feature = "mdf")]
     pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
-        let is_named = |column: &str| column == name || column_number(name, column).is_some();
-        let (field, _) = self
-            .columns()
-            .into_iter()
-            .find(|(_, column)| is_named(column))?;
+        let columns = self.columns();
+        let field = columns
+            .iter()
+            .find(|(_, column)| *column == name || column_number(name, column).is_some())?
+            .0;
         Some(ColumnRole {
             is_clock: field == "time.clock.column",
             is_id: field.ends_with(".event")
@@ -139,67 +136,85 @@ impl RecordingMapSpec {
     }
 
     /// Returns every field that names a column, with the name.
-    pub(in crate::recording) fn columns(&self) -> Vec<(&'static str, &str)> {
+    pub(in crate::recording) fn columns(&self) -> Vec<FieldColumn<'_>> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),
         };
-        let of_layout = match &self.layout {
-            LayoutSpec::Platoon(platoon) => vec![
-                ("layout.platoon.speed.column", Some(&platoon.speed.column)),
-                (
-                    "layout.platoon.spacing.column",
-                    Some(&platoon.spacing.column),
-                ),
-            ],
-            LayoutSpec::Pairs(pairs) => vec![
-                ("layout.pairs.event", pairs.event.as_ref()),
-                ("layout.pairs.spacing.column", Some(&pairs.spacing.column)),
-                (
-                    "layout.pairs.follower_speed.column",
-                    pairs.follower_speed.as_ref().map(|speed| &speed.column),
-                ),
-                (
-                    "layout.pairs.follower_speed.acceleration.column",
-                    acceleration(pairs.follower_speed.as_ref()),
-                ),
-                (
-                    "layout.pairs.leader_speed.acceleration.column",
-                    acceleration(pairs.leader_speed.as_ref()),
-                ),
-                (
-                    "layout.pairs.leader_speed.column",
-                    pairs.leader_speed.as_ref().map(|speed| &speed.column),
-                ),
-                (
-                    "layout.pairs.relative_speed.column",
-                    pairs.relative_speed.as_ref().map(|speed| &speed.column),
-                ),
-            ],
-            LayoutSpec::Tracks(tracks) => vec![
-                ("layout.tracks.vehicle", Some(&tracks.vehicle)),
-                ("layout.tracks.lane", tracks.lane.as_ref()),
-                (
-                    "layout.tracks.position.column",
-                    Some(&tracks.position.column),
-                ),
-                ("layout.tracks.speed.column", Some(&tracks.speed.column)),
-                (
-                    "layout.tracks.speed.acceleration.column",
-                    acceleration(Some(&tracks.speed)),
-                ),
-                (
-                    "layout.tracks.length.column.name",
-                    match &tracks.length {
-                        LengthSpec::Column(column) => Some(&column.name),
-                        LengthSpec::Metres(_) => None,
-                    },
-                ),
-            ],
+        let layout = match &self.layout {
+            LayoutSpec::Platoon(platoon) => platoon_columns(platoon),
+            LayoutSpec::Pairs(pairs) => pair_columns(pairs),
+            LayoutSpec::Tracks(tracks) => track_columns(tracks),
         };
-        let all = std::iter::once(time).chain(of_layout);
+        let all = std::iter::once(time).chain(layout);
         all.filter_map(|(field, column)| Some((field, column?.as_str())))
             .collect()
+    }
+}
+
+fn platoon_columns(spec: &PlatoonSpec) -> Vec<OptionalColumn<'_>> {
+    vec![
+        ("layout.platoon.speed.column", Some(&spec.speed.column)),
+        ("layout.platoon.spacing.column", Some(&spec.spacing.column)),
+    ]
+}
+
+fn pair_columns(spec: &PairsSpec) -> Vec<OptionalColumn<'_>> {
+    let follower_speed = spec.follower_speed.as_ref();
+    let leader_speed = spec.leader_speed.as_ref();
+    let relative_speed = spec.relative_speed.as_ref();
+    vec![
+        ("layout.pairs.event", spec.event.as_ref()),
+        ("layout.pairs.spacing.column", Some(&spec.spacing.column)),
+        (
+            "layout.pairs.follower_speed.column",
+            follower_speed.map(|speed| &speed.column),
+        ),
+        (
+            "layout.pairs.follower_speed.acceleration.column",
+            acceleration(follower_speed),
+        ),
+        (
+            "layout.pairs.leader_speed.acceleration.column",
+            acceleration(leader_speed),
+        ),
+        (
+            "layout.pairs.leader_speed.column",
+            leader_speed.map(|speed| &speed.column),
+        ),
+        (
+            "layout.pairs.relative_speed.column",
+            relative_speed.map(|speed| &speed.column),
+        ),
+    ]
+}
+
+fn track_columns(spec: &TracksSpec) -> Vec<OptionalColumn<'_>> {
+    let length = match &spec.length {
+        LengthSpec::Column(column) => Some(&column.name),
+        LengthSpec::Metres(_) => None,
+    };
+    vec![
+        ("layout.tracks.vehicle", Some(&spec.vehicle)),
+        ("layout.tracks.lane", spec.lane.as_ref()),
+        ("layout.tracks.position.column", Some(&spec.position.column)),
+        ("layout.tracks.speed.column", Some(&spec.speed.column)),
+        (
+            "layout.tracks.speed.acceleration.column",
+            acceleration(Some(&spec.speed)),
+        ),
+        ("layout.tracks.length.column.name", length),
+    ]
+}
+
+fn check_tracks(spec: &TracksSpec) -> Result<(), FieldError> {
+    let blip_s = [0.0, MAX_LANE_BLIP_S];
+    check_range("layout.tracks.lane_blip_s", spec.lane_blip_s, blip_s)?;
+    match spec.length {
+        LengthSpec::Column(_) => Ok(()),
+        LengthSpec::Metres(metres) => {
+            check_range("layout.tracks.length.metres", metres, [0.1, 100.0])
+        }
     }
 }
 
@@ -270,14 +285,14 @@ fn check_name(field: &str, name: &str) -> Result<(), FieldError> {
     Ok(())
 }
 
-fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), FieldError> {
-    if (min..=max).contains(&found) {
+fn check_range(field: &str, value: f64, [min, max]: [f64; 2]) -> Result<(), FieldError> {
+    if (min..=max).contains(&value) {
         Ok(())
     } else {
-        let found = format_number(found);
+        let value = format_number(value);
         Err(FieldError::new(
             field,
-            format!("must be from {min} to {max}, found {found}"),
+            format!("must be from {min} to {max}, found {value}"),
         ))
     }
 }

@@ -9,6 +9,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "mdf")]
+pub(in crate::recording) use check::ColumnRole;
 pub(in crate::recording) use check::is_same_name;
 pub(in crate::recording) use units::{
     ColumnUnit, NamedUnit, list_units, unit_by_name, unit_in_name, unknown_unit_in_name, words,
@@ -75,20 +77,17 @@ impl RecordingMapSpec {
 
     /// Creates a map with detected separators and without interpolation.
     pub(in crate::recording) fn new(name: String, time: TimeSpec, layout: LayoutSpec) -> Self {
-        let version = check::MAP_VERSION;
-        let (lines_before_names, delimiter, decimal, interpolate_s) = Default::default();
-        let (dbc, bus_channel, source_address) = Default::default();
         Self {
-            version,
+            version: check::MAP_VERSION,
             name,
-            lines_before_names,
-            delimiter,
-            decimal,
-            dbc,
-            bus_channel,
-            source_address,
+            lines_before_names: 0,
+            delimiter: None,
+            decimal: None,
+            dbc: None,
+            bus_channel: None,
+            source_address: None,
             time,
-            interpolate_s,
+            interpolate_s: 0.0,
             layout,
         }
     }
@@ -111,7 +110,7 @@ pub enum FrameChoice {
 impl FrameChoice {
     /// Returns the number for a message; `None` for any.
     #[cfg(feature = "mdf")]
-    pub(in crate::recording) fn of_message(&self, message: &str) -> Option<u64> {
+    pub(in crate::recording) fn for_message(&self, message: &str) -> Option<u64> {
         match self {
             Self::All(number) => Some(u64::from(*number)),
             Self::ByMessage(numbers) => numbers.get(message).copied().map(u64::from),

@@ -16,7 +16,7 @@ macro_rules! units {
             pub(in crate::recording) const ALL: &[(&'static str, f64)] = &[$(($written, $factor)),*];
 
             /// Returns the unit of a column for which the map states this one, or none.
-            pub(in crate::recording) fn of_column(stated: Option<Self>) -> ColumnUnit {
+            pub(in crate::recording) fn column_unit(stated: Option<Self>) -> ColumnUnit {
                 ColumnUnit::Quantity { units: Self::ALL, stated: stated.map(|unit| Self::ALL[unit as usize]) }
             }
         }
@@ -39,8 +39,12 @@ units! {
 }
 
 impl TimeUnit {
+    /// Returns the name of the unit in maps.
+    pub(in crate::recording) fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+
     /// Returns the size of the unit.
-    #[cfg(feature = "mdf")]
     pub(in crate::recording) fn seconds(self) -> f64 {
         Self::ALL[self as usize].1
     }
@@ -132,22 +136,19 @@ pub(in crate::recording) fn unit_in_name(units: &[NamedUnit], name: &str) -> Opt
     let brackets = trailing_brackets(name);
     let mut in_brackets = brackets
         .iter()
-        .filter_map(|one| unit_by_name(units, one.text));
+        .filter_map(|bracket| unit_by_name(units, bracket.text));
     if let Some(unit) = in_brackets.next() {
         return Some(unit);
     }
-    if brackets.iter().any(|one| is_other_unit(one.text)) {
+    if brackets.iter().any(|bracket| is_other_unit(bracket.text)) {
         return None;
     }
     let words = words(name);
-    let is_named =
-        |(unit, _): &&NamedUnit| words.iter().any(|word| is_name_of(unit, plain_unit(word)));
-    // Longer units contain shorter ones.
-    units
+    let named_units = units
         .iter()
-        .filter(is_named)
-        .max_by_key(|(unit, _)| unit.len())
-        .copied()
+        .filter(|(unit, _)| words.iter().any(|word| is_name_of(unit, plain_unit(word))));
+    // Longer units contain shorter ones.
+    named_units.max_by_key(|(unit, _)| unit.len()).copied()
 }
 
 /// A text in a name that stands for a unit, but for none that crumple converts.
@@ -166,29 +167,39 @@ pub(in crate::recording) fn unknown_unit_in_name(
         return None;
     }
     let is_time = units == TimeUnit::ALL;
-    let in_brackets = |is_certain: bool| {
-        let brackets = trailing_brackets(name);
-        let mut found = brackets.into_iter().filter(|one| {
-            !is_remark(one.text, is_time)
-                && (one.is_square || is_other_unit(one.text)) == is_certain
-        });
-        let text = found.next()?.text.to_owned();
-        Some(UnknownUnit { text, is_certain })
-    };
+    unknown_unit_in_brackets(name, is_time, true)
+        .or_else(|| unknown_unit_in_words(name, is_time))
+        .or_else(|| unknown_unit_in_brackets(name, is_time, false))
+}
+
+/// Returns an unknown unit in the brackets at the end of a name, if it is as certain as demanded.
+fn unknown_unit_in_brackets(name: &str, is_time: bool, is_certain: bool) -> Option<UnknownUnit> {
+    let mut brackets = trailing_brackets(name).into_iter();
+    let bracket = brackets.find(|bracket| {
+        !is_remark(bracket.text, is_time)
+            && (bracket.is_square || is_other_unit(bracket.text)) == is_certain
+    })?;
+    Some(UnknownUnit {
+        text: bracket.text.to_owned(),
+        is_certain,
+    })
+}
+
+/// Returns an unknown unit that is a word of a name.
+fn unknown_unit_in_words(name: &str, is_time: bool) -> Option<UnknownUnit> {
     let words = words(split_brackets(name).0);
     let last = words.get(words.len().div_ceil(2).saturating_sub(1));
-    let is_last = |known: &[&str]| last.is_some_and(|last| known.contains(&last.as_str()));
-    let in_words = words
+    let word = words
         .iter()
         .find(|word| OTHER_UNIT_WORDS.contains(&word.as_str()))
-        .or(last.filter(|_| is_last(OTHER_LAST_WORDS) || is_time && is_last(OTHER_TIME_WORDS)));
-    let of_word = |word: &String| UnknownUnit {
+        .or(last.filter(|last| {
+            OTHER_LAST_WORDS.contains(&last.as_str())
+                || is_time && OTHER_TIME_WORDS.contains(&last.as_str())
+        }))?;
+    Some(UnknownUnit {
         text: word.clone(),
         is_certain: true,
-    };
-    in_brackets(true)
-        .or(in_words.map(of_word))
-        .or_else(|| in_brackets(false))
+    })
 }
 
 /// A text in brackets.
@@ -204,38 +215,45 @@ fn trailing_brackets(name: &str) -> Vec<BracketText<'_>> {
 
 /// Returns a name without the texts in brackets at its end, and these.
 fn split_brackets(name: &str) -> (&str, Vec<BracketText<'_>>) {
-    let (mut found, mut rest) = (Vec::new(), name.trim_end());
+    let mut brackets = Vec::new();
+    let mut rest = name.trim_end();
     while let Some(inner) = rest.strip_suffix([']', ')']) {
         let opening = if rest.ends_with(']') { '[' } else { '(' };
         let Some((before, text)) = inner.rsplit_once(opening) else {
             break;
         };
-        found.push(BracketText {
+        brackets.push(BracketText {
             text: text.trim(),
             is_square: opening == '[',
         });
         rest = before.trim_end();
     }
-    (rest, found)
+    (rest, brackets)
 }
 
 /// Returns whether a text in brackets is no unit: an index, a sign for no unit, or the scale of a time.
 fn is_remark(text: &str, is_time: bool) -> bool {
-    let is_scale = || {
-        let plain = plain_name(text);
-        TIME_SCALES.contains(&plain.as_str()) || plain.contains(':') || plain.contains("yyyy")
-    };
-    !text.chars().any(char::is_alphabetic) && text != "%" || is_time && is_scale()
+    !text.chars().any(char::is_alphabetic) && text != "%" || is_time && is_time_scale(text)
+}
+
+/// Returns whether a text in brackets behind the name of a time is a scale or a format.
+fn is_time_scale(text: &str) -> bool {
+    let plain = plain_name(text);
+    TIME_SCALES.contains(&plain.as_str()) || plain.contains(':') || plain.contains("yyyy")
 }
 
 /// Returns whether a text names a unit of any quantity.
 fn is_other_unit(text: &str) -> bool {
-    let is_of = |units: &[NamedUnit]| unit_by_name(units, text).is_some();
+    let quantities = [
+        TimeUnit::ALL,
+        SpeedUnit::ALL,
+        LengthUnit::ALL,
+        AccelerationUnit::ALL,
+    ];
     OTHER_UNITS.contains(&plain_name(text).as_str())
-        || is_of(TimeUnit::ALL)
-        || is_of(SpeedUnit::ALL)
-        || is_of(LengthUnit::ALL)
-        || is_of(AccelerationUnit::ALL)
+        || quantities
+            .into_iter()
+            .any(|units| unit_by_name(units, text).is_some())
 }
 
 /// Returns the names of units, for an error.
@@ -273,8 +291,10 @@ pub(in crate::recording) fn words(name: &str) -> Vec<String> {
 /// Returns the unit of a quantity by any name of it.
 pub(in crate::recording) fn unit_by_name(units: &[NamedUnit], name: &str) -> Option<NamedUnit> {
     let plain = plain_name(name);
-    let is_named = |(unit, _): &&NamedUnit| is_name_of(unit, plain_unit(&plain));
-    units.iter().find(is_named).copied()
+    units
+        .iter()
+        .find(|(unit, _)| is_name_of(unit, plain_unit(&plain)))
+        .copied()
 }
 
 /// Returns whether a name is that of a unit in maps, or that without its stroke.
@@ -284,14 +304,15 @@ fn is_name_of(unit: &str, name: &str) -> bool {
 
 /// Returns the name of a unit in lower case, without blanks and raised digits.
 fn plain_name(name: &str) -> String {
-    let letter = |letter: char| match letter {
+    let lower = name.to_lowercase();
+    let letters = lower.chars().filter_map(|letter| match letter {
         '²' => Some('2'),
         'µ' | 'μ' => Some('u'),
         '^' | '*' => None,
         letter if letter.is_whitespace() => None,
         letter => Some(letter),
-    };
-    name.to_lowercase().chars().filter_map(letter).collect()
+    });
+    letters.collect()
 }
 
 /// Returns the name of a unit in maps, for another name of it in lower case.

@@ -93,10 +93,8 @@ impl Blocks {
         let [b'#', b'#', first, second, ..] = header[..] else {
             return Err(damaged(at, "no block begins here"));
         };
-        let (bytes, links) = (
-            little_endian(&header, 8, 8).unwrap_or(0),
-            little_endian(&header, 16, 8).unwrap_or(0),
-        );
+        let bytes = little_endian(&header, 8, 8).unwrap_or(0);
+        let links = little_endian(&header, 16, 8).unwrap_or(0);
         if bytes < HEADER_BYTES || links > (bytes - HEADER_BYTES) / 8 {
             return Err(damaged(at, "the length of the block is wrong"));
         }
@@ -217,10 +215,12 @@ impl Blocks {
     }
 
     fn decompress(&mut self, at: u64) -> Result<Vec<u8>, MdfError> {
-        let fields = self.bytes(at + HEADER_BYTES, 24)?;
-        let number = |from, count| little_endian(&fields, from, count).unwrap_or(0);
-        let (kind, columns, original, compressed) =
-            (number(2, 1), number(4, 4), number(8, 8), number(16, 8));
+        let CompressedHeader {
+            kind,
+            columns,
+            original,
+            compressed,
+        } = CompressedHeader::parse(&self.bytes(at + HEADER_BYTES, 24)?);
         if kind > 1 {
             return Err(MdfError::Unsupported(
                 "a compression other than deflate".to_owned(),
@@ -243,14 +243,34 @@ impl Blocks {
         if unpacked.is_err() || plain.len() as u64 != original {
             return Err(damaged(at, "the compressed block cannot be decompressed"));
         }
-        let (columns, rows) = (
-            columns as usize,
-            plain.len().checked_div(columns as usize).unwrap_or(0),
-        );
+        let rows = plain.len().checked_div(columns).unwrap_or(0);
         if kind == 1 && columns > 1 && rows > 1 {
             return Ok(transpose(plain, columns, rows));
         }
         Ok(plain)
+    }
+}
+
+/// Start of a compressed block.
+struct CompressedHeader {
+    /// 0 for deflate, and 1 for deflate of bytes that are stored column by column.
+    kind: u64,
+    /// Number of columns of such bytes.
+    columns: usize,
+    /// Number of bytes before and after compression.
+    original: u64,
+    compressed: u64,
+}
+
+impl CompressedHeader {
+    /// Parses the fields before the compressed bytes.
+    fn parse(bytes: &[u8]) -> Self {
+        Self {
+            kind: little_endian(bytes, 2, 1).unwrap_or(0),
+            columns: little_endian(bytes, 4, 4).unwrap_or(0) as usize,
+            original: little_endian(bytes, 8, 8).unwrap_or(0),
+            compressed: little_endian(bytes, 16, 8).unwrap_or(0),
+        }
     }
 }
 
@@ -259,12 +279,10 @@ fn transpose(plain: Vec<u8>, columns: usize, rows: usize) -> Vec<u8> {
     // A number of rows whose bytes stay in the cache.
     const BLOCK_ROWS: usize = 64;
     let mut rows_first = plain.clone();
-    let (Some(by_column), Some(by_row)) = (
-        plain.get(..columns * rows),
-        rows_first.get_mut(..columns * rows),
-    ) else {
+    let Some(by_row) = rows_first.get_mut(..columns * rows) else {
         return plain;
     };
+    let by_column = &plain[..by_row.len()];
     for (block, target) in by_row.chunks_mut(BLOCK_ROWS * columns).enumerate() {
         for (column, source) in by_column.chunks_exact(rows).enumerate() {
             let source = source.iter().skip(block * BLOCK_ROWS);
@@ -311,10 +329,8 @@ impl DataCursor {
                 _ => return Err(damaged(at, "the block holds no samples")),
             }
         }
-        let (from, count) = (
-            self.rest.start,
-            CHUNK_BYTES.min(self.rest.end - self.rest.start),
-        );
+        let from = self.rest.start;
+        let count = CHUNK_BYTES.min(self.rest.end - from);
         self.rest.start += count;
         blocks.bytes(from, count).map(Some)
     }

@@ -40,7 +40,7 @@ pub(super) struct FrameSignal {
     /// Index in the set of signals.
     pub(super) index: usize,
     pub(super) name: String,
-    pub(super) place: BitPlace,
+    pub(super) bits: FrameBits,
     /// Multiplexers with the values that select the signal.
     pub(super) selectors: Vec<Selector>,
     pub(super) factor: f64,
@@ -53,14 +53,14 @@ pub(super) struct FrameSignal {
 
 /// A multiplexer of a signal.
 pub(super) struct Selector {
-    place: BitPlace,
+    bits: FrameBits,
     /// Ranges of its values, in order and apart.
     ranges: Vec<[u64; 2]>,
 }
 
 /// Bits of a frame, from the most significant one.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct BitPlace {
+pub(super) struct FrameBits {
     pub(super) start: u64,
     pub(super) size: u32,
     pub(super) is_big_endian: bool,
@@ -159,11 +159,8 @@ impl FrameMessage {
         source_address: Option<u64>,
         add: &mut dyn FnMut(usize, f64) -> Result<(), MdfError>,
     ) -> Result<(), MdfError> {
-        let is_other = |found: Option<u64>, chosen: Option<u64>| {
-            found.zip(chosen).is_some_and(|(a, b)| a != b)
-        };
-        if is_other(frame.bus_channel, self.bus_channel)
-            || is_other(source_address, self.source_address)
+        if differ(frame.bus_channel, self.bus_channel)
+            || differ(source_address, self.source_address)
         {
             return Ok(());
         }
@@ -177,6 +174,11 @@ impl FrameMessage {
     }
 }
 
+/// Returns whether two numbers are known and different.
+fn differ(a: Option<u64>, b: Option<u64>) -> bool {
+    a.zip(b).is_some_and(|(a, b)| a != b)
+}
+
 impl FrameSignal {
     /// Returns the value of the signal, NaN if missing; `None` if the frame does not contain it.
     fn decode(&self, frame: &[u8]) -> Option<f64> {
@@ -187,29 +189,28 @@ impl FrameSignal {
         {
             return None;
         }
-        let raw = self.place.raw(frame)?;
+        let raw = self.bits.raw(frame)?;
         if self.reserved_from.is_some_and(|reserved| raw >= reserved) {
             return Some(f64::NAN);
         }
-        Some(self.place.number(raw) * self.factor + self.offset)
+        Some(self.bits.number(raw) * self.factor + self.offset)
     }
 
     /// Rejects values from a second bus channel or sender, which are of another sensor.
-    fn check_origin(&mut self, found: [Option<u64>; 2]) -> Result<(), MdfError> {
-        let known = *self.origin.get_or_insert(found);
-        if known == found {
+    fn check_origin(&mut self, origin: [Option<u64>; 2]) -> Result<(), MdfError> {
+        let first_origin = *self.origin.get_or_insert(origin);
+        if first_origin == origin {
             return Ok(());
         }
         let kinds = [
             ("bus channels", "bus_channel"),
             ("source addresses", "source_address"),
         ];
-        for ((known, found), (origin, key)) in known.into_iter().zip(found).zip(kinds) {
-            if let Some((first, second)) = known.zip(found).filter(|(known, found)| known != found)
-            {
+        for ((first, second), (kind, key)) in first_origin.into_iter().zip(origin).zip(kinds) {
+            if let Some((first, second)) = first.zip(second).filter(|(a, b)| a != b) {
                 return Err(MdfError::Ambiguous {
                     signal: self.name.clone(),
-                    origin,
+                    origin: kind,
                     first,
                     second,
                     key,
@@ -221,7 +222,7 @@ impl FrameSignal {
 }
 
 impl Selector {
-    pub(super) fn new(place: BitPlace, mut ranges: Vec<[u64; 2]>) -> Self {
+    pub(super) fn new(bits: FrameBits, mut ranges: Vec<[u64; 2]>) -> Self {
         ranges.retain(|[low, high]| low <= high);
         ranges.sort_unstable();
         ranges.dedup_by(|next, before| {
@@ -231,41 +232,42 @@ impl Selector {
             }
             touches
         });
-        Self { place, ranges }
+        Self { bits, ranges }
     }
 
     fn selects(&self, frame: &[u8]) -> bool {
-        let Some(raw) = self.place.raw(frame) else {
+        let Some(raw) = self.bits.raw(frame) else {
             return false;
         };
-        let place = self.ranges.partition_point(|[_, high]| *high < raw);
-        self.ranges.get(place).is_some_and(|[low, _]| *low <= raw)
+        let index = self.ranges.partition_point(|[_, high]| *high < raw);
+        self.ranges.get(index).is_some_and(|[low, _]| *low <= raw)
     }
 }
 
-impl BitPlace {
+fn bit(frame: &[u8], at: u64) -> Option<u64> {
+    let byte = frame.get(usize::try_from(at / 8).ok()?)?;
+    Some(u64::from(byte >> (at % 8) & 1))
+}
+
+impl FrameBits {
     /// Returns the bits; `None` if the frame is too short.
     fn raw(&self, frame: &[u8]) -> Option<u64> {
         if !(1..=64).contains(&self.size) {
             return None;
         }
-        let bit = |at: u64| {
-            Some(u64::from(
-                frame.get(usize::try_from(at / 8).ok()?)? >> (at % 8) & 1,
-            ))
-        };
-        let (mut at, mut raw) = (self.start, 0);
+        let mut at = self.start;
+        let mut raw = 0;
         for index in 0..u64::from(self.size) {
             if self.is_big_endian {
-                raw = raw << 1 | bit(at)?;
+                raw = raw << 1 | bit(frame, at)?;
                 // Bits count from the least significant one of each byte.
-                at = if at % 8 == 0 {
+                at = if at.is_multiple_of(8) {
                     at.checked_add(15)?
                 } else {
                     at - 1
                 };
             } else {
-                raw |= bit(self.start.checked_add(index)?)? << index;
+                raw |= bit(frame, self.start.checked_add(index)?)? << index;
             }
         }
         Some(raw)

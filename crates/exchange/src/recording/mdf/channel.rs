@@ -42,59 +42,34 @@ impl Channel {
         blocks: &mut Blocks,
         block: &Block,
         record_bytes: u64,
-        use_of: SignalUse,
+        signal_use: SignalUse,
     ) -> Result<Option<Self>, MdfError> {
-        let kind = block.number(0, 1)?;
-        let data_type = block.number(2, 1)?;
-        let (bit_offset, byte_offset, bit_count) = (
-            block.number(3, 1)?,
-            block.number(4, 4)?,
-            block.number(8, 4)?,
-        );
         let flags = block.number(12, 4)?;
-        let value = match (kind, data_type) {
-            (3 | 6, _) => RawValueKind::Index,
-            (1, _) => return Ok(None),
-            (_, 0 | 1) => RawValueKind::Unsigned,
-            (_, 2 | 3) => RawValueKind::Signed,
-            (_, 4 | 5) => RawValueKind::Float,
-            _ => return Ok(None),
-        };
-        let is_number = match value {
-            RawValueKind::Index => true,
-            RawValueKind::Float => matches!(bit_count, 32 | 64) && bit_offset == 0,
-            _ => (1..=64).contains(&bit_count) && bit_offset < 8,
-        };
-        if !is_number {
+        let Some(kind) = RawValueKind::read(block)? else {
             return Ok(None);
-        }
-        let bytes = (bit_offset + bit_count).div_ceil(8);
-        let has_place = value == RawValueKind::Index || byte_offset + bytes <= record_bytes;
-        if !has_place {
+        };
+        let Some(bits) = BitField::read(block, kind)? else {
+            return Ok(None);
+        };
+        let is_outside = bits.byte as u64 + bits.bytes as u64 > record_bytes;
+        if is_outside && kind != RawValueKind::Index {
             return Err(block.damaged("the channel is outside its record"));
         }
-        let is_big_endian = matches!(data_type, 1 | 3 | 5);
-        let (byte, bytes) = (byte_offset as usize, bytes as usize);
-        let bits = BitField {
-            byte,
-            bytes,
-            shift: bit_offset as u32,
-            count: bit_count as u32,
-            is_big_endian,
-        };
         let invalid_bit = match flags & 3 {
             0 => None,
             2 => Some(8 * record_bytes as usize + block.number(16, 4)? as usize),
             // All values are invalid.
             _ => return Ok(None),
         };
-        let (name, mut unit) = (blocks.text(block.link(2))?, blocks.text(block.link(6))?);
+        let name = blocks.text(block.link(2))?;
+        let mut unit = blocks.text(block.link(6))?;
         let conversion = match blocks.find(block.link(4), b"CC")? {
             Some(conversion) => {
                 if unit.is_empty() {
                     unit = blocks.text(conversion.link(1))?;
                 }
-                ChannelConversion::read(blocks, &conversion, value == RawValueKind::Float, use_of)?
+                let is_float = kind == RawValueKind::Float;
+                ChannelConversion::read(blocks, &conversion, is_float, signal_use)?
             }
             None => ChannelConversion::Identity,
         };
@@ -102,7 +77,7 @@ impl Channel {
             name,
             unit,
             bits,
-            kind: value,
+            kind,
             conversion,
             invalid_bit,
         }))
@@ -136,7 +111,43 @@ impl Channel {
     }
 }
 
+impl RawValueKind {
+    /// Reads the kind of the values of a channel; `None` for values that are no numbers.
+    fn read(channel: &Block) -> Result<Option<Self>, MdfError> {
+        let channel_type = channel.number(0, 1)?;
+        let data_type = channel.number(2, 1)?;
+        Ok(match (channel_type, data_type) {
+            (3 | 6, _) => Some(Self::Index),
+            (1, _) => None,
+            (_, 0 | 1) => Some(Self::Unsigned),
+            (_, 2 | 3) => Some(Self::Signed),
+            (_, 4 | 5) => Some(Self::Float),
+            _ => None,
+        })
+    }
+}
+
 impl BitField {
+    /// Reads the bits of the values of a channel; `None` for a number of bits that no number has.
+    fn read(channel: &Block, kind: RawValueKind) -> Result<Option<Self>, MdfError> {
+        let shift = channel.number(3, 1)?;
+        let byte = channel.number(4, 4)?;
+        let count = channel.number(8, 4)?;
+        let is_number = match kind {
+            RawValueKind::Index => true,
+            RawValueKind::Float => matches!(count, 32 | 64) && shift == 0,
+            RawValueKind::Unsigned | RawValueKind::Signed => (1..=64).contains(&count) && shift < 8,
+        };
+        let is_big_endian = matches!(channel.number(2, 1)?, 1 | 3 | 5);
+        Ok(is_number.then_some(Self {
+            byte: byte as usize,
+            bytes: (shift + count).div_ceil(8) as usize,
+            shift: shift as u32,
+            count: count as u32,
+            is_big_endian,
+        }))
+    }
+
     #[inline]
     fn get(&self, record: &[u8]) -> u64 {
         let Some(bytes) = record.get(self.byte..self.byte + self.bytes) else {
@@ -145,11 +156,10 @@ impl BitField {
         if let (&[a, b, c, d, e, f, g, h], 64, false) = (bytes, self.count, self.is_big_endian) {
             return u64::from_le_bytes([a, b, c, d, e, f, g, h]);
         }
-        let join = |all: u128, byte: &u8| all << 8 | u128::from(*byte);
         let joined = if self.is_big_endian {
-            bytes.iter().fold(0, join)
+            bytes.iter().fold(0, append_byte)
         } else {
-            bytes.iter().rev().fold(0, join)
+            bytes.iter().rev().fold(0, append_byte)
         } >> self.shift;
         (joined & (u128::MAX >> (128 - self.count))) as u64
     }
@@ -157,6 +167,10 @@ impl BitField {
     fn get_signed(&self, record: &[u8]) -> i64 {
         sign_extend(self.get(record), self.count)
     }
+}
+
+fn append_byte(number: u128, byte: &u8) -> u128 {
+    number << 8 | u128::from(*byte)
 }
 
 /// Reads the lowest `count` bits, from 1 to 64, as a two's complement.

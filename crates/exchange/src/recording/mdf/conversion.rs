@@ -54,11 +54,11 @@ impl ChannelConversion {
         blocks: &mut Blocks,
         block: &Block,
         is_float: bool,
-        use_of: SignalUse,
+        signal_use: SignalUse,
     ) -> Result<Self, MdfError> {
         match block.number(0, 1)? {
             // Texts do not replace the number of an id.
-            7..=10 if use_of == SignalUse::Id => Ok(Self::Identity),
+            7..=10 if signal_use == SignalUse::Id => Ok(Self::Identity),
             _ => Self::read_nested(blocks, block, is_float, 0),
         }
     }
@@ -84,24 +84,19 @@ impl ChannelConversion {
                     "a conversion by an algebraic formula".to_owned(),
                 ));
             }
-            (kind @ (4 | 5), points) if points.len() >= 2 => {
-                let points = points
-                    .chunks_exact(2)
-                    .map(|pair| [pair[0], pair[1]])
-                    .collect();
+            (kind @ (4 | 5), values) if values.len() >= 2 => {
+                let points = values.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
                 Self::Table {
-                    points,
+                    points: points.collect(),
                     is_interpolated: kind == 4,
                 }
             }
             (6, ranges) if !ranges.is_empty() => {
-                let otherwise = ranges.last().copied().unwrap_or(f64::NAN);
-                let bounds = ranges.chunks_exact(3).map(|one| [one[0], one[1]]);
-                let values = ranges.chunks_exact(3).map(|one| one[2]).collect();
+                let bounds = ranges.chunks_exact(3).map(|range| [range[0], range[1]]);
                 Self::Ranges {
                     ranges: Ranges::new(block, bounds, !is_float)?,
-                    values,
-                    otherwise,
+                    values: ranges.chunks_exact(3).map(|range| range[2]).collect(),
+                    otherwise: ranges.last().copied().unwrap_or(f64::NAN),
                 }
             }
             _ => return Err(block.damaged("the conversion lacks values")),
@@ -124,38 +119,43 @@ impl ChannelConversion {
             .take(block.number(6, 2)? as usize)
             .collect();
         let bounds: Vec<[f64; 2]> = match has_ranges {
-            true => keys.chunks_exact(2).map(|one| [one[0], one[1]]).collect(),
+            true => keys.chunks_exact(2).map(|key| [key[0], key[1]]).collect(),
             false => keys.iter().map(|key| [*key; 2]).collect(),
         };
-        let (mut conversions, mut converts) = (Vec::with_capacity(bounds.len()), false);
-        for index in 0..=bounds.len() {
+        let mut conversions = Vec::with_capacity(bounds.len());
+        for index in 0..bounds.len() {
             let at = block.link(FIRST_REFERENCE + index);
-            let conversion = if blocks.is_of_type(at, b"CC") {
-                converts = true;
-                let nested = blocks.read(at, b"CC")?;
-                Self::read_nested(blocks, &nested, is_float, depth + 1)?
-            } else if at == 0 && index == bounds.len() {
-                Self::Identity
-            } else {
-                Self::Missing
-            };
-            conversions.push(conversion);
+            conversions.push(Self::read_reference(blocks, at, is_float, depth)?);
         }
         // Without a default, a table that only names special values leaves all others as they are. Beside conversions,
         // other values have none.
-        let otherwise = match conversions.pop() {
-            Some(Self::Identity) if converts && block.link(FIRST_REFERENCE + bounds.len()) == 0 => {
-                Self::Missing
-            }
-            Some(otherwise) => otherwise,
-            None => Self::Missing,
+        let otherwise = match block.link(FIRST_REFERENCE + bounds.len()) {
+            0 if conversions.iter().any(Option::is_some) => Self::Missing,
+            0 => Self::Identity,
+            at => Self::read_reference(blocks, at, is_float, depth)?.unwrap_or(Self::Missing),
         };
-        let ranges = Ranges::new(block, bounds, !has_ranges || !is_float)?;
         Ok(Self::Partial {
-            ranges,
-            conversions,
+            ranges: Ranges::new(block, bounds, !has_ranges || !is_float)?,
+            conversions: conversions
+                .into_iter()
+                .map(|conversion| conversion.unwrap_or(Self::Missing))
+                .collect(),
             otherwise: Box::new(otherwise),
         })
+    }
+
+    /// Reads the conversion that a link of another conversion names; `None` for a text or an empty link.
+    fn read_reference(
+        blocks: &mut Blocks,
+        at: u64,
+        is_float: bool,
+        depth: usize,
+    ) -> Result<Option<Self>, MdfError> {
+        if !blocks.is_of_type(at, b"CC") {
+            return Ok(None);
+        }
+        let nested = blocks.read(at, b"CC")?;
+        Self::read_nested(blocks, &nested, is_float, depth + 1).map(Some)
     }
 
     pub(super) fn apply(&self, raw: f64) -> f64 {
@@ -200,13 +200,10 @@ impl ChannelConversion {
 
 fn look_up(points: &[[f64; 2]], is_interpolated: bool, raw: f64) -> f64 {
     let after = points.partition_point(|[key, _]| *key <= raw);
-    let point = |index: usize| {
-        points
-            .get(index.min(points.len() - 1))
-            .copied()
-            .unwrap_or([f64::NAN; 2])
-    };
-    let ([low, first], [high, second]) = (point(after.saturating_sub(1)), point(after));
+    let [[low, first], [high, second]] = [after.saturating_sub(1), after].map(|index| {
+        let point = points.get(index).or(points.last());
+        point.copied().unwrap_or([f64::NAN; 2])
+    });
     match high > low {
         true if is_interpolated => first + (second - first) / (high - low) * (raw - low),
         true if raw - low > high - raw => second,
@@ -223,9 +220,11 @@ impl Ranges {
         let unsorted: Vec<([f64; 2], usize)> = bounds.into_iter().zip(0..).collect();
         let mut sorted = unsorted.clone();
         sorted.sort_by(|([a, _], _), ([b, _], _)| a.total_cmp(b));
-        let is_apart = |pair: &[([f64; 2], usize)]| matches!(pair, [([_, high], _), ([low, _], _)] if high <= low);
-        let is_range = |([low, high], _): &([f64; 2], usize)| low <= high;
-        if sorted.iter().all(is_range) && sorted.windows(2).all(is_apart) {
+        let are_ranges = sorted.iter().all(|([low, high], _)| low <= high);
+        let are_apart = sorted
+            .windows(2)
+            .all(|pair| matches!(pair, [([_, high], _), ([next_low, _], _)] if high <= next_low));
+        if are_ranges && are_apart {
             return Ok(Self {
                 bounds: sorted,
                 includes_end,
@@ -244,22 +243,23 @@ impl Ranges {
 
     /// Returns the index of the first range that contains a number.
     fn find(&self, raw: f64) -> Option<usize> {
-        let contains =
-            |[low, high]: [f64; 2]| low <= raw && (raw < high || self.includes_end && raw == high);
         if self.overlap {
             return self
                 .bounds
                 .iter()
-                .find(|(bounds, _)| contains(*bounds))
+                .find(|(bounds, _)| self.contains(*bounds, raw))
                 .map(|(_, index)| *index);
         }
-        let is_below = |high: f64| high < raw || !self.includes_end && high == raw;
-        let place = self
+        let position = self
             .bounds
-            .partition_point(|([_, high], _)| is_below(*high));
+            .partition_point(|([_, high], _)| *high < raw || !self.includes_end && *high == raw);
         self.bounds
-            .get(place)
-            .filter(|(bounds, _)| contains(*bounds))
+            .get(position)
+            .filter(|(bounds, _)| self.contains(*bounds, raw))
             .map(|(_, index)| *index)
+    }
+
+    fn contains(&self, [low, high]: [f64; 2], raw: f64) -> bool {
+        low <= raw && (raw < high || self.includes_end && raw == high)
     }
 }

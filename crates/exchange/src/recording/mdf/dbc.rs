@@ -1,7 +1,7 @@
 //! DBC files: the messages of a CAN bus and their signals.
 
 use std::collections::{HashMap, HashSet};
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use can_dbc::{
@@ -11,7 +11,7 @@ use can_dbc::{
     Message, MessageId, MultiplexIndicator, Signal as DbcSignal, SignalExtendedValueType, ValueType,
 };
 
-use super::can::{BitPlace, FrameDecoder, FrameMessage, FrameSignal, Selector, parameter_group};
+use super::can::{FrameBits, FrameDecoder, FrameMessage, FrameSignal, Selector, parameter_group};
 use super::{MdfError, SignalSet, SignalUse};
 use crate::recording::map::{FrameChoice, RecordingMapSpec};
 use crate::recording::table::excerpt;
@@ -48,17 +48,8 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] for a file that cannot be read, is too long, or is no DBC file.
     pub fn load(path: &Path) -> Result<Self, MdfError> {
-        let error = |problem: String| MdfError::Dbc {
-            path: path.to_owned(),
-            line: None,
-            problem,
-        };
-        let mut bytes = Vec::new();
-        let file =
-            crumple_core::regular_file::open(path).map_err(|source| error(source.to_string()))?;
-        file.take(MAX_DBC_BYTES + 1)
-            .read_to_end(&mut bytes)
-            .map_err(|source| error(source.to_string()))?;
+        let bytes = read_start(path)
+            .map_err(|source| dbc_error(path.to_owned(), None, source.to_string()))?;
         Self::parse(&bytes, path)
     }
 
@@ -67,41 +58,29 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] if the text is no DBC file, or exceeds a limit.
     pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, MdfError> {
-        let error = |line, problem| MdfError::Dbc {
-            path: path.to_owned(),
-            line,
-            problem,
-        };
+        let path = path.to_owned();
         if bytes.len() as u64 > MAX_DBC_BYTES {
-            return Err(error(None, format!("has more than {MAX_DBC_BYTES} bytes")));
+            let problem = format!("has more than {MAX_DBC_BYTES} bytes");
+            return Err(dbc_error(path, None, problem));
         }
-        let (text, _, _) = encoding_rs::WINDOWS_1252.decode(bytes);
-        let text = std::str::from_utf8(bytes).unwrap_or(&text);
-        let words = count_words(text);
+        let text = match std::str::from_utf8(bytes) {
+            Ok(text) => text.to_owned(),
+            Err(_) => encoding_rs::WINDOWS_1252.decode(bytes).0.into_owned(),
+        };
+        let words = count_words(&text);
         if words > MAX_DBC_WORDS {
-            return Err(error(
-                None,
-                format!("has {words} words, numbers and separators, more than {MAX_DBC_WORDS}"),
-            ));
+            let problem =
+                format!("has {words} words, numbers and separators, more than {MAX_DBC_WORDS}");
+            return Err(dbc_error(path, None, problem));
         }
-        let dbc = Dbc::try_from(text).map_err(|problem| {
-            // A syntax error contains ` --> line:column` and the names of grammar rules.
-            let problem = problem.to_string();
-            let line = problem
-                .split_once("--> ")
-                .and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
-            match line {
-                Some(line) => error(Some(line), "this is no valid line of a DBC file".to_owned()),
-                None => error(
-                    None,
-                    problem.split_whitespace().collect::<Vec<_>>().join(" "),
-                ),
-            }
-        })?;
+        let dbc = match Dbc::try_from(text.as_str()) {
+            Ok(dbc) => dbc,
+            Err(problem) => return Err(syntax_error(path, &problem.to_string())),
+        };
         Ok(Self {
             dbc,
-            path: path.to_owned(),
-            text: text.to_owned(),
+            path,
+            text,
             bus_channel: None,
             source_address: None,
         })
@@ -122,51 +101,40 @@ impl DbcFile {
             let Some(FrameChoice::ByMessage(numbers)) = choice else {
                 continue;
             };
-            let is_known =
-                |name: &str| self.dbc.messages.iter().any(|message| message.name == name);
-            if let Some(name) = numbers.keys().find(|name| !is_known(name)) {
+            let messages = &self.dbc.messages;
+            let unknown = numbers
+                .keys()
+                .find(|name| !messages.iter().any(|message| message.name == **name));
+            if let Some(name) = unknown {
                 let problem = format!(
                     "has no message {}, which `{key}` of the map names",
                     excerpt(name)
                 );
-                return Err(MdfError::Dbc {
-                    path: self.path,
-                    line: None,
-                    problem,
-                });
+                return Err(dbc_error(self.path, None, problem));
             }
         }
-        (self.bus_channel, self.source_address) =
-            (map.bus_channel.clone(), map.source_address.clone());
+        self.bus_channel = map.bus_channel.clone();
+        self.source_address = map.source_address.clone();
         Ok(self)
     }
 
     /// Returns an error at the last definition of a message, or at a signal of it.
     fn error(&self, message: &Message, signal: Option<&str>, problem: String) -> MdfError {
-        let starts = |line: &str, words: [&str; 2]| {
-            let mut found = line.split(|letter: char| letter.is_whitespace() || letter == ':');
-            let mut found = found.by_ref().filter(|word| !word.is_empty());
-            words.into_iter().all(|word| found.next() == Some(word))
-        };
         let id = message.id.raw().to_string();
         let begin = self
             .text
             .lines()
             .enumerate()
-            .filter(|(_, line)| starts(line, ["BO_", &id]))
+            .filter(|(_, line)| starts_with_words(line, ["BO_", &id]))
             .last();
         let line = begin.and_then(|(from, _)| match signal {
             None => Some(from),
             Some(signal) => (from..)
                 .zip(self.text.lines().skip(from))
-                .find(|(_, line)| starts(line, ["SG_", signal]))
+                .find(|(_, line)| starts_with_words(line, ["SG_", signal]))
                 .map(|(at, _)| at),
         });
-        MdfError::Dbc {
-            path: self.path.clone(),
-            line: line.map(|line| line + 1),
-            problem,
-        }
+        dbc_error(self.path.clone(), line.map(|line| line + 1), problem)
     }
 
     /// Adds the wanted signals and returns their decoder. The error is a message that is defined twice, or a signal
@@ -177,12 +145,7 @@ impl DbcFile {
         signals: &mut SignalSet,
     ) -> Result<FrameDecoder, MdfError> {
         let mut decoder = FrameDecoder::default();
-        let mut multiplexers = Multiplexers::new();
-        for one in &self.dbc.extended_multiplex {
-            multiplexers
-                .entry((one.message_id, one.signal_name.as_str()))
-                .or_insert(one);
-        }
+        let multiplexers = self.multiplexers();
         let mut defined = HashSet::new();
         for message in &self.dbc.messages {
             let wanted = self.wanted_signals(message, wanted)?;
@@ -193,49 +156,48 @@ impl DbcFile {
             if !defined.insert(id) {
                 return Err(self.error(message, None, format!("message {id} is defined twice")));
             }
-            let choice = |choice: &Option<FrameChoice>| {
-                choice
-                    .as_ref()
-                    .and_then(|one| one.of_message(&message.name))
-            };
-            let (bus_channel, source_address) =
-                (choice(&self.bus_channel), choice(&self.source_address));
             let is_j1939 = self.is_j1939(message);
-            let label = label(message, is_j1939);
-            let mut found = FrameMessage {
-                label,
+            let mut decoded = FrameMessage {
+                label: label(message, is_j1939),
                 signals: Vec::new(),
-                bus_channel,
-                source_address,
+                bus_channel: chosen_number(self.bus_channel.as_ref(), message),
+                source_address: chosen_number(self.source_address.as_ref(), message),
             };
             for (signal, name) in wanted {
                 self.check_signal(message, signal)?;
                 // Frames without the signal, by a multiplexer, have no place in its clock.
                 let clock = signals.add_clock();
                 let index = signals.add(name, signal.unit.clone(), clock);
-                found.signals.push(self.frame_signal(
-                    message,
-                    signal,
-                    &multiplexers,
-                    (index, is_j1939),
-                )?);
+                let decoded_signal =
+                    self.frame_signal(message, signal, &multiplexers, (index, is_j1939))?;
+                decoded.signals.push(decoded_signal);
             }
             match message.id {
-                MessageId::Extended(id) if is_j1939 && id & 0xff == ANY_SOURCE => {
-                    if !decoder.insert_group(id, found) {
+                MessageId::Extended(id) if is_j1939 && has_any_sender(message) => {
+                    if !decoder.insert_group(id, decoded) {
                         let problem =
-                            "two messages from any sender have this parameter group number"
-                                .to_owned();
-                        return Err(self.error(message, None, problem));
+                            "two messages from any sender have this parameter group number";
+                        return Err(self.error(message, None, problem.to_owned()));
                     }
                 }
-                id => decoder.insert(id, found),
+                id => decoder.insert(id, decoded),
             }
         }
-        let is_any = |message: &Message| matches!(message.id, MessageId::Extended(id) if id & 0xff == ANY_SOURCE);
-        let of_one_sender = self.dbc.messages.iter().filter(|message| !is_any(message));
+        let messages = self.dbc.messages.iter();
+        let of_one_sender = messages.filter(|message| !has_any_sender(message));
         of_one_sender.for_each(|message| decoder.reserve(message.id));
         Ok(decoder)
+    }
+
+    /// Returns the multiplexers by message and signal, the first one of each.
+    fn multiplexers(&self) -> Multiplexers<'_> {
+        let mut multiplexers = Multiplexers::new();
+        for multiplex in &self.dbc.extended_multiplex {
+            multiplexers
+                .entry((multiplex.message_id, multiplex.signal_name.as_str()))
+                .or_insert(multiplex);
+        }
+        multiplexers
     }
 
     /// Returns the wanted signals of a message with their names.
@@ -251,17 +213,14 @@ impl DbcFile {
             let problem = format!("a name of this message has more than {MAX_NAME_BYTES} bytes");
             return Err(self.error(message, None, problem));
         }
-        let name = |signal: &DbcSignal| {
+        let signals = message.signals.iter().filter_map(|signal| {
             let qualified = format!("{}.{}", message.name, signal.name);
-            [qualified, signal.name.clone()]
+            let name = [qualified, signal.name.clone()]
                 .into_iter()
-                .find(|name| wanted(name).is_some())
-        };
-        Ok(message
-            .signals
-            .iter()
-            .filter_map(|signal| Some((signal, name(signal)?)))
-            .collect())
+                .find(|name| wanted(name).is_some())?;
+            Some((signal, name))
+        });
+        Ok(signals.collect())
     }
 
     fn check_signal(&self, message: &Message, signal: &DbcSignal) -> Result<(), MdfError> {
@@ -270,9 +229,9 @@ impl DbcFile {
             ByteOrder::BigEndian => signal.start_bit ^ 7,
             ByteOrder::LittleEndian => signal.start_bit,
         };
-        let (name, size) = (excerpt(&signal.name), signal.size);
-        let kind = self.place(message, signal).kind;
-        let float_bits = match kind {
+        let name = excerpt(&signal.name);
+        let size = signal.size;
+        let float_bits = match self.bits(message, signal).kind {
             SignalExtendedValueType::IEEEfloat32Bit => Some(32),
             SignalExtendedValueType::IEEEdouble64bit => Some(64),
             SignalExtendedValueType::SignedOrUnsignedInteger => None,
@@ -306,15 +265,11 @@ impl DbcFile {
                 .attribute_text(FORMAT, format)
                 .is_some_and(|format| format.contains("J1939"));
         }
-        let is_protocol = |name: &str, value: &AttributeValue| {
-            name == "ProtocolType"
-                && matches!(value, AttributeValue::String(text) if text.contains("J1939"))
-        };
-        self.dbc
-            .attribute_values_database
-            .iter()
-            .any(|one| is_protocol(&one.name, &one.value))
-            || id & 0xff == ANY_SOURCE
+        let is_j1939_file = self.dbc.attribute_values_database.iter().any(|attribute| {
+            attribute.name == "ProtocolType"
+                && matches!(&attribute.value, AttributeValue::String(text) if text.contains("J1939"))
+        });
+        is_j1939_file || id & 0xff == ANY_SOURCE
     }
 
     /// Returns the text of an attribute of messages, which may be an index of its texts.
@@ -325,15 +280,15 @@ impl DbcFile {
             AttributeValue::Int(index) => usize::try_from(*index).ok()?,
             AttributeValue::Double(_) => return None,
         };
-        let texts = |definition: &'d AttributeDefinition| match definition {
-            AttributeDefinition::Message(known, AttributeValueType::Enum(texts))
-                if known == name =>
+        let mut definitions = self.dbc.attribute_definitions.iter();
+        let texts = definitions.find_map(|definition| match definition {
+            AttributeDefinition::Message(attribute, AttributeValueType::Enum(texts))
+                if attribute == name =>
             {
                 Some(texts)
             }
             _ => None,
-        };
-        let texts = self.dbc.attribute_definitions.iter().find_map(texts)?;
+        })?;
         texts.get(index).map(String::as_str)
     }
 
@@ -356,28 +311,29 @@ impl DbcFile {
                 return Err(self.error(message, Some(&signal.name), problem));
             }
             self.check_signal(message, by)?;
-            selectors.push(Selector::new(self.place(message, by), values));
+            selectors.push(Selector::new(self.bits(message, by), values));
             current = by;
         }
-        let place = self.place(message, signal);
+        let bits = self.bits(message, signal);
         Ok(FrameSignal {
             index,
             name: signal.name.clone(),
-            place,
+            bits,
             selectors,
             factor: signal.factor,
             offset: signal.offset,
-            reserved_from: place.reserved_from().filter(|_| is_j1939),
+            reserved_from: bits.reserved_from().filter(|_| is_j1939),
             origin: None,
         })
     }
 
-    fn place(&self, message: &Message, signal: &DbcSignal) -> BitPlace {
+    /// Returns the bits of a signal in its frames.
+    fn bits(&self, message: &Message, signal: &DbcSignal) -> FrameBits {
         let kind = self
             .dbc
             .extended_value_type_for_signal(message.id, &signal.name)
             .copied();
-        BitPlace {
+        FrameBits {
             start: signal.start_bit,
             size: u32::try_from(signal.size).unwrap_or(0),
             is_big_endian: signal.byte_order == ByteOrder::BigEndian,
@@ -387,11 +343,60 @@ impl DbcFile {
     }
 }
 
+/// Returns the bytes of a file, at most one more than the limit.
+fn read_start(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    crumple_core::regular_file::open(path)?
+        .take(MAX_DBC_BYTES + 1)
+        .read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn dbc_error(path: PathBuf, line: Option<usize>, problem: String) -> MdfError {
+    MdfError::Dbc {
+        path,
+        line,
+        problem,
+    }
+}
+
+/// Returns the error for a message of the parser, which contains ` --> line:column` and the names of grammar rules.
+fn syntax_error(path: PathBuf, message: &str) -> MdfError {
+    let line = message
+        .split_once("--> ")
+        .and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
+    let problem = match line {
+        Some(_) => "this is no valid line of a DBC file".to_owned(),
+        None => message.split_whitespace().collect::<Vec<_>>().join(" "),
+    };
+    dbc_error(path, line, problem)
+}
+
+/// Returns whether a line starts with two words, separated by blanks or a colon.
+fn starts_with_words(line: &str, words: [&str; 2]) -> bool {
+    let mut line_words = line
+        .split(|letter: char| letter.is_whitespace() || letter == ':')
+        .filter(|word| !word.is_empty());
+    words
+        .into_iter()
+        .all(|word| line_words.next() == Some(word))
+}
+
+/// Returns the number that a map chooses for the frames of a message.
+fn chosen_number(choice: Option<&FrameChoice>, message: &Message) -> Option<u64> {
+    choice?.for_message(&message.name)
+}
+
+/// Returns whether the source address in the id of a message stands for any sender.
+fn has_any_sender(message: &Message) -> bool {
+    matches!(message.id, MessageId::Extended(id) if id & 0xff == ANY_SOURCE)
+}
+
 /// Returns the name of a message with its id, and with the number of its parameter group if any sender may send it.
 fn label(message: &Message, is_j1939: bool) -> String {
     let name = excerpt(&message.name);
     match message.id {
-        MessageId::Extended(id) if is_j1939 && id & 0xff == ANY_SOURCE => {
+        MessageId::Extended(id) if is_j1939 && has_any_sender(message) => {
             format!(
                 "{name} (id {id:#x}, parameter group {})",
                 parameter_group(id)
@@ -404,18 +409,39 @@ fn label(message: &Message, is_j1939: bool) -> String {
 
 /// Returns the number of words and numbers, and of the separators that the parser keeps.
 fn count_words(text: &str) -> usize {
-    let is_blank = |byte: &u8| b" \t\r:@()[]".contains(byte);
-    let is_mark = |byte: &u8| b"\";|,\n".contains(byte);
-    let kind = |byte: &u8| (is_blank(byte), is_mark(byte));
-    let marks = text.as_bytes().iter().filter(|byte| is_mark(byte)).count();
-    let runs = text.as_bytes().chunk_by(|a, b| kind(a) == kind(b));
-    marks
-        + runs
-            .filter(|run| {
-                run.first()
-                    .is_some_and(|first| kind(first) == (false, false))
-            })
-            .count()
+    let bytes = text.as_bytes();
+    let marks = bytes
+        .iter()
+        .filter(|byte| DbcByte::new(**byte) == DbcByte::Mark)
+        .count();
+    let runs = bytes.chunk_by(|a, b| DbcByte::new(*a) == DbcByte::new(*b));
+    let words = runs
+        .filter(|run| {
+            run.first()
+                .is_some_and(|first| DbcByte::new(*first) == DbcByte::Word)
+        })
+        .count();
+    marks + words
+}
+
+/// Kind of a byte of a DBC file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum DbcByte {
+    /// Part of a word or of a number.
+    Word,
+    /// A separator that the parser keeps.
+    Mark,
+    Blank,
+}
+
+impl DbcByte {
+    fn new(byte: u8) -> Self {
+        match byte {
+            b' ' | b'\t' | b'\r' | b':' | b'@' | b'(' | b')' | b'[' | b']' => Self::Blank,
+            b'"' | b';' | b'|' | b',' | b'\n' => Self::Mark,
+            _ => Self::Word,
+        }
+    }
 }
 
 /// Returns the multiplexer of a signal, and the ranges of its values that select the signal.
@@ -424,28 +450,20 @@ fn multiplexer<'m>(
     signal: &DbcSignal,
     multiplexers: &Multiplexers<'_>,
 ) -> Option<(&'m DbcSignal, Vec<[u64; 2]>)> {
-    if let Some(found) = multiplexers.get(&(message.id, signal.name.as_str())) {
-        let by = message
-            .signals
-            .iter()
-            .find(|one| one.name == found.multiplexor_signal_name)?;
-        return Some((
-            by,
-            found
-                .mappings
-                .iter()
-                .map(|range| [range.min_value, range.max_value])
-                .collect(),
-        ));
+    let mut signals = message.signals.iter();
+    if let Some(multiplex) = multiplexers.get(&(message.id, signal.name.as_str())) {
+        let selector =
+            signals.find(|selector| selector.name == multiplex.multiplexor_signal_name)?;
+        let ranges = multiplex.mappings.iter();
+        let ranges = ranges.map(|range| [range.min_value, range.max_value]);
+        return Some((selector, ranges.collect()));
     }
     let value = match signal.multiplexer_indicator {
         MultiplexIndicator::MultiplexedSignal(value)
         | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value) => value,
         _ => return None,
     };
-    let by = message
-        .signals
-        .iter()
-        .find(|one| one.multiplexer_indicator == MultiplexIndicator::Multiplexor)?;
-    Some((by, vec![[value, value]]))
+    let selector = signals
+        .find(|selector| selector.multiplexer_indicator == MultiplexIndicator::Multiplexor)?;
+    Some((selector, vec![[value, value]]))
 }

@@ -69,7 +69,8 @@ impl DataGroup {
         if !matches!(id_bytes, 0 | 1 | 2 | 4 | 8) {
             return Err(block.damaged("the length of record ids is wrong"));
         }
-        let (mut groups, mut at) = (Vec::new(), block.link(1));
+        let mut groups = Vec::new();
+        let mut at = block.link(1);
         while let Some(group) = blocks.find_once(at, b"CG")? {
             groups.push(Group::read(blocks, &group, wanted, (decoder, signals))?);
             at = group.link(0);
@@ -87,15 +88,14 @@ impl DataGroup {
         let mut index_by_id: Vec<(u64, usize)> =
             groups.iter().map(|group| group.id).zip(0..).collect();
         index_by_id.sort_unstable();
-        let (rest, newest_s) = (Vec::new(), f64::NEG_INFINITY);
         Ok(Self {
             id_bytes,
             groups,
             index_by_id,
-            rest,
+            rest: Vec::new(),
             data,
             at: block.at,
-            newest_s,
+            newest_s: f64::NEG_INFINITY,
         })
     }
 
@@ -132,8 +132,9 @@ impl DataGroup {
         };
         let mut from = 0;
         while let Some((index, content)) = self.next_record(&bytes[from..])? {
-            let (start, end) = (from + content.start, from + content.end);
-            if let Some(time_s) = self.groups[index].add(&bytes[start..end], decoder, signals)? {
+            let end = from + content.end;
+            let record = &bytes[from + content.start..end];
+            if let Some(time_s) = self.groups[index].add(record, decoder, signals)? {
                 self.newest_s = time_s;
             }
             from = end;
@@ -149,20 +150,11 @@ impl DataGroup {
         let Some(id) = little_endian(bytes, 0, self.id_bytes).filter(|_| !bytes.is_empty()) else {
             return Ok(None);
         };
-        let place = if self.id_bytes == 0 {
-            0
-        } else {
-            self.index_by_id.partition_point(|(known, _)| *known < id)
-        };
-        let found = self
-            .index_by_id
-            .get(place)
-            .filter(|(known, _)| self.id_bytes == 0 || *known == id);
         let unknown = MdfError::Damaged {
             offset: 0,
             problem: "a record has an unknown id",
         };
-        let index = found.ok_or(unknown)?.1;
+        let index = self.index_of_group(id).ok_or(unknown)?;
         let group = &self.groups[index];
         if group.has_variable_length {
             let length = little_endian(bytes, self.id_bytes, 4)
@@ -180,6 +172,20 @@ impl DataGroup {
         let end = self.id_bytes + group.record_bytes;
         Ok((end <= bytes.len()).then_some((index, self.id_bytes..end)))
     }
+
+    /// Returns the index of the group whose records have an id; the only group has records without id.
+    fn index_of_group(&self, id: u64) -> Option<usize> {
+        if self.id_bytes == 0 {
+            return self.index_by_id.first().map(|(_, index)| *index);
+        }
+        let position = self
+            .index_by_id
+            .partition_point(|(group_id, _)| *group_id < id);
+        self.index_by_id
+            .get(position)
+            .filter(|(group_id, _)| *group_id == id)
+            .map(|(_, index)| *index)
+    }
 }
 
 impl Group {
@@ -189,96 +195,36 @@ impl Group {
         wanted: &dyn Fn(&str) -> Option<SignalUse>,
         (decoder, signals): (&FrameDecoder, &mut SignalSet),
     ) -> Result<Self, MdfError> {
-        let (id, flags) = (block.number(0, 8)?, block.number(16, 2)?);
-        let (data_bytes, invalid_bytes) = (block.number(24, 4)?, block.number(28, 4)?);
-        let has_variable_length = flags & FLAG_VARIABLE_LENGTH != 0;
-        let record_bytes = (data_bytes + invalid_bytes) as usize;
+        let flags = block.number(16, 2)?;
+        let data_bytes = block.number(24, 4)?;
+        let record_bytes = (data_bytes + block.number(28, 4)?) as usize;
         let mut group = Self {
-            id,
+            id: block.number(0, 8)?,
             record_bytes,
-            has_variable_length,
+            has_variable_length: flags & FLAG_VARIABLE_LENGTH != 0,
             clock: None,
             channels: Vec::new(),
             frames: None,
             rows: 0,
         };
-        if has_variable_length {
+        if group.has_variable_length {
             return Ok(group);
         }
         if !(1..=MAX_RECORD_BYTES).contains(&record_bytes) {
             return Err(block.damaged("the length of a record is wrong"));
         }
-        // The clock is added if the group is needed.
-        let clock = signals.clocks_s.len();
-        let (mut frame_id, mut is_extended, mut length, mut data) = (None, None, None, None);
-        let mut bus_channel = None;
-        let mut pending = vec![block.link(1)];
-        let mut channels = 0;
-        while let Some(at) = pending.pop() {
-            let Some(channel) = blocks.find_once(at, b"CN")? else {
-                continue;
-            };
-            channels += 1;
-            if channels > MAX_CHANNELS {
-                return Err(channel.damaged("the group has too many channels"));
-            }
-            pending.push(channel.link(0));
-            // Members of a structure; arrays are no signals.
-            if blocks.is_of_type(channel.link(1), b"CN") {
-                pending.push(channel.link(1));
-            }
-            let name = blocks.text(channel.link(2))?;
-            let kind = channel.number(0, 1)?;
-            let is_clock = matches!(kind, MASTER | VIRTUAL_MASTER) && channel.number(1, 1)? == 1;
-            let part = name
-                .strip_prefix("CAN_DataFrame.")
-                .filter(|_| !decoder.is_empty());
-            if part == Some("DataBytes") {
-                let place = [channel.number(4, 4)?, channel.number(8, 4)? / 8]
-                    .map(|number| number as usize);
-                if kind == 1 || channel.number(2, 1)? != BYTE_ARRAY {
-                    return Err(MdfError::Unsupported(
-                        "CAN frames whose data is stored elsewhere".to_owned(),
-                    ));
-                }
-                data = Some(place);
-            }
-            let use_of = wanted(&name);
-            if !(is_clock || part.is_some() || use_of.is_some()) {
-                continue;
-            }
-            let use_of = use_of.unwrap_or(SignalUse::Number);
-            let Some(read) = Channel::read(blocks, &channel, data_bytes, use_of)? else {
-                continue;
-            };
-            match part {
-                _ if is_clock => group.clock = Some((clock, read)),
-                Some("ID") => frame_id = Some(read),
-                Some("IDE") => is_extended = Some(read),
-                Some("DataLength") => length = Some(read),
-                Some("BusChannel") => bus_channel = Some(read),
-                Some(_) => {}
-                None => group.channels.push((
-                    signals.add(read.name.clone(), read.unit.clone(), clock),
-                    read,
-                )),
-            }
-        }
-        if let (Some(id), Some(data)) = (frame_id, data) {
-            let bus_of_group = if bus_channel.is_none() {
-                bus_of_group(blocks, block)?
-            } else {
-                None
-            };
-            group.frames = Some(FrameLayout {
-                id,
-                is_extended,
-                length,
-                bus_channel,
-                bus_of_group,
-                data,
-            });
-        }
+        let mut reader = ChannelReader {
+            wanted,
+            reads_frames: !decoder.is_empty(),
+            data_bytes,
+            // The clock is added if the group is needed.
+            clock: signals.clocks_s.len(),
+            group: &mut group,
+            frames: FrameChannels::default(),
+        };
+        reader.read_all(blocks, block, signals)?;
+        let frames = reader.frames;
+        group.frames = frames.into_layout(blocks, block)?;
         if group.is_needed() {
             signals.add_clock();
         }
@@ -322,6 +268,135 @@ impl Group {
         }
         self.rows += 1;
         Ok(Some(time_s))
+    }
+}
+
+/// Reader of the channels of a group.
+struct ChannelReader<'r> {
+    wanted: &'r dyn Fn(&str) -> Option<SignalUse>,
+    reads_frames: bool,
+    /// Bytes of a record before the bits that mark invalid values.
+    data_bytes: u64,
+    /// Index of the clock of the group.
+    clock: usize,
+    group: &'r mut Group,
+    frames: FrameChannels,
+}
+
+impl ChannelReader<'_> {
+    /// Reads the channels of a group, and the members of those that are structures.
+    fn read_all(
+        &mut self,
+        blocks: &mut Blocks,
+        group: &Block,
+        signals: &mut SignalSet,
+    ) -> Result<(), MdfError> {
+        let mut pending = vec![group.link(1)];
+        let mut channels = 0;
+        while let Some(at) = pending.pop() {
+            let Some(channel) = blocks.find_once(at, b"CN")? else {
+                continue;
+            };
+            channels += 1;
+            if channels > MAX_CHANNELS {
+                return Err(channel.damaged("the group has too many channels"));
+            }
+            pending.push(channel.link(0));
+            // Members of a structure; arrays are no signals.
+            if blocks.is_of_type(channel.link(1), b"CN") {
+                pending.push(channel.link(1));
+            }
+            self.read(blocks, &channel, signals)?;
+        }
+        Ok(())
+    }
+
+    /// Adds a channel to the group if it is a clock, a wanted signal or part of CAN frames.
+    fn read(
+        &mut self,
+        blocks: &mut Blocks,
+        block: &Block,
+        signals: &mut SignalSet,
+    ) -> Result<(), MdfError> {
+        let name = blocks.text(block.link(2))?;
+        let kind = block.number(0, 1)?;
+        let is_clock = matches!(kind, MASTER | VIRTUAL_MASTER) && block.number(1, 1)? == 1;
+        let frame_part = name
+            .strip_prefix("CAN_DataFrame.")
+            .filter(|_| self.reads_frames);
+        if frame_part == Some("DataBytes") {
+            self.frames.data = Some(frame_bytes(block)?);
+        }
+        let signal_use = (self.wanted)(&name);
+        if !(is_clock || frame_part.is_some() || signal_use.is_some()) {
+            return Ok(());
+        }
+        let signal_use = signal_use.unwrap_or(SignalUse::Number);
+        let Some(channel) = Channel::read(blocks, block, self.data_bytes, signal_use)? else {
+            return Ok(());
+        };
+        match frame_part {
+            _ if is_clock => self.group.clock = Some((self.clock, channel)),
+            Some("ID") => self.frames.id = Some(channel),
+            Some("IDE") => self.frames.is_extended = Some(channel),
+            Some("DataLength") => self.frames.length = Some(channel),
+            Some("BusChannel") => self.frames.bus_channel = Some(channel),
+            Some(_) => {}
+            None => {
+                let signal = signals.add(channel.name.clone(), channel.unit.clone(), self.clock);
+                self.group.channels.push((signal, channel));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns the first byte and the number of bytes of the data of CAN frames.
+fn frame_bytes(channel: &Block) -> Result<[usize; 2], MdfError> {
+    const VARIABLE_LENGTH: u64 = 1;
+    let first = channel.number(4, 4)? as usize;
+    let count = (channel.number(8, 4)? / 8) as usize;
+    if channel.number(0, 1)? == VARIABLE_LENGTH || channel.number(2, 1)? != BYTE_ARRAY {
+        return Err(MdfError::Unsupported(
+            "CAN frames whose data is stored elsewhere".to_owned(),
+        ));
+    }
+    Ok([first, count])
+}
+
+/// Channels of CAN frames that a group has.
+#[derive(Default)]
+struct FrameChannels {
+    id: Option<Channel>,
+    is_extended: Option<Channel>,
+    length: Option<Channel>,
+    bus_channel: Option<Channel>,
+    /// First byte and number of bytes of the data.
+    data: Option<[usize; 2]>,
+}
+
+impl FrameChannels {
+    /// Returns the layout of the frames; `None` if the group has no frames with id and data.
+    fn into_layout(
+        self,
+        blocks: &mut Blocks,
+        group: &Block,
+    ) -> Result<Option<FrameLayout>, MdfError> {
+        let Some((id, data)) = self.id.zip(self.data) else {
+            return Ok(None);
+        };
+        let bus_of_group = match self.bus_channel {
+            Some(_) => None,
+            None => bus_of_group(blocks, group)?,
+        };
+        Ok(Some(FrameLayout {
+            id,
+            is_extended: self.is_extended,
+            length: self.length,
+            bus_channel: self.bus_channel,
+            bus_of_group,
+            data,
+        }))
     }
 }
 
@@ -370,13 +445,15 @@ fn bus_of_group(blocks: &mut Blocks, group: &Block) -> Result<Option<u64>, MdfEr
     if let Some(source) = blocks.find(group.link(3), b"SI")? {
         names.extend([blocks.text(source.link(0))?, blocks.text(source.link(1))?]);
     }
-    let number = |name: &String| {
-        let (bus, number) = name.split_at_checked(3)?;
-        number
-            .trim_matches([' ', '-', '_'])
-            .parse()
-            .ok()
-            .filter(|_| bus.eq_ignore_ascii_case("can"))
-    };
-    Ok(names.iter().find_map(number))
+    Ok(names.iter().find_map(|name| bus_number(name)))
+}
+
+/// Returns the number in the name of a bus, such as `CAN 2`.
+fn bus_number(name: &str) -> Option<u64> {
+    let (bus, number) = name.split_at_checked(3)?;
+    number
+        .trim_matches([' ', '-', '_'])
+        .parse()
+        .ok()
+        .filter(|_| bus.eq_ignore_ascii_case("can"))
 }

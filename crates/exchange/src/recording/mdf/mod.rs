@@ -172,8 +172,10 @@ impl SignalStream {
             let group = DataGroup::read(&mut blocks, &block, wanted, (&decoder, &mut set))?;
             groups.extend(Some(group).filter(DataGroup::is_needed));
             if groups.len() > MAX_DATA_GROUPS {
-                let (limit, what) = (MAX_DATA_GROUPS as u64, "groups with signals of the map");
-                return Err(MdfError::TooLarge { limit, what });
+                return Err(MdfError::TooLarge {
+                    limit: MAX_DATA_GROUPS as u64,
+                    what: "groups with signals of the map",
+                });
             }
             at = block.link(0);
         }
@@ -260,10 +262,11 @@ impl SignalSet {
             values,
             ..
         } = self;
-        let lists = clocks_s
-            .iter_mut()
-            .zip(0..)
-            .chain(signals.iter_mut().map(|one| (&mut one.values, one.clock)));
+        let lists = clocks_s.iter_mut().zip(0..).chain(
+            signals
+                .iter_mut()
+                .map(|signal| (&mut signal.values, signal.clock)),
+        );
         for (list, clock) in lists {
             let count = counts.get(clock).copied().unwrap_or(0).min(list.len());
             list.drain(..count);

@@ -87,20 +87,22 @@ impl TestFile {
 /// A frame: bus channel, id with the bit of extended ones, and its bytes.
 pub(super) type TestFrame = (u8, u32, [u8; 8]);
 
+/// Returns the record of a frame without its time.
+fn frame_record((channel, id, bytes): &TestFrame) -> Vec<u8> {
+    let plain = id & 0x1fff_ffff;
+    [
+        &[*channel][..],
+        &plain.to_le_bytes(),
+        &[u8::from(id >> 31 == 1), 8],
+        bytes,
+    ]
+    .concat()
+}
+
 /// Returns a file of raw CAN frames.
 pub(super) fn frames_file(frames: &[TestFrame]) -> Vec<u8> {
     let mut file = TestFile::new();
-    let record = |(channel, id, bytes): &TestFrame| {
-        let plain = id & 0x1fff_ffff;
-        [
-            &[*channel][..],
-            &plain.to_le_bytes(),
-            &[u8::from(id >> 31 == 1), 8],
-            bytes,
-        ]
-        .concat()
-    };
-    let samples = file.samples(&frames.iter().map(record).collect::<Vec<_>>());
+    let samples = file.samples(&frames.iter().map(frame_record).collect::<Vec<_>>());
     let channels = [
         ("CAN_DataFrame.BusChannel", 8, 8, 0, 0),
         ("CAN_DataFrame.ID", 9, 32, 0, 0),

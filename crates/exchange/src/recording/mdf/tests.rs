@@ -34,7 +34,7 @@ fn read(bytes: Vec<u8>, path: &Path) -> Result<SignalSet, MdfError> {
 #[test]
 fn signals_equal_those_of_asammdf_and_cantools_bit_by_bit() {
     for path in files() {
-        let found = read(fs::read(&path).unwrap(), &path)
+        let signals = read(fs::read(&path).unwrap(), &path)
             .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let Value::Object(expected) =
             serde_json::from_slice(&fs::read(path.with_extension("json")).unwrap()).unwrap()
@@ -42,24 +42,24 @@ fn signals_equal_those_of_asammdf_and_cantools_bit_by_bit() {
             panic!("{}: no table", path.display())
         };
         for (name, expected) in expected {
-            let place = || format!("{}: {name}", path.display());
-            let signal = found
+            let label = || format!("{}: {name}", path.display());
+            let signal = signals
                 .signals
                 .iter()
                 .find(|signal| signal.name == name)
-                .unwrap_or_else(|| panic!("{}", place()));
-            for (found, key) in [
+                .unwrap_or_else(|| panic!("{}", label()));
+            for (values, key) in [
                 (&signal.values, "values"),
-                (&found.clocks_s[signal.clock], "times"),
+                (&signals.clocks_s[signal.clock], "times"),
             ] {
                 let expected = expected[key].as_array().unwrap();
-                assert_eq!(found.len(), expected.len(), "{}: {key}", place());
-                for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+                assert_eq!(values.len(), expected.len(), "{}: {key}", label());
+                for (index, (value, expected)) in values.iter().zip(expected).enumerate() {
                     assert_eq!(
-                        format!("{:016x}", found.to_bits()),
+                        format!("{:016x}", value.to_bits()),
                         *expected,
                         "{}: {key}[{index}]",
-                        place()
+                        label()
                     );
                 }
             }
@@ -72,7 +72,7 @@ proptest! {
 
     /// Damaged files end with an error or other values, without panic.
     #[test]
-    fn damaged_files_are_no_danger(
+    fn damaged_files_are_read_without_panic(
         seed in any::<usize>(),
         cut in 0.5..1.0f64,
         changes in prop::collection::vec((any::<usize>(), any::<u8>()), 0..20),

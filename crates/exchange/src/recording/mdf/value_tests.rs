@@ -32,7 +32,11 @@ BO_ 2566846208 OwnSender: 8 ECU
 const CCVS: u32 = 0x8000_0000 | 0x0cfe_f121;
 
 /// Returns the values of a signal of 16 bits with a conversion.
-fn converted(build: impl FnOnce(&mut TestFile) -> u64, use_of: SignalUse, raw: &[u16]) -> Vec<f64> {
+fn converted(
+    build: impl FnOnce(&mut TestFile) -> u64,
+    signal_use: SignalUse,
+    raw: &[u16],
+) -> Vec<f64> {
     let mut file = TestFile::new();
     let samples = file.samples(
         &raw.iter()
@@ -41,20 +45,20 @@ fn converted(build: impl FnOnce(&mut TestFile) -> u64, use_of: SignalUse, raw: &
     );
     let conversion = build(&mut file);
     file.group(&[("gap", 8, 16, 0, conversion)], 10, samples);
-    let wanted = |name: &str| (name == "gap").then_some(use_of);
+    let wanted = |name: &str| (name == "gap").then_some(signal_use);
     let mut stream = SignalStream::open(Cursor::new(file.bytes), None, &wanted).expect("readable");
     while stream.advance().expect("readable") {}
     stream.set.signals[0].values.clone()
 }
 
-fn assert_values(found: &[f64], expected: &[Option<f64>]) {
-    let is_equal = |(found, expected): (&f64, &Option<f64>)| match expected {
-        Some(expected) => found == expected,
-        None => found.is_nan(),
+fn assert_values(values: &[f64], expected: &[Option<f64>]) {
+    let is_equal = |(value, expected): (&f64, &Option<f64>)| match expected {
+        Some(expected) => value == expected,
+        None => value.is_nan(),
     };
     assert!(
-        found.len() == expected.len() && found.iter().zip(expected).all(is_equal),
-        "{found:?} {expected:?}"
+        values.len() == expected.len() && values.iter().zip(expected).all(is_equal),
+        "{values:?} {expected:?}"
     );
 }
 
@@ -122,10 +126,10 @@ fn map(keys: &str) -> RecordingMap {
 fn values_of(signal: &str, frames: &[TestFrame], keys: &str) -> Result<Vec<f64>, MdfError> {
     let dbc =
         DbcFile::parse(DBC.as_bytes(), Path::new("bus.dbc"))?.with_frames_of(map(keys).spec())?;
-    let found = SignalSet::read(Cursor::new(frames_file(frames)), Some(&dbc), &|name| {
+    let signals = SignalSet::read(Cursor::new(frames_file(frames)), Some(&dbc), &|name| {
         name == signal
     })?;
-    Ok(found
+    Ok(signals
         .signals
         .first()
         .map(|signal| signal.values.clone())
@@ -166,7 +170,7 @@ fn a_signal_of_two_bus_channels_needs_a_choice() {
 }
 
 #[test]
-fn the_parameter_group_decides_where_a_message_has_any_sender() {
+fn frames_from_any_sender_are_decoded_by_parameter_group() {
     let speed = |id: u32, raw: u16| {
         let [low, high] = raw.to_le_bytes();
         (1, id, [0xff, low, high, 0xff, 0xff, 0xff, 0xff, 0xff])
@@ -229,18 +233,21 @@ fn reserved_values_of_j1939_are_missing() {
         (1, CCVS, [0b1111_0011, low, high, 0, 0, 0, 0, 0])
     };
     let frames = [0xfaff, 0xfb00, 0xfe00, 0xffff, 0].map(speed);
-    let found = values_of("WheelSpeed", &frames, "").expect("readable");
-    assert_values(&found, &[Some(250.996_093_75), None, None, None, Some(0.0)]);
+    let values = values_of("WheelSpeed", &frames, "").expect("readable");
+    assert_values(
+        &values,
+        &[Some(250.996_093_75), None, None, None, Some(0.0)],
+    );
     let bits = |bits: u8| (1, CCVS, [bits << 2, 0, 0, 0, 0, 0, 0, 0]);
-    let found = values_of("Parking", &[0, 1, 2, 3].map(bits), "").expect("readable");
-    assert_values(&found, &[Some(0.0), Some(1.0), None, None]);
+    let values = values_of("Parking", &[0, 1, 2, 3].map(bits), "").expect("readable");
+    assert_values(&values, &[Some(0.0), Some(1.0), None, None]);
     // Standard ids are not J1939.
     let gap = values_of("Gap", &[(1, 512, [0xff; 8])], "").expect("readable");
     assert_values(&gap, &[Some(655.35)]);
 }
 
 #[test]
-fn links_that_multiply_work_are_refused() {
+fn links_that_name_a_block_repeatedly_are_refused() {
     let read = |file: TestFile| {
         let bytes = file.bytes;
         SignalSet::read(Cursor::new(bytes), None, &|name| name.starts_with("gap")).map(drop)

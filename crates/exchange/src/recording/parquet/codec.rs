@@ -16,7 +16,7 @@ pub(super) enum Codec {
 
 impl Codec {
     pub(super) fn from_id(id: i64) -> Result<Self, ParquetError> {
-        let other = match id {
+        let method = match id {
             0 => return Ok(Self::None),
             1 => return Ok(Self::Snappy),
             2 => return Ok(Self::Gzip),
@@ -27,7 +27,7 @@ impl Codec {
             _ => "an unknown method",
         };
         Err(ParquetError::Unsupported(format!(
-            "compression with {other}: use zstd, gzip, Snappy or none"
+            "compression with {method}: use zstd, gzip, Snappy or none"
         )))
     }
 

@@ -80,30 +80,35 @@ struct Dictionary {
 
 impl Column {
     pub(super) fn new(column: FlatColumn) -> Self {
-        let (page, values) = (Vec::new(), ValueReader::Plain { at: 0 });
         Self {
             column,
             chunk: None,
             dictionary: None,
-            page,
+            page: Vec::new(),
             rows_left: 0,
             group_rows_left: 0,
             levels: None,
-            values,
+            values: ValueReader::Plain { at: 0 },
         }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.column.name
     }
 
     /// Begins with the rows of the next group.
     pub(super) fn begin(&mut self, chunk: ColumnChunk, rows: u64, file: &mut FileBytes) {
         self.release_page(file);
         if let Some(dictionary) = self.dictionary.take() {
-            file.held -= dictionary.bytes.len() as u64;
+            file.bytes_in_memory -= dictionary.bytes.len() as u64;
         }
-        (self.chunk, self.rows_left, self.group_rows_left) = (Some(chunk), 0, rows);
+        self.chunk = Some(chunk);
+        self.rows_left = 0;
+        self.group_rows_left = rows;
     }
 
     fn release_page(&mut self, file: &mut FileBytes) {
-        file.held -= std::mem::take(&mut self.page).len() as u64;
+        file.bytes_in_memory -= std::mem::take(&mut self.page).len() as u64;
     }
 
     /// Returns the number of the next row, NaN if missing or no number, and writes its text.
@@ -113,14 +118,7 @@ impl Column {
         text: &mut String,
     ) -> Result<f64, ParquetError> {
         while self.rows_left == 0 {
-            self.release_page(file);
-            let chunk = self
-                .chunk
-                .as_mut()
-                .ok_or(ParquetError::Damaged("a column has no pages"))?;
-            let page = next_page(file, chunk)?
-                .ok_or(ParquetError::Damaged("a column has too few values"))?;
-            self.open_page(page)?;
+            self.read_page(file)?;
         }
         self.rows_left -= 1;
         if let Some(levels) = &mut self.levels {
@@ -130,29 +128,35 @@ impl Column {
                 _ => return Err(ParquetError::Damaged("the levels of a page are wrong")),
             }
         }
-        let Self {
-            column,
-            values,
-            page,
-            dictionary,
-            ..
-        } = self;
-        let value = match values {
+        let value = match &mut self.values {
             ValueReader::Dictionary(indices) => {
                 let index = indices
-                    .next(page)
+                    .next(&self.page)
                     .ok_or(ParquetError::Damaged("a page ends before its values"))?;
-                let dictionary = dictionary
+                let dictionary = self
+                    .dictionary
                     .as_ref()
                     .ok_or(ParquetError::Damaged("a column lacks its dictionary"))?;
                 let lacks = ParquetError::Damaged("a page names a value that its dictionary lacks");
                 dictionary
-                    .get(column.physical, index as usize)
+                    .get(self.column.physical, index as usize)
                     .ok_or(lacks)?
             }
-            other => other.next(column.physical, page)?,
+            values => values.next(self.column.physical, &self.page)?,
         };
-        Ok(column.show(value, text))
+        Ok(self.column.show(value, text))
+    }
+
+    /// Reads the next page of the current group.
+    fn read_page(&mut self, file: &mut FileBytes) -> Result<(), ParquetError> {
+        self.release_page(file);
+        let chunk = self
+            .chunk
+            .as_mut()
+            .ok_or(ParquetError::Damaged("a column has no pages"))?;
+        let page =
+            next_page(file, chunk)?.ok_or(ParquetError::Damaged("a column has too few values"))?;
+        self.open_page(page)
     }
 
     fn open_page(&mut self, page: Page) -> Result<(), ParquetError> {
@@ -190,7 +194,8 @@ impl Column {
             levels_end,
             header.values,
         )?;
-        (self.page, self.rows_left) = (bytes, header.values);
+        self.page = bytes;
+        self.rows_left = header.values;
         Ok(())
     }
 }
@@ -210,7 +215,8 @@ fn end_of_levels(bytes: &[u8]) -> Result<usize, ParquetError> {
 
 impl Dictionary {
     fn new(bytes: Vec<u8>, physical: PhysicalType) -> Result<Self, ParquetError> {
-        let (mut texts, mut at) = (Vec::new(), 0);
+        let mut texts = Vec::new();
+        let mut at = 0;
         while physical == PhysicalType::Bytes && at < bytes.len() {
             let length = bytes
                 .get(at..)
@@ -233,7 +239,7 @@ impl Dictionary {
             let &(from, to) = self.texts.get(index)?;
             return self.bytes.get(from as usize..to as usize).map(Value::Bytes);
         }
-        Value::of_dictionary(physical, &self.bytes, index)
+        Value::from_dictionary(physical, &self.bytes, index)
     }
 }
 
@@ -259,18 +265,7 @@ impl FlatColumn {
             }
             (Value::Integer(number), _) => show_integer(number, text),
             (Value::Bytes(bytes), ColumnMeaning::Decimal { scale }) if bytes.len() <= 16 => {
-                let sign = if bytes.first().is_some_and(|first| *first >= 0x80) {
-                    -1
-                } else {
-                    0
-                };
-                show_decimal(
-                    bytes
-                        .iter()
-                        .fold(sign, |all, byte| all << 8 | i128::from(*byte)),
-                    scale,
-                    text,
-                )
+                show_decimal(twos_complement(bytes), scale, text)
             }
             (Value::Bytes(&[low, high]), ColumnMeaning::Float16) => {
                 half_precision(u16::from_le_bytes([low, high]))
@@ -281,6 +276,15 @@ impl FlatColumn {
             }
         }
     }
+}
+
+/// Returns a whole number with sign, whose most significant byte comes first.
+fn twos_complement(bytes: &[u8]) -> i128 {
+    let is_negative = bytes.first().is_some_and(|first| *first >= 0x80);
+    let sign = if is_negative { -1 } else { 0 };
+    bytes
+        .iter()
+        .fold(sign, |number, byte| number << 8 | i128::from(*byte))
 }
 
 fn show_integer(number: i128, text: &mut String) -> f64 {
@@ -296,10 +300,11 @@ fn show_decimal(number: i128, scale: u32, text: &mut String) -> f64 {
 
 fn show_time_of_day(microseconds: i128, text: &mut String) {
     let seconds = microseconds / 1_000_000;
-    let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
     let _ = write!(
         text,
-        "{hours:02}:{minutes:02}:{:02}.{:06}",
+        "{:02}:{:02}:{:02}.{:06}",
+        seconds / 3600,
+        seconds / 60 % 60,
         seconds % 60,
         microseconds % 1_000_000
     );
@@ -308,10 +313,8 @@ fn show_time_of_day(microseconds: i128, text: &mut String) {
 /// Returns the value of a floating point number of 16 bits.
 fn half_precision(bits: u16) -> f64 {
     let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
-    let (exponent, fraction) = (
-        i32::from(bits >> 10 & 0x1f),
-        f64::from(bits & 0x3ff) / 1024.0,
-    );
+    let exponent = i32::from(bits >> 10 & 0x1f);
+    let fraction = f64::from(bits & 0x3ff) / 1024.0;
     sign * match exponent {
         0 => fraction * 2_f64.powi(-14),
         0x1f if fraction == 0.0 => f64::INFINITY,

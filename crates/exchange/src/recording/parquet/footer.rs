@@ -20,7 +20,7 @@ pub(super) struct Footer {
     pub(super) columns: Vec<FlatColumn>,
     pub(super) groups: Vec<RowGroup>,
     /// Names of all columns that are not nested.
-    pub(super) known: Vec<String>,
+    pub(super) all_names: Vec<String>,
 }
 
 /// Rows that are stored together.
@@ -36,6 +36,39 @@ pub(super) struct ColumnChunk {
     pub(super) codec: Codec,
     pub(super) at: u64,
     pub(super) end: u64,
+}
+
+/// Columns that contain the next element of the schema.
+#[derive(Default)]
+struct SchemaNesting {
+    /// Number of columns that are still to come within each of them.
+    open: Vec<i64>,
+}
+
+impl SchemaNesting {
+    fn is_complete(&self) -> bool {
+        self.open.is_empty()
+    }
+
+    /// Adds an element, which contains other columns unless it has values.
+    fn add(&mut self, children: i64, has_values: bool) -> Result<(), ParquetError> {
+        if self.open.len() > MAX_DEPTH {
+            return Err(ParquetError::TooLarge {
+                limit: MAX_DEPTH as u64,
+                what: "levels of nested columns",
+            });
+        }
+        if let Some(to_come) = self.open.last_mut() {
+            *to_come -= 1;
+        }
+        if !has_values {
+            self.open.push(children);
+        }
+        while self.open.last() == Some(&0) {
+            self.open.pop();
+        }
+        Ok(())
+    }
 }
 
 /// An element of the schema, which lists columns before those that they contain.
@@ -62,13 +95,12 @@ impl Footer {
             .checked_sub(8)
             .ok_or(ParquetError::Damaged("it is too short"))?;
         let tail = file.read(tail_at, 8)?;
-        let (length, magic) = tail.split_at(4);
-        match magic {
+        match &tail[4..] {
             MAGIC => {}
             ENCRYPTED_MAGIC => return Err(ParquetError::Unsupported("encrypted files".to_owned())),
             _ => return Err(ParquetError::Damaged("the end of the file is missing")),
         }
-        let length = length
+        let length = tail[..4]
             .iter()
             .rev()
             .fold(0, |all, byte| all << 8 | u64::from(*byte));
@@ -88,7 +120,7 @@ impl Footer {
         let mut footer = Self {
             columns: Vec::new(),
             groups: Vec::new(),
-            known: Vec::new(),
+            all_names: Vec::new(),
         };
         let mut leaves = None;
         ThriftReader::new(bytes).read_struct(|reader, id, kind| {
@@ -123,42 +155,28 @@ impl Footer {
                 what: "columns",
             });
         }
-        // Numbers of columns that are still to come within each column that is open.
-        let mut open: Vec<i64> = Vec::new();
+        let mut nesting = SchemaNesting::default();
         let mut leaves = 0;
         for index in 0..count {
             let element = SchemaElement::read(reader)?;
             let left = (count - index - 1) as i64;
-            if !(0..=left).contains(&element.children) || index > 0 && open.is_empty() {
+            if !(0..=left).contains(&element.children) || index > 0 && nesting.is_complete() {
                 return Err(ParquetError::Damaged("a number of columns is wrong"));
             }
-            if open.len() > MAX_DEPTH {
-                return Err(ParquetError::TooLarge {
-                    limit: MAX_DEPTH as u64,
-                    what: "levels of nested columns",
-                });
-            }
-            let is_top_level = open.len() == 1;
-            open.iter_mut()
-                .last()
-                .into_iter()
-                .for_each(|to_come| *to_come -= 1);
+            let is_top_level = nesting.open.len() == 1;
+            let has_values = element.children == 0 && index > 0;
+            nesting.add(element.children, has_values)?;
             if is_top_level {
-                self.known.push(element.name.clone());
+                self.all_names.push(element.name.clone());
             }
-            if element.children > 0 || index == 0 {
-                open.push(element.children);
-            } else {
+            if has_values {
                 if is_top_level && element.repetition != 2 && wanted(&element.name) {
                     self.columns.push(element.flat_column(leaves)?);
                 }
                 leaves += 1;
             }
-            while open.last() == Some(&0) {
-                open.pop();
-            }
         }
-        if open.is_empty() {
+        if nesting.is_complete() {
             Ok(leaves)
         } else {
             Err(ParquetError::Damaged("a number of columns is wrong"))
@@ -205,45 +223,66 @@ fn read_chunk(
     reader: &mut ThriftReader<'_>,
     column: &FlatColumn,
 ) -> Result<ColumnChunk, ParquetError> {
-    let (mut codec, mut bytes, mut data_at, mut dictionary_at, mut is_elsewhere) =
-        (0, 0, None, None, false);
+    let mut metadata = ChunkMetadata::default();
+    let mut is_elsewhere = false;
     reader.read_struct(|reader, id, kind| {
         match id {
             1 => {
                 is_elsewhere = true;
                 reader.skip(kind)?;
             }
-            3 => reader.read_struct(|reader, id, kind| {
-                match id {
-                    4 => codec = reader.number(kind)?,
-                    7 => bytes = positive(reader.number(kind)?)?,
-                    9 => data_at = Some(positive(reader.number(kind)?)?),
-                    11 => {
-                        dictionary_at = Some(positive(reader.number(kind)?)?).filter(|at| *at > 0)
-                    }
-                    _ => reader.skip(kind)?,
-                }
-                Ok::<_, ParquetError>(())
-            })?,
+            3 => metadata.read(reader)?,
             _ => reader.skip(kind)?,
         }
         Ok::<_, ParquetError>(())
     })?;
-    let (Some(data_at), false) = (data_at, is_elsewhere) else {
+    let Some(data_at) = metadata.data_at.filter(|_| !is_elsewhere) else {
         return Err(ParquetError::Unsupported(format!(
             "the column {}, which is in another file",
             column.shown_name()
         )));
     };
-    let at = dictionary_at.map_or(data_at, |dictionary_at| dictionary_at.min(data_at));
+    let at = metadata
+        .dictionary_at
+        .map_or(data_at, |dictionary_at| dictionary_at.min(data_at));
     let end = at
-        .checked_add(bytes)
+        .checked_add(metadata.bytes)
         .ok_or(ParquetError::Damaged("a column is too long"))?;
     Ok(ColumnChunk {
-        codec: Codec::from_id(codec)?,
+        codec: Codec::from_id(metadata.codec)?,
         at,
         end,
     })
+}
+
+/// Metadata of the pages of a column in a group of rows.
+#[derive(Default)]
+struct ChunkMetadata {
+    codec: i64,
+    /// Size of all pages.
+    bytes: u64,
+    /// Offsets of the first page with values, and of the dictionary, if there is one.
+    data_at: Option<u64>,
+    dictionary_at: Option<u64>,
+}
+
+impl ChunkMetadata {
+    /// Reads the structure in the metadata of a column.
+    fn read(&mut self, reader: &mut ThriftReader<'_>) -> Result<(), ParquetError> {
+        reader.read_struct(|reader, id, kind| {
+            match id {
+                4 => self.codec = reader.number(kind)?,
+                7 => self.bytes = positive(reader.number(kind)?)?,
+                9 => self.data_at = Some(positive(reader.number(kind)?)?),
+                11 => {
+                    let dictionary_at = positive(reader.number(kind)?)?;
+                    self.dictionary_at = Some(dictionary_at).filter(|at| *at > 0);
+                }
+                _ => reader.skip(kind)?,
+            }
+            Ok(())
+        })
+    }
 }
 
 impl SchemaElement {
@@ -311,18 +350,18 @@ impl SchemaElement {
 
 /// Reads a logical type: its id, and the unit of a time or 1 for whole numbers with a sign.
 fn read_logical_type(reader: &mut ThriftReader<'_>) -> Result<[i64; 2], ParquetError> {
-    let mut found = [0; 2];
+    let mut logical_type = [0; 2];
     reader.read_struct(|reader, id, _| {
-        found[0] = id;
+        logical_type[0] = id;
         reader.read_struct(|reader, inner, kind| {
             match (id, inner) {
                 // The unit of a time is a union, whose member's id states it.
                 (7, 2) => reader.read_struct(|reader, unit, kind| {
-                    found[1] = unit;
+                    logical_type[1] = unit;
                     reader.skip(kind).map_err(ParquetError::from)
                 })?,
                 (10, 2) => {
-                    found[1] = i64::from(ThriftReader::boolean(kind));
+                    logical_type[1] = i64::from(ThriftReader::boolean(kind));
                     reader.skip(kind)?;
                 }
                 _ => reader.skip(kind)?,
@@ -331,5 +370,5 @@ fn read_logical_type(reader: &mut ThriftReader<'_>) -> Result<[i64; 2], ParquetE
         })?;
         Ok::<_, ParquetError>(())
     })?;
-    Ok(found)
+    Ok(logical_type)
 }

@@ -39,7 +39,7 @@ pub(super) struct FileBytes {
     /// Bytes that pages may still have after decompression.
     decompressed_left: u64,
     /// Bytes of the pages and dictionaries in memory.
-    held: u64,
+    bytes_in_memory: u64,
 }
 
 impl FileBytes {
@@ -51,7 +51,7 @@ impl FileBytes {
             length,
             unread: length,
             decompressed_left,
-            held: 0,
+            bytes_in_memory: 0,
         })
     }
 
@@ -78,21 +78,21 @@ pub(super) struct ParquetRows {
     text: String,
 }
 
-/// Returns rows and names of the columns that the map names, or of all columns.
+/// Returns the rows of the columns that the map names, or of all columns.
 pub(super) fn open(
     source: impl ParquetSource + 'static,
     map: Option<&RecordingMapSpec>,
-) -> Result<(ParquetRows, Fields), BinaryProblem> {
+) -> Result<ParquetRows, BinaryProblem> {
     let mut file = FileBytes::new(Box::new(source))?;
     let wanted = |name: &str| map.is_none_or(|map| map.has_column(name));
     let Footer {
         columns,
         groups,
-        known,
+        all_names,
     } = Footer::read(&mut file, &wanted)?;
     let names = columns.iter().map(|column| column.name.as_str()).collect();
     if let Some(map) = map {
-        check_columns(map, &names, &known)?;
+        check_columns(map, &names, &all_names)?;
     }
     let limit = limits::max_rows(file.length);
     let rows: u64 = groups
@@ -105,18 +105,20 @@ pub(super) fn open(
         }
         .into());
     }
-    let columns = columns.into_iter().map(Column::new).collect();
-    let groups = groups.into_iter();
-    Ok((
-        ParquetRows {
-            file,
-            groups,
-            rows_left: 0,
-            columns,
-            text: String::new(),
-        },
-        names,
-    ))
+    Ok(ParquetRows {
+        file,
+        groups: groups.into_iter(),
+        rows_left: 0,
+        columns: columns.into_iter().map(Column::new).collect(),
+        text: String::new(),
+    })
+}
+
+impl ParquetRows {
+    /// Returns the names of the columns.
+    pub(super) fn names(&self) -> Fields {
+        self.columns.iter().map(Column::name).collect()
+    }
 }
 
 impl BinaryRows for ParquetRows {

@@ -10,7 +10,7 @@ const HEADER_BYTES: [u64; 3] = [256, 64 << 10, 4 << 20];
 /// Maximum size of a page after decompression. Writers begin another page at about a megabyte.
 const MAX_PAGE_BYTES: u64 = 64 << 20;
 /// Maximum size of all pages and dictionaries in memory.
-const MAX_HELD_BYTES: u64 = 256 << 20;
+const MAX_BYTES_IN_MEMORY: u64 = 256 << 20;
 
 /// A page with values or with a dictionary.
 pub(super) struct Page {
@@ -54,22 +54,21 @@ impl PageHeader {
             repetition_bytes: 0,
             is_compressed: true,
         };
-        let size = |number: i64| u64::try_from(number).map_err(|_| ThriftProblem::Damaged);
         let mut page_type = 0;
         let mut definition_bytes = 0;
         reader.read_struct(|reader, id, kind| {
             match id {
                 1 => page_type = reader.number(kind)?,
-                2 => header.plain_bytes = size(reader.number(kind)?)?,
-                3 => header.packed_bytes = size(reader.number(kind)?)?,
+                2 => header.plain_bytes = reader.size(kind)?,
+                3 => header.packed_bytes = reader.size(kind)?,
                 // Headers of the data of version 1, of a dictionary, and of the data of version 2.
                 5 | 7 | 8 => reader.read_struct(|reader, field, kind| {
                     match (id, field) {
-                        (_, 1) => header.values = size(reader.number(kind)?)?,
+                        (_, 1) => header.values = reader.size(kind)?,
                         (5 | 7, 2) | (8, 4) => header.encoding = reader.number(kind)?,
                         (5, 3) => header.level_encoding = reader.number(kind)?,
-                        (8, 5) => definition_bytes = size(reader.number(kind)?)? as usize,
-                        (8, 6) => header.repetition_bytes = size(reader.number(kind)?)?,
+                        (8, 5) => definition_bytes = reader.size(kind)? as usize,
+                        (8, 6) => header.repetition_bytes = reader.size(kind)?,
                         (8, 7) => {
                             header.is_compressed = ThriftReader::boolean(kind);
                             reader.skip(kind)?;
@@ -107,28 +106,7 @@ pub(super) fn next_page(
         if header.kind == PageKind::Other {
             continue;
         }
-        if header.plain_bytes > MAX_PAGE_BYTES {
-            return Err(ParquetError::TooLarge {
-                limit: MAX_PAGE_BYTES,
-                what: "bytes in a page",
-            });
-        }
-        let limit = super::limits::max_decompressed_bytes(file.length);
-        let too_large = ParquetError::TooLarge {
-            limit,
-            what: "bytes after decompression",
-        };
-        file.decompressed_left = file
-            .decompressed_left
-            .checked_sub(header.plain_bytes)
-            .ok_or(too_large)?;
-        file.held += header.plain_bytes;
-        if file.held > MAX_HELD_BYTES {
-            return Err(ParquetError::TooLarge {
-                limit: MAX_HELD_BYTES,
-                what: "bytes of pages at one row",
-            });
-        }
+        file.reserve_page(header.plain_bytes)?;
         let packed = file.read(at, header.packed_bytes)?;
         return Ok(Some(Page {
             bytes: decompress(packed, &header, chunk.codec)?,
@@ -136,6 +114,34 @@ pub(super) fn next_page(
         }));
     }
     Ok(None)
+}
+
+impl FileBytes {
+    /// Counts the bytes of a page after decompression.
+    fn reserve_page(&mut self, plain_bytes: u64) -> Result<(), ParquetError> {
+        if plain_bytes > MAX_PAGE_BYTES {
+            return Err(ParquetError::TooLarge {
+                limit: MAX_PAGE_BYTES,
+                what: "bytes in a page",
+            });
+        }
+        let too_large = ParquetError::TooLarge {
+            limit: super::limits::max_decompressed_bytes(self.length),
+            what: "bytes after decompression",
+        };
+        self.decompressed_left = self
+            .decompressed_left
+            .checked_sub(plain_bytes)
+            .ok_or(too_large)?;
+        self.bytes_in_memory += plain_bytes;
+        if self.bytes_in_memory > MAX_BYTES_IN_MEMORY {
+            return Err(ParquetError::TooLarge {
+                limit: MAX_BYTES_IN_MEMORY,
+                what: "bytes of pages at one row",
+            });
+        }
+        Ok(())
+    }
 }
 
 fn next_header(file: &mut FileBytes, chunk: &mut ColumnChunk) -> Result<PageHeader, ParquetError> {

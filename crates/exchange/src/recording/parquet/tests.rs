@@ -27,7 +27,7 @@ fn error_of(bytes: &[u8]) -> String {
 /// Files of polars (zstd) and pyarrow (gzip, and Snappy with other encodings and pages of version 2) have the values of
 /// the text.
 #[test]
-fn files_of_other_programs_have_the_values_of_the_text() {
+fn files_of_other_programs_equal_the_text() {
     let read =
         |name: &str| load(&file(name), Some(&map())).unwrap_or_else(|error| panic!("{error}"));
     let platoons = |name: &str| -> Vec<_> {
@@ -135,7 +135,7 @@ proptest! {
 
     /// Damaged files end with an error or other values, without panic.
     #[test]
-    fn damaged_files_are_no_danger(
+    fn damaged_files_are_read_without_panic(
         which in 0..3_usize,
         cut in 0.5..1.5f64,
         changes in prop::collection::vec((any::<usize>(), any::<u8>()), 0..12),

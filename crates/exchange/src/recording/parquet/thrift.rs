@@ -91,7 +91,8 @@ impl<'b> ThriftReader<'b> {
         let mut id = 0;
         loop {
             let header = self.byte()?;
-            let (step, kind) = (header >> 4, header & 0xf);
+            let step = header >> 4;
+            let kind = header & 0xf;
             if kind == 0 {
                 return Ok(());
             }
@@ -114,6 +115,11 @@ impl<'b> ThriftReader<'b> {
             4..=6 => self.zigzag(),
             _ => Err(ThriftProblem::Damaged),
         }
+    }
+
+    /// Reads a whole number that is not negative.
+    pub(super) fn size(&mut self, kind: ValueType) -> Read<u64> {
+        u64::try_from(self.number(kind)?).map_err(|_| ThriftProblem::Damaged)
     }
 
     pub(super) fn boolean(kind: ValueType) -> bool {

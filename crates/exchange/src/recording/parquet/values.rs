@@ -69,7 +69,7 @@ impl ValueReader {
                 return Ok(Self::Split { from, index: 0 });
             }
             (7, _) => "DELTA_BYTE_ARRAY".to_owned(),
-            (other, _) => format!("of number {other}"),
+            (number, _) => format!("of number {number}"),
         };
         let column = column.shown_name();
         Err(ParquetError::Unsupported(format!(
@@ -153,7 +153,7 @@ impl<'b> Value<'b> {
     }
 
     /// Returns the value of a dictionary with an index; `None` for a text, and behind the end.
-    pub(super) fn of_dictionary(
+    pub(super) fn from_dictionary(
         physical: PhysicalType,
         bytes: &'b [u8],
         index: usize,
@@ -168,9 +168,9 @@ impl<'b> Value<'b> {
 fn milliseconds(bytes: &[u8]) -> Option<i128> {
     const JULIAN_DAY_OF_1970: i128 = 2_440_588;
     const MILLISECONDS_OF_A_DAY: i128 = 86_400_000;
-    let (nanoseconds, day) = bytes.split_at_checked(8)?;
-    let nanoseconds = i128::from(i64::from_le_bytes(nanoseconds.try_into().ok()?));
-    let day = i128::from(i32::from_le_bytes(day.try_into().ok()?));
+    let nanoseconds = bytes.get(..8)?.try_into().ok()?;
+    let nanoseconds = i128::from(i64::from_le_bytes(nanoseconds));
+    let day = i128::from(i32::from_le_bytes(bytes.get(8..)?.try_into().ok()?));
     Some((day - JULIAN_DAY_OF_1970) * MILLISECONDS_OF_A_DAY + nanoseconds / 1_000_000)
 }
 
@@ -205,8 +205,8 @@ fn next_split<'b>(physical: PhysicalType, bytes: &'b [u8], index: usize) -> Opti
         return None;
     }
     let mut joined = [0; MAX_SPLIT_BYTES];
-    for (place, byte) in joined.iter_mut().take(size).enumerate() {
-        *byte = *bytes.get(place * count + index)?;
+    for (stream, byte) in joined.iter_mut().take(size).enumerate() {
+        *byte = *bytes.get(stream * count + index)?;
     }
     match Value::from_fixed(physical, joined.get(..size)?)? {
         Value::Integer(number) => Some(Value::Integer(number)),
@@ -235,7 +235,8 @@ fn zigzag(bytes: &[u8], at: &mut usize) -> Option<i64> {
 
 /// Returns up to 64 bits, the first one in the lowest place.
 fn read_bits(bytes: &[u8], bit: usize, count: u32) -> Option<u64> {
-    let (from, shift) = (bit / 8, (bit % 8) as u32);
+    let from = bit / 8;
+    let shift = (bit % 8) as u32;
     let needed = (shift + count).div_ceil(8) as usize;
     let mut joined = [0; 16];
     joined
@@ -347,11 +348,9 @@ impl DeltaReader {
     }
 
     fn read_header(bytes: &[u8], mut at: usize, is_32_bits: bool) -> Option<Self> {
-        let (block, parts, left) = (
-            varint(bytes, &mut at)?,
-            varint(bytes, &mut at)?,
-            varint(bytes, &mut at)?,
-        );
+        let block = varint(bytes, &mut at)?;
+        let parts = varint(bytes, &mut at)?;
+        let left = varint(bytes, &mut at)?;
         let value = zigzag(bytes, &mut at)?;
         let part_values = block.checked_div(parts)?;
         if block > MAX_BLOCK_VALUES || part_values == 0 || part_values % 8 != 0 {

@@ -2,7 +2,7 @@ use super::super::map::SpeedUnit;
 use super::*;
 
 #[test]
-fn units_in_the_file_hold_unless_the_map_states_them() {
+fn units_of_the_file_apply_unless_the_map_states_them() {
     for (in_file, in_map, expected) in [
         ("km/h", None, Some(1.0 / 3.6)),
         ("km/h", Some(SpeedUnit::MetresPerSecond), Some(1.0)),
@@ -17,7 +17,7 @@ fn units_in_the_file_hold_unless_the_map_states_them() {
             units,
             ..CsvRow::new(Path::new("a.mf4"), DecimalMark::Point)
         };
-        let column = CsvColumn::find(&names, "v", SpeedUnit::of_column(in_map));
+        let column = CsvColumn::find(&names, "v", SpeedUnit::column_unit(in_map));
         assert_eq!(
             column.map(|column| column.factor).ok(),
             expected,

@@ -16,43 +16,23 @@ const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] = [
 /// too many points.
 pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Occurrences, u64> {
     let longest_ms = to_ms(longest_s);
-    let steps = points.windows(2).filter_map(|pair| match pair {
-        [a, b] if a.track == b.track && longest_ms > 0 => Some(b.time_ms - a.time_ms),
-        _ => None,
-    });
-    let mut steps: Vec<i64> = steps.collect();
-    steps.sort_unstable();
-    let Some(&step_ms) = steps.get(steps.len() / 2) else {
+    if longest_ms <= 0 {
+        return Ok(None);
+    }
+    let Some(step_ms) = median_step_ms(points) else {
         return Ok(None);
     };
-    let mut found: Occurrences = None;
+    let mut occurrences: Occurrences = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
-        let time_s: Vec<f64> = track
-            .iter()
-            .map(|point| point.time_ms as f64 / 1000.0)
-            .collect();
-        for number in OPTIONAL_FIELDS {
-            let mut values: Vec<Option<f64>> =
-                track.iter_mut().map(|point| *number(point)).collect();
-            if let Some((count, first)) = interpolate_holes(&mut values, &time_s, longest_s) {
-                track
-                    .iter_mut()
-                    .zip(values)
-                    .for_each(|(point, value)| *number(point) = value);
-                found
-                    .get_or_insert((track.get(first).map_or(0, |point| point.line), 0))
-                    .1 += count;
-            }
-        }
+        fill_values(track, longest_s, &mut occurrences);
     }
     let times_ms = common_times_ms(points, step_ms, longest_ms);
     let mut filled: Vec<TrackPoint> = Vec::with_capacity(points.len());
     let mut before: Option<TrackPoint> = None;
     for b in points.drain(..) {
-        let is_hole = |a: &TrackPoint| {
+        let from = before.replace(b).filter(|a| {
             (a.track, a.lane) == (b.track, b.lane) && b.time_ms - a.time_ms <= longest_ms
-        };
-        let from = before.replace(b).filter(is_hole);
+        });
         if let Some(a) = from {
             let after = times_ms.partition_point(|time_ms| *time_ms <= a.time_ms);
             for &time_ms in times_ms
@@ -60,17 +40,8 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
                 .skip(after)
                 .take_while(|time_ms| **time_ms < b.time_ms)
             {
-                let share = (time_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
-                let between =
-                    |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
-                filled.push(TrackPoint {
-                    time_ms,
-                    position_m: between(a.position_m, b.position_m),
-                    speed_mps: between(a.speed_mps, b.speed_mps),
-                    length_m: between(a.length_m, b.length_m),
-                    ..a
-                });
-                found.get_or_insert((a.line, 0)).1 += 1;
+                filled.push(interpolate_point(&a, &b, time_ms));
+                occurrences.get_or_insert((a.line, 0)).1 += 1;
             }
         }
         // Without `b`, a vehicle would not count as absent between rows that are too far apart.
@@ -82,7 +53,51 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
         }
     }
     *points = filled;
-    Ok(found)
+    Ok(occurrences)
+}
+
+/// Returns the median time between two points of a track.
+fn median_step_ms(points: &[TrackPoint]) -> Option<i64> {
+    let steps = points.windows(2).filter_map(|pair| match pair {
+        [a, b] if a.track == b.track => Some(b.time_ms - a.time_ms),
+        _ => None,
+    });
+    let mut steps: Vec<i64> = steps.collect();
+    steps.sort_unstable();
+    steps.get(steps.len() / 2).copied()
+}
+
+/// Fills missing numbers of a track, and counts them.
+fn fill_values(track: &mut [TrackPoint], longest_s: f64, occurrences: &mut Occurrences) {
+    let time_s: Vec<f64> = track
+        .iter()
+        .map(|point| point.time_ms as f64 / 1000.0)
+        .collect();
+    for field in OPTIONAL_FIELDS {
+        let mut values: Vec<Option<f64>> = track.iter_mut().map(|point| *field(point)).collect();
+        if let Some((count, first)) = interpolate_holes(&mut values, &time_s, longest_s) {
+            track
+                .iter_mut()
+                .zip(values)
+                .for_each(|(point, value)| *field(point) = value);
+            occurrences
+                .get_or_insert((track.get(first).map_or(0, |point| point.line), 0))
+                .1 += count;
+        }
+    }
+}
+
+/// Returns the point of a track at a time between two others.
+fn interpolate_point(a: &TrackPoint, b: &TrackPoint, time_ms: i64) -> TrackPoint {
+    let share = (time_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
+    let between = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
+    TrackPoint {
+        time_ms,
+        position_m: between(a.position_m, b.position_m),
+        speed_mps: between(a.speed_mps, b.speed_mps),
+        length_m: between(a.length_m, b.length_m),
+        ..*a
+    }
 }
 
 /// Returns the times of all rows. Omits those less than half a step after another; adds times in holes common to all

@@ -15,7 +15,7 @@ pub(super) fn remove_blips(
     points: &mut [TrackPoint],
     shortest_ms: i64,
 ) -> Option<(TrackPoint, usize)> {
-    let mut found: Option<(TrackPoint, usize)> = None;
+    let mut blips: Option<(TrackPoint, usize)> = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
         let is_stable = lane_intervals(track, shortest_ms);
         let first_stable = track
@@ -33,12 +33,13 @@ pub(super) fn remove_blips(
             }
             let is_blip = point.lane != lane;
             if is_blip && !was_blip && !point.is_margin {
-                found.get_or_insert((*point, 0)).1 += 1;
+                blips.get_or_insert((*point, 0)).1 += 1;
             }
-            (point.lane, was_blip) = (lane, is_blip);
+            point.lane = lane;
+            was_blip = is_blip;
         }
     }
-    found
+    blips
 }
 
 /// Returns the lane of at least two thirds of the rows.
@@ -76,56 +77,70 @@ fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
 /// Determines the direction of travel of each track, and the front bumper of each point. A standing vehicle has the
 /// direction of the traffic in its lane.
 pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speeds_agree: bool) {
-    let mut of_lane: BTreeMap<u32, DirectionVotes> = BTreeMap::new();
-    let mut of_all = DirectionVotes::default();
-    let mut directions = Vec::new();
-    for track in points.chunk_by(|a, b| a.track == b.track) {
-        let votes = track_votes(track, speeds_agree);
-        directions.push(votes.decreases());
-        for interval in track.chunk_by(|a, b| a.lane == b.lane) {
-            // Most tracks have one lane.
-            let votes = if interval.len() == track.len() {
-                votes
-            } else {
-                track_votes(interval, speeds_agree)
-            };
-            let lane = interval.first().map_or(0, |point| point.lane);
-            for sum in [of_lane.entry(lane).or_default(), &mut of_all] {
-                (sum.up, sum.down) = (sum.up + votes.up, sum.down + votes.down);
-            }
-        }
-    }
-    let is_down =
-        |votes: &DirectionVotes| (votes.up != votes.down).then_some(votes.down > votes.up);
+    let votes = TrafficVotes::count(points, speeds_agree);
     for (track, direction) in points
         .chunk_by_mut(|a, b| a.track == b.track)
-        .zip(directions)
+        .zip(&votes.track_directions)
     {
-        let speeds = || track.iter().filter_map(|point| point.speed_mps);
-        let signed_mps = speeds().sum::<f64>() / speeds().count().max(1) as f64;
+        let speeds_mps: Vec<f64> = track.iter().filter_map(|point| point.speed_mps).collect();
+        let signed_mps = speeds_mps.iter().sum::<f64>() / speeds_mps.len().max(1) as f64;
         let by_speed = (signed_mps < -MIN_SIGNED_SPEED_MPS).then_some(true);
         for point in track {
-            let by_lane = || of_lane.get(&point.lane).and_then(is_down);
-            let decreases = direction
-                .or_else(by_lane)
+            point.position_decreases = direction
+                .or_else(|| votes.by_lane.get(&point.lane)?.majority_decreases())
                 .or(by_speed)
-                .or_else(|| is_down(&of_all))
+                .or_else(|| votes.all.majority_decreases())
                 .unwrap_or(false);
-            // Vehicles do not overlap, so a point without length still sorts correctly in its lane.
-            let (position_m, length_m) = (
-                point.position_m.unwrap_or(0.0),
-                point.length_m.unwrap_or(0.0),
-            );
-            let to_front_m = match reference {
-                ReferencePoint::Front => 0.0,
-                ReferencePoint::Centre => length_m / 2.0,
-                ReferencePoint::Rear => length_m,
-                ReferencePoint::LowEnd if decreases => 0.0,
-                ReferencePoint::LowEnd => length_m,
-            };
-            point.position_decreases = decreases;
-            point.front_m = to_front_m + if decreases { -position_m } else { position_m };
+            point.front_m = front_m(point, reference);
             point.speed_mps = point.speed_mps.map(f64::abs);
         }
     }
+}
+
+/// Votes for the directions of travel in a recording.
+#[derive(Default)]
+struct TrafficVotes {
+    /// Direction of each track, if its own movement shows it.
+    track_directions: Vec<Option<bool>>,
+    by_lane: BTreeMap<u32, DirectionVotes>,
+    all: DirectionVotes,
+}
+
+impl TrafficVotes {
+    /// Counts the movements of all tracks.
+    fn count(points: &[TrackPoint], speeds_agree: bool) -> Self {
+        let mut sum = Self::default();
+        for track in points.chunk_by(|a, b| a.track == b.track) {
+            let votes = track_votes(track, speeds_agree);
+            sum.track_directions.push(votes.decreases());
+            for interval in track.chunk_by(|a, b| a.lane == b.lane) {
+                // Most tracks have one lane.
+                let votes = if interval.len() == track.len() {
+                    votes
+                } else {
+                    track_votes(interval, speeds_agree)
+                };
+                let lane = interval.first().map_or(0, |point| point.lane);
+                sum.by_lane.entry(lane).or_default().add(votes);
+                sum.all.add(votes);
+            }
+        }
+        sum
+    }
+}
+
+/// Returns the position of the front bumper in the direction of driving. Vehicles do not overlap, so a point without
+/// length still sorts correctly in its lane.
+fn front_m(point: &TrackPoint, reference: ReferencePoint) -> f64 {
+    let position_m = point.position_m.unwrap_or(0.0);
+    let length_m = point.length_m.unwrap_or(0.0);
+    let decreases = point.position_decreases;
+    let to_front_m = match reference {
+        ReferencePoint::Front => 0.0,
+        ReferencePoint::Centre => length_m / 2.0,
+        ReferencePoint::Rear => length_m,
+        ReferencePoint::LowEnd if decreases => 0.0,
+        ReferencePoint::LowEnd => length_m,
+    };
+    to_front_m + if decreases { -position_m } else { position_m }
 }

@@ -72,14 +72,14 @@ struct TrafficLead<'a> {
 
 impl LeadVehicle for TrafficLead<'_> {
     fn segments(&self) -> Vec<Vec<SpeedSample>> {
-        let sample = |(index, point): (usize, &TrackPoint)| {
+        let samples = self.track.iter().enumerate();
+        split_at_holes(samples.filter_map(|(index, point)| {
             Some(SpeedSample {
                 index: self.first + index,
                 time_ms: point.time_ms,
                 speed_mps: round_to_milli(point.speed_mps?),
             })
-        };
-        split_at_holes(self.track.iter().enumerate().filter_map(sample))
+        }))
     }
 
     fn number(&self) -> usize {
@@ -99,7 +99,7 @@ impl LeadVehicle for TrafficLead<'_> {
 
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {
         let mut ahead = self.traffic.point(sample.index);
-        let next = || {
+        let followers = std::iter::from_fn(|| {
             let behind = self.traffic.point(ahead?.behind? as usize)?;
             ahead = Some(behind);
             Some(self.traffic.episode_vehicle(
@@ -107,8 +107,8 @@ impl LeadVehicle for TrafficLead<'_> {
                 round_to_milli(behind.ahead?.0),
                 round_to_milli(behind.speed_mps?),
             ))
-        };
-        std::iter::from_fn(next).take(MAX_FOLLOWERS).collect()
+        });
+        followers.take(MAX_FOLLOWERS).collect()
     }
 
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {

@@ -113,7 +113,8 @@ impl Absence {
     fn may_be_between(&self, ahead: &TrackPoint, rear_m: f64, behind_front_m: f64) -> bool {
         let [after_s, before_s] =
             [ahead.time_ms - self.from_ms, self.to_ms - ahead.time_ms].map(|ms| ms as f64 / 1000.0);
-        let ([from_m, to_m], [slow_mps, fast_mps]) = (self.front_m, self.speed_mps);
+        let [from_m, to_m] = self.front_m;
+        let [slow_mps, fast_mps] = self.speed_mps;
         let low_m = (from_m + slow_mps * after_s)
             .max(to_m - fast_mps * before_s)
             .min(to_m);
@@ -144,8 +145,10 @@ impl CurrentAbsences {
     }
 
     fn advance(&mut self, time_ms: i64) {
-        let has_begun = |(_, absence): &(usize, Absence)| absence.from_ms < time_ms;
-        while let Some((index, absence)) = self.to_come.next_if(has_begun) {
+        while let Some((index, absence)) = self
+            .to_come
+            .next_if(|(_, absence)| absence.from_ms < time_ms)
+        {
             self.current.insert((absence.to_ms, index), absence);
         }
         while let Some(first) = self.current.first_entry()
@@ -198,13 +201,13 @@ pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u
 
 /// Counts points with unknown positions or lengths. Points are not in order of their lines.
 fn count_unknown_positions(points: &[TrackPoint]) -> LinkProblems {
-    let is_unknown = |point: &&TrackPoint| {
+    let unknown = points.iter().filter(|point| {
         !point.is_margin && (point.position_m.is_none() || point.length_m.is_none())
-    };
-    let lines = || points.iter().filter(is_unknown).map(|point| point.line);
-    lines()
-        .min()
-        .map(|first| (LinkProblem::UnknownPosition, (first, lines().count())))
+    });
+    let count = unknown.clone().count();
+    let first_line = unknown.map(|point| point.line).min();
+    first_line
+        .map(|line| (LinkProblem::UnknownPosition, (line, count)))
         .into_iter()
         .collect()
 }
@@ -215,7 +218,7 @@ fn gap_between(
     behind: &TrackPoint,
     absent: &CurrentAbsences,
 ) -> Result<Option<f64>, LinkProblem> {
-    let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else {
+    let Some((length_m, _)) = ahead.length_m.zip(behind.length_m) else {
         return Ok(None);
     };
     let rear_m = ahead.front_m - length_m;
@@ -244,9 +247,11 @@ fn order_rows(points: &[TrackPoint]) -> Vec<RowEntry> {
         .collect();
     // The stable sort is as fast as one of packed keys: points of a vehicle are in order already.
     order.sort_by_key(|entry| entry.row);
-    let front_m = |entry: &RowEntry| points[entry.index as usize].front_m;
     for row in order.chunk_by_mut(|a, b| a.row == b.row) {
-        row.sort_by(|a, b| front_m(b).total_cmp(&front_m(a)));
+        row.sort_by(|a, b| {
+            let [a, b] = [a, b].map(|entry| points[entry.index as usize].front_m);
+            b.total_cmp(&a)
+        });
     }
     order
 }
@@ -271,11 +276,13 @@ fn absences(points: &[TrackPoint], order: &[RowEntry], blip_ms: i64) -> Vec<Abse
     instants.dedup();
     let mut absences = Vec::new();
     for track in points.chunk_by(|a, b| a.track == b.track) {
-        let mut known = track.iter().filter(|point| point.position_m.is_some());
-        let Some(mut a) = known.next() else { continue };
+        let mut located = track.iter().filter(|point| point.position_m.is_some());
+        let Some(mut a) = located.next() else {
+            continue;
+        };
         let mut next = instants.partition_point(|&instant| instant <= a.time_ms);
         let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
-        for b in known {
+        for b in located {
             if a.lane != b.lane {
                 left.insert(a.lane, a);
                 let before = left

@@ -96,21 +96,24 @@ fn sortable(time_ms: i64) -> u64 {
 /// Sorts points, which are in order of their lines, by vehicle and time. Keeps the first of several points of a vehicle
 /// at one time. Returns the first duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    let key = |(point, index): (&TrackPoint, u32)| {
-        u128::from(point.vehicle) << 96
-            | u128::from(sortable(point.time_ms)) << 32
-            | u128::from(index)
-    };
-    let mut order: Vec<u128> = points.iter().zip(0..).map(key).collect();
+    let mut order: Vec<u128> = points
+        .iter()
+        .zip(0_u32..)
+        .map(|(point, index)| {
+            u128::from(point.vehicle) << 96
+                | u128::from(sortable(point.time_ms)) << 32
+                | u128::from(index)
+        })
+        .collect();
     order.sort_unstable();
-    for place in 0..points.len() {
-        let mut from = order[place] as u32 as usize;
+    for to in 0..points.len() {
+        let mut from = order[to] as u32 as usize;
         // Earlier swaps moved this point.
-        while from < place {
+        while from < to {
             from = order[from] as u32 as usize;
         }
-        order[place] = from as u128;
-        points.swap(place, from);
+        order[to] = from as u128;
+        points.swap(to, from);
     }
     let mut duplicate: Option<(TrackPoint, usize)> = None;
     points.dedup_by(|later, first| {
@@ -139,26 +142,13 @@ impl RecordedTraffic {
     ) -> Result<Self, u64> {
         if let Some((first, count)) = split::split(&mut points, rules.speeds_agree) {
             let vehicle = label(&vehicles, first.vehicle);
-            let before = format!(
-                "the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of "
-            );
-            dropped.push((
-                first.line,
-                Omission::counted(before, count, " such places each begins another track"),
-            ));
+            dropped.push((first.line, split_omission(&vehicle, count)));
         }
         if let Some((first, count)) = lanes::remove_blips(&mut points, to_ms(rules.lane_blip_s)) {
             let vehicle = label(&vehicles, first.vehicle);
-            let limit_s = format_number(rules.lane_blip_s);
-            let before =
-                format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
             dropped.push((
                 first.line,
-                Omission::counted(
-                    before,
-                    count,
-                    " such blips, in which vehicles keep their lane",
-                ),
+                blip_omission(&vehicle, rules.lane_blip_s, count),
             ));
         }
         if let Some((line, count)) = fill::fill_holes(&mut points, rules.interpolate_s)? {
@@ -175,6 +165,22 @@ impl RecordedTraffic {
             core_ms,
         })
     }
+}
+
+/// Returns the omission of tracks that begin within the rows of a vehicle, the first one.
+fn split_omission(vehicle: &str, count: usize) -> Omission {
+    let before = format!(
+        "the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of "
+    );
+    Omission::counted(before, count, " such places each begins another track")
+}
+
+/// Returns the omission of lane ids that hold only briefly, the first one of a vehicle.
+fn blip_omission(vehicle: &str, limit_s: f64, count: usize) -> Omission {
+    let limit_s = format_number(limit_s);
+    let before = format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
+    let after = " such blips, in which vehicles keep their lane";
+    Omission::counted(before, count, after)
 }
 
 /// Returns the id of a vehicle as recorded.

@@ -59,45 +59,28 @@ impl DirectionVotes {
             _ => None,
         }
     }
+
+    /// Returns whether positions decrease in most movements; `None` for equally many.
+    pub(super) fn majority_decreases(self) -> Option<bool> {
+        (self.up != self.down).then_some(self.down > self.up)
+    }
+
+    pub(super) fn add(&mut self, other: Self) {
+        self.up += other.up;
+        self.down += other.down;
+    }
 }
 
 /// Numbers the tracks of points that are sorted by vehicle and time. Returns the first point of the first track that
 /// begins within a vehicle's rows, and the number of such tracks.
 pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(TrackPoint, usize)> {
-    let (mut track, mut splits) = (0, None);
+    let mut track = 0;
+    let mut splits = None;
     for vehicle in points.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
         let movements = movements(vehicle, speeds_agree);
-        let mut starts: Vec<usize> = movements
-            .iter()
-            .filter(|one| !one.is_plausible(one.moved_m.abs()))
-            .map(|one| one.to)
-            .collect();
-        let long_absences = vehicle
-            .windows(2)
-            .enumerate()
-            .filter(|(_, pair)| match pair {
-                [a, b] => b.time_ms - a.time_ms > MAX_ABSENCE_MS,
-                _ => false,
-            });
-        starts.extend(long_absences.map(|(index, _)| index + 1));
-        starts.sort_unstable();
-        starts.dedup();
-        // Pieces also contain backward jumps shorter than the distance driven, such as on short edges.
-        let mut backwards = Vec::new();
-        let bounds = [0].into_iter().chain(starts.iter().copied());
-        for (from, to) in bounds.zip(starts.iter().copied().chain([vehicle.len()])) {
-            let inside = || movements.iter().filter(|one| one.to > from && one.to < to);
-            let Some(decreases) = votes(inside()).decreases() else {
-                continue;
-            };
-            let forwards = if decreases { -1.0 } else { 1.0 };
-            backwards.extend(
-                inside()
-                    .filter(|one| !one.is_plausible(forwards * one.moved_m))
-                    .map(|one| one.to),
-            );
-        }
-        starts.append(&mut backwards);
+        let mut starts = visible_starts(vehicle, &movements);
+        let mut backward_jumps = backward_jumps(vehicle, &movements, &starts);
+        starts.append(&mut backward_jumps);
         starts.sort_unstable();
         for &start in &starts {
             if let Some(point) = vehicle.get(start).filter(|point| !point.is_margin) {
@@ -116,20 +99,59 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
     splits
 }
 
+/// Returns the first row of each track after a jump or a long absence of a vehicle.
+fn visible_starts(vehicle: &[TrackPoint], movements: &[Movement]) -> Vec<usize> {
+    let jumps = movements
+        .iter()
+        .filter(|movement| !movement.is_plausible(movement.moved_m.abs()));
+    let mut starts: Vec<usize> = jumps.map(|movement| movement.to).collect();
+    let long_absences = vehicle
+        .windows(2)
+        .enumerate()
+        .filter(|(_, pair)| match pair {
+            [a, b] => b.time_ms - a.time_ms > MAX_ABSENCE_MS,
+            _ => false,
+        });
+    starts.extend(long_absences.map(|(index, _)| index + 1));
+    starts.sort_unstable();
+    starts.dedup();
+    starts
+}
+
+/// Returns the rows behind backward jumps that are shorter than the distance driven, such as on short edges, between
+/// the starts of tracks.
+fn backward_jumps(vehicle: &[TrackPoint], movements: &[Movement], starts: &[usize]) -> Vec<usize> {
+    let mut jumps = Vec::new();
+    let bounds = [0].into_iter().chain(starts.iter().copied());
+    for (from, to) in bounds.zip(starts.iter().copied().chain([vehicle.len()])) {
+        let piece = movements
+            .iter()
+            .filter(|movement| movement.to > from && movement.to < to);
+        let Some(decreases) = votes(piece.clone()).decreases() else {
+            continue;
+        };
+        let forwards = if decreases { -1.0 } else { 1.0 };
+        let backwards =
+            piece.filter(|movement| !movement.is_plausible(forwards * movement.moved_m));
+        jumps.extend(backwards.map(|movement| movement.to));
+    }
+    jumps
+}
+
 /// Returns the votes of a track, with the current lane of each row.
 pub(super) fn track_votes(track: &[TrackPoint], speeds_agree: bool) -> DirectionVotes {
     votes(movements(track, speeds_agree).iter())
 }
 
 fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
-    let mut known = rows
+    let mut positions = rows
         .iter()
         .enumerate()
         .filter_map(|(index, row)| Some((index, row, row.position_m?)));
-    let Some((_, mut from, mut from_m)) = known.next() else {
+    let Some((_, mut from, mut from_m)) = positions.next() else {
         return Vec::new();
     };
-    known
+    positions
         .map(|(to, row, to_m)| {
             let seconds = (row.time_ms - from.time_ms) as f64 / 1000.0;
             let speeds = from.speed_mps.zip(row.speed_mps).filter(|_| speeds_agree);
@@ -142,7 +164,8 @@ fn movements(rows: &[TrackPoint], speeds_agree: bool) -> Vec<Movement> {
                 seconds,
                 changes_lane,
             };
-            (from, from_m) = (row, to_m);
+            from = row;
+            from_m = to_m;
             movement
         })
         .collect()

@@ -75,14 +75,15 @@ fn links(recording: &Recording) -> BTreeMap<(i64, usize), (usize, f64)> {
 
 /// Returns the vehicles and gaps of each episode.
 fn lines(recording: &Recording) -> Vec<Vec<(usize, f64)>> {
-    let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let line = |one: BrakingEpisode| {
-        one.vehicles
+    let episodes = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
+    let line = |episode: BrakingEpisode| {
+        episode
+            .vehicles
             .iter()
-            .map(|one| (one.number, one.gap_ahead_m))
+            .map(|vehicle| (vehicle.number, vehicle.gap_ahead_m))
             .collect()
     };
-    found.into_iter().map(line).collect()
+    episodes.into_iter().map(line).collect()
 }
 
 fn messages(recording: &Recording) -> String {
@@ -98,17 +99,17 @@ fn messages(recording: &Recording) -> String {
 fn traffic(brakes: [(f64, f64); 4]) -> Vec<Row> {
     let mut rows = Vec::new();
     for (lane, (speed_mps, brake_mps2)) in (1..).zip(brakes) {
-        for place in 0..4 {
+        for index in 0..4 {
             let (mut x, mut now_mps) = (
-                300.0 - (9.0 + 0.8 * speed_mps) * f64::from(place),
+                300.0 - (9.0 + 0.8 * speed_mps) * f64::from(index),
                 speed_mps,
             );
             for step in 0..ROWS {
-                let braking_s = step as f64 * STEP_S - 4.0 - 0.8 * f64::from(place);
+                let braking_s = step as f64 * STEP_S - 4.0 - 0.8 * f64::from(index);
                 let next_mps = (speed_mps - brake_mps2 * braking_s.clamp(0.0, 3.0)).max(0.0);
                 x += 0.5 * (now_mps + next_mps) * STEP_S;
                 now_mps = next_mps;
-                let (down, id) = (lane > 2, 10 * lane + place + 1);
+                let (down, id) = (lane > 2, 10 * lane + index + 1);
                 let low_end_m = if down { -x } else { x - LENGTH_M };
                 rows.push(row(
                     step,
@@ -129,7 +130,7 @@ proptest! {
     /// Damaged rows yield the same links, with gaps within 0.4 m. Links are missing only while a vehicle of the lane
     /// has no row. The mirror image has the same links and episodes.
     #[test]
-    fn damage_changes_no_link(
+    fn damaged_rows_change_no_link(
         brakes in prop::array::uniform4((2.0..30.0_f64, 0.0..8.0_f64)),
         noise in prop::collection::vec((-0.15..0.15_f64, -0.2..0.2_f64), 4 * 4 * ROWS),
         absences in prop::collection::vec((0..16_usize, 1..ROWS - 20, 1..20_usize), 0..6),
@@ -141,7 +142,10 @@ proptest! {
         let (mut damaged, mut absent) = (Vec::new(), BTreeSet::new());
         for (index, (mut row, noise)) in whole.iter().cloned().zip(&noise).enumerate() {
             let (vehicle, step) = (index / ROWS, index % ROWS);
-            if absences.iter().any(|&(of, from, rows)| of == vehicle && (from..from + rows).contains(&step)) {
+            let is_absent = absences
+                .iter()
+                .any(|&(absent, from, rows)| absent == vehicle && (from..from + rows).contains(&step));
+            if is_absent {
                 absent.insert((step, row.2));
                 continue;
             }
@@ -155,15 +159,15 @@ proptest! {
             damaged.push((row.0, row.1, row.2, row.3 + noise.0, row.4 + noise.1, row.5));
         }
         let recording = read_rows(&damaged);
-        let found = links(&recording);
-        for (&(time_ms, follower), &(leader, gap_m)) in &found {
+        let damaged_links = links(&recording);
+        for (&(time_ms, follower), &(leader, gap_m)) in &damaged_links {
             let &(expected, expected_m) = reference.get(&(time_ms, follower)).expect("linked without damage");
             prop_assert!(leader == expected && (gap_m - expected_m).abs() < 0.4, "{time_ms} {follower} {leader}");
         }
         let is_whole = |&&(time_ms, follower): &&(i64, usize)| {
             !absent.contains(&((time_ms / 100) as usize, follower as u32 / 10))
         };
-        let lost: Vec<_> = reference.keys().filter(is_whole).filter(|key| !found.contains_key(key)).collect();
+        let lost: Vec<_> = reference.keys().filter(is_whole).filter(|key| !damaged_links.contains_key(key)).collect();
         prop_assert!(lost.is_empty(), "{lost:?}\n{}", messages(&recording));
 
         let mirrored = |(step, id, lane, x, speed, length): &Row| {
@@ -171,11 +175,13 @@ proptest! {
         };
         let mirrored = read_rows(&damaged.iter().map(mirrored).collect::<Vec<_>>());
         let is_near = |(a, b): (&(usize, f64), &(usize, f64))| a.0 == b.0 && (a.1 - b.1).abs() < 3e-3;
-        let other = links(&mirrored);
-        prop_assert!(found.keys().eq(other.keys()) && found.values().zip(other.values()).all(is_near));
-        let (lines, other) = (lines(&recording), self::lines(&mirrored));
-        prop_assert_eq!(lines.len(), other.len());
-        prop_assert!(lines.iter().flatten().zip(other.iter().flatten()).all(is_near));
+        let mirrored_links = links(&mirrored);
+        prop_assert!(damaged_links.keys().eq(mirrored_links.keys()));
+        prop_assert!(damaged_links.values().zip(mirrored_links.values()).all(is_near));
+        let damaged_lines = lines(&recording);
+        let mirrored_lines = lines(&mirrored);
+        prop_assert_eq!(damaged_lines.len(), mirrored_lines.len());
+        prop_assert!(damaged_lines.iter().flatten().zip(mirrored_lines.iter().flatten()).all(is_near));
     }
 }
 
@@ -253,8 +259,8 @@ fn positions_that_start_anew_and_ids_that_are_used_again_split_tracks() {
         "{}",
         messages(&recording)
     );
-    let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    assert_eq!(found[0].vehicles[0].to_string(), "vehicle 1 (flow.0)");
+    let episodes = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+    assert_eq!(episodes[0].vehicles[0].to_string(), "vehicle 1 (flow.0)");
     // A lorry and then, ten seconds later, a car have the id 2^63.
     let id = 1_u64 << 63;
     let rows = braking(300, |step, x, mps| match step {
@@ -275,7 +281,7 @@ fn positions_that_start_anew_and_ids_that_are_used_again_split_tracks() {
         .expect("tracks")
         .points
         .iter()
-        .map(|one| one.track)
+        .map(|point| point.track)
         .collect();
     assert_eq!(tracks.len(), 3);
     assert_eq!(
@@ -283,11 +289,11 @@ fn positions_that_start_anew_and_ids_that_are_used_again_split_tracks() {
         200,
         "no vehicle is absent between its tracks"
     );
-    let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+    let episodes = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
     assert_eq!(
         (
-            found[0].vehicles[0].number as u64,
-            found[0].vehicles[0].length_m
+            episodes[0].vehicles[0].number as u64,
+            episodes[0].vehicles[0].length_m
         ),
         (id, Some(12.5))
     );
@@ -325,14 +331,14 @@ fn vehicles_with_rows_at_different_times_are_linked_by_interpolation() {
         }]
     });
     let map = MAP.replace("[layout.tracks]", "interpolate_s = 0.5\n[layout.tracks]");
-    let found = links(&try_read(&text(&rows), &map).expect("readable"));
+    let linked = links(&try_read(&text(&rows), &map).expect("readable"));
     assert!(
-        found
+        linked
             .values()
             .all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 0.02),
-        "{found:?}"
+        "{linked:?}"
     );
-    assert_eq!(found.len(), 118);
+    assert_eq!(linked.len(), 118);
 }
 
 #[test]

@@ -45,17 +45,20 @@ impl TrackColumns {
         map: &RecordingMapSpec,
         spec: &TracksSpec,
     ) -> Result<Self, RecordingError> {
-        let find = |name: &str, unit| CsvColumn::find(names, name, unit);
         let clock = Clock::find(names, &map.time)?;
-        let vehicle = find(&spec.vehicle, ColumnUnit::None)?;
+        let vehicle = CsvColumn::find(names, &spec.vehicle, ColumnUnit::None)?;
         let lane = spec.lane.as_ref();
-        let lane = lane.map(|name| find(name, ColumnUnit::None)).transpose()?;
-        let position = &spec.position;
-        let position = find(&position.column, LengthUnit::of_column(position.unit))?;
-        let speed = find(&spec.speed.column, SpeedUnit::of_column(spec.speed.unit))?;
+        let lane = lane
+            .map(|name| CsvColumn::find(names, name, ColumnUnit::None))
+            .transpose()?;
+        let position_unit = LengthUnit::column_unit(spec.position.unit);
+        let position = CsvColumn::find(names, &spec.position.column, position_unit)?;
+        let speed_unit = SpeedUnit::column_unit(spec.speed.unit);
+        let speed = CsvColumn::find(names, &spec.speed.column, speed_unit)?;
         let length = match &spec.length {
             LengthSpec::Column(column) => {
-                let column = find(&column.name, LengthUnit::of_column(column.unit))?;
+                let unit = LengthUnit::column_unit(column.unit);
+                let column = CsvColumn::find(names, &column.name, unit)?;
                 LengthColumn::Column(Series::new(column, ColumnQuantity::Length))
             }
             LengthSpec::Metres(metres) => LengthColumn::Constant(*metres),
@@ -160,9 +163,9 @@ impl TextIds {
         }
         self.last.0.clear();
         self.last.0 += text;
-        if let Some(&known) = self.indices.get(text) {
-            self.last.1 = known;
-            return Ok(known);
+        if let Some(&index) = self.indices.get(text) {
+            self.last.1 = index;
+            return Ok(index);
         }
         if text.len() > MAX_ID_BYTES {
             return row.reject(
@@ -188,14 +191,16 @@ impl TextIds {
             .filter_map(|(text, _)| whole_number(text))
             .collect();
         let are_numbers = numbers.len() == texts.len();
-        let id = |(text, index): (String, u32)| match whole_number(&text) {
-            Some(number) if are_numbers => VehicleId { number, name: None },
-            _ => VehicleId {
-                number: index as usize + 1,
-                name: Some(excerpt(&text)),
-            },
-        };
-        texts.into_iter().map(id).collect()
+        let ids = texts
+            .into_iter()
+            .map(|(text, index)| match whole_number(&text) {
+                Some(number) if are_numbers => VehicleId { number, name: None },
+                _ => VehicleId {
+                    number: index as usize + 1,
+                    name: Some(excerpt(&text)),
+                },
+            });
+        ids.collect()
     }
 }
 
