@@ -199,7 +199,7 @@ impl Simulation {
                 "stop"
             };
             return Err(wrong(&format!(
-                "`{spec}` is judged on a run with after_contact=\"{how}\""
+                "`{spec}` is evaluated on a run with after_contact=\"{how}\""
             )));
         }
         let run = Run::new(&self.scenario, self.options.clone()).map_err(|error| wrong(&error))?;
