@@ -129,7 +129,8 @@ impl NoiseStream {
     #[inline]
     pub(crate) fn normals<const N: usize>(&mut self) -> [f64; N] {
         // Local copies stay in registers.
-        let (mut stream, sampler) = (self.stream.clone(), self.normals);
+        let mut stream = self.stream.clone();
+        let sampler = self.normals;
         let mut numbers = [0.0; N];
         for number in &mut numbers {
             *number = sampler.sample(&mut stream);

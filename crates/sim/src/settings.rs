@@ -89,9 +89,8 @@ pub(crate) fn parse_settings<'t>(
             return Err(InvalidSetting::Duplicate { controller, name });
         }
         let value = found.parse::<f64>().ok();
-        let is_allowed = |value: &f64| (range[0]..=range[1]).contains(value);
         let value = value
-            .filter(is_allowed)
+            .filter(|value| (range[0]..=range[1]).contains(value))
             .ok_or_else(|| InvalidSetting::Value {
                 controller,
                 name,

@@ -175,12 +175,13 @@ impl BuiltInController {
             .iter()
             .map(|field| (field.name, field.range))
             .collect();
-        let unknown = |found| InvalidSetting::Unknown {
-            found,
-            owner: controller,
-            known: describe_known_settings(fields),
-        };
-        for (index, value) in parse_settings(texts, controller, &known, unknown)? {
+        let settings =
+            parse_settings(texts, controller, &known, |found| InvalidSetting::Unknown {
+                found,
+                owner: controller,
+                known: describe_known_settings(fields),
+            })?;
+        for (index, value) in settings {
             if let Some(setting) = self.get_mut(index) {
                 *setting = value;
             }
@@ -257,12 +258,14 @@ impl BuiltInController {
     /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
     #[must_use]
     pub fn sha256(&self) -> String {
+        if let Some(policy) = self.policy() {
+            return policy.digest();
+        }
         let values: Vec<_> = self
             .values()
             .map(|(_, value)| (value + 0.0).to_bits().to_string())
             .collect();
-        let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
-        self.policy().map_or_else(rule, |policy| policy.digest())
+        sha256(format!("rule {} {}", self.name(), values.join(" ")))
     }
 }
 

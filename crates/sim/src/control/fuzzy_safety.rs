@@ -54,15 +54,15 @@ impl FuzzySafetySettings {
             ahead_brake_mps2,
             ..
         } = *self;
-        let needed_m = |brake_mps2: f64| {
-            speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
-                - ahead.speed_mps * ahead.speed_mps / (2.0 * ahead_brake_mps2)
-        };
-        let safe_m = needed_m(comfortable_brake_mps2) + self.margin_m;
+        let [comfortable_m, hardest_m] =
+            [comfortable_brake_mps2, hardest_brake_mps2].map(|brake_mps2| {
+                speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
+                    - ahead.speed_mps * ahead.speed_mps / (2.0 * ahead_brake_mps2)
+            });
         membership(
             ahead.gap_m - self.standstill_m,
-            safe_m,
-            needed_m(hardest_brake_mps2),
+            comfortable_m + self.margin_m,
+            hardest_m,
         )
     }
 
@@ -93,12 +93,9 @@ impl FuzzySafetySettings {
             return membership(gap_m, needed_m, needed_m);
         }
         let until_m = 0.5 * (closing_mps + then_mps) * reaction_s;
-        let needed_m = |brake_mps2: f64| until_m + then_mps * then_mps / (2.0 * brake_mps2);
-        membership(
-            gap_m,
-            needed_m(comfortable_brake_mps2),
-            needed_m(hardest_brake_mps2),
-        )
+        let [comfortable_m, hardest_m] = [comfortable_brake_mps2, hardest_brake_mps2]
+            .map(|brake_mps2| until_m + then_mps * then_mps / (2.0 * brake_mps2));
+        membership(gap_m, comfortable_m, hardest_m)
     }
 
     /// Returns the deceleration that the metrics demand, in m/s², positive; 0 if both are 0.

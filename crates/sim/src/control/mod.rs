@@ -311,7 +311,8 @@ pub(crate) mod tests {
         speed_mps: f64,
         seen: impl Fn(f64) -> Observation,
     ) -> f64 {
-        let (mut way_m, mut speed_mps) = (0.0, speed_mps);
+        let mut way_m = 0.0;
+        let mut speed_mps = speed_mps;
         loop {
             let a = driver.decide(&seen(speed_mps)).unwrap();
             let next_mps = speed_mps + a * EGO.step_s;

@@ -23,13 +23,12 @@ impl PolicyDriver {
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
-        let (past, held, space) = Default::default();
         Self {
             policy,
             decision_timer: interval,
-            frame_stack: past,
-            held_action: held,
-            workspace: space,
+            frame_stack: FrameStack::default(),
+            held_action: HeldAction::default(),
+            workspace: Workspace::default(),
         }
     }
 }
@@ -61,7 +60,8 @@ impl Controller for PolicyDriver {
         _failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
         let all_seen: Vec<Observation> = (0..all.len()).map(&mut see).collect();
-        let (mut due, mut rows) = (Vec::new(), Vec::new());
+        let mut due = Vec::new();
+        let mut rows = Vec::new();
         for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
             if driver.decision_timer.tick() {
                 let last_answer_mps2 = driver.held_action.last_answer_mps2();

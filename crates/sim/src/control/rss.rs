@@ -66,13 +66,10 @@ impl BuiltIn for Rss {
 impl Controller for Rss {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_safe = |ahead: crate::observation::Neighbour| {
-            ahead.gap_m
-                >= self
-                    .settings
-                    .safe_distance_m(seen.speed_mps, ahead.speed_mps)
-        };
-        if seen.ahead.is_none_or(is_safe) {
+        let settings = &self.settings;
+        if seen.ahead.is_none_or(|ahead| {
+            ahead.gap_m >= settings.safe_distance_m(seen.speed_mps, ahead.speed_mps)
+        }) {
             self.unsafe_for_steps = 0;
             return Ok(0.0);
         }

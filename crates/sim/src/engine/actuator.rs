@@ -125,11 +125,13 @@ impl Disturbance {
     /// Creates the noise of vehicle `index`; `None` for a vehicle without noise.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
-        let (seed, shares) = (scenario.spec().seed, scenario.noise_shares());
-        let noise =
-            || NoiseStream::from_shares(seed, shares, Purpose::AccelerationNoise, index as u64);
         (deviation_mps2 > 0.0).then(|| Self {
-            noise: noise(),
+            noise: NoiseStream::from_shares(
+                scenario.spec().seed,
+                scenario.noise_shares(),
+                Purpose::AccelerationNoise,
+                index as u64,
+            ),
             deviation_mps2,
         })
     }

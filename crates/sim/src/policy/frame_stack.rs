@@ -19,7 +19,8 @@ impl FrameStack {
         seen: &Observation,
         last_answer_mps2: f64,
     ) -> &[f32] {
-        let (width, every) = (scaling.width(), scaling.history_every);
+        let width = scaling.width();
+        let every = scaling.history_every;
         let Self { frames, row } = self;
         let is_first = frames.is_empty();
         if is_first {
@@ -32,7 +33,7 @@ impl FrameStack {
         if is_first {
             (0..before)
                 .step_by(width)
-                .for_each(|place| frames.copy_within(before.., place));
+                .for_each(|start| frames.copy_within(before.., start));
         }
         if every == 1 {
             return frames;

@@ -154,8 +154,8 @@ impl Follower {
         let bandwidth = BANDWIDTH_RAD_PER_S;
         let speed_variance = self.jitter.acceleration_variance() / (bandwidth * bandwidth);
         let variance = MODEL_DEVIATION_MPS * MODEL_DEVIATION_MPS + speed_variance;
-        let share = |time_s: f64| (self.step_s / time_s).min(1.0);
-        let [lag, forgotten, counted] = [LAG_S, MEMORY_S, CORRELATION_S].map(share);
+        let [lag, forgotten, counted] =
+            [LAG_S, MEMORY_S, CORRELATION_S].map(|time_s| (self.step_s / time_s).min(1.0));
         let average_mps = self.average_mps.get_or_insert(behind.speed_mps);
         *average_mps += forgotten * (behind.speed_mps - *average_mps);
         let change_mps = behind.speed_mps - *average_mps;

@@ -69,7 +69,8 @@ impl Friction {
         let [before_mps2, last_mps2] = self.commands_mps2;
         self.jitter
             .observe(seen.acceleration_mps2, last_mps2 - before_mps2);
-        let (wanted_mps2, actual_mps2) = (-last_mps2, -seen.acceleration_mps2);
+        let wanted_mps2 = -last_mps2;
+        let actual_mps2 = -seen.acceleration_mps2;
         let share = (self.step_s / AVERAGING_S).min(1.0);
         self.shortfall_mps2 += share * (wanted_mps2 - actual_mps2 - self.shortfall_mps2);
         self.achieved_mps2 += share * (actual_mps2 - self.achieved_mps2);

@@ -124,10 +124,8 @@ impl MotionBounds {
             .max(4.0 * params.step_s * (speed_mps + any_mps2 * params.step_s));
         let lag_s = params.lag_s();
         let replaced_mps = speed_mps + (lag_s + params.step_s) * response_span_mps2;
-        let (stop_s, stop_m) = (
-            replaced_mps / brake_mps2,
-            0.5 * replaced_mps * replaced_mps / brake_mps2,
-        );
+        let stop_s = replaced_mps / brake_mps2;
+        let stop_m = 0.5 * replaced_mps * replaced_mps / brake_mps2;
         let predicted = params.delay_steps as f64 + 1.0;
         let reach_s = stop_s + predicted * params.step_s;
         let step_m = UNIT_ROUNDOFF
