@@ -64,7 +64,8 @@ fn shortfall_s(state: &PairState, threshold_s: f64) -> f64 {
 }
 
 fn exposed_share(from: &PairState, to: &PairState, threshold_s: f64) -> f64 {
-    let (from_m, to_m) = (excess_m(from, threshold_s), excess_m(to, threshold_s));
+    let from_m = excess_m(from, threshold_s);
+    let to_m = excess_m(to, threshold_s);
     match (from_m > 0.0, to_m > 0.0) {
         (true, true) => 1.0,
         (true, false) => from_m / (from_m - to_m),

@@ -1,6 +1,6 @@
 //! Proximity: time to collision, time headway and time gap.
 
-use super::approach::{Approach, PairState};
+use super::approach::Approach;
 use crumple_sim::engine;
 
 /// Returns the time to collision in seconds at constant speeds, `TTC = gap / closing speed`.
@@ -51,11 +51,10 @@ impl Approach {
     /// Returns the smallest time headway of all samples, in seconds; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
-        let headway = |(state, length_m): (&PairState, f64)| {
-            time_headway_s(state.gap_m, length_m, state.rear_speed_mps)
-        };
         self.states_with_length_m()
-            .filter_map(headway)
+            .filter_map(|(state, length_m)| {
+                time_headway_s(state.gap_m, length_m, state.rear_speed_mps)
+            })
             .reduce(f64::min)
     }
 

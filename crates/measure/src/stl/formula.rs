@@ -261,10 +261,10 @@ impl Formula {
             .iter()
             .map(|part| format!("`{part}`"))
             .collect();
-        let (no, are) = if parts.len() == 1 {
-            ("has no", "is")
+        let [no, are] = if parts.len() == 1 {
+            ["has no", "is"]
         } else {
-            ("have no", "are")
+            ["have no", "are"]
         };
         (!parts.is_empty()).then(|| {
             format!(
