@@ -1,7 +1,7 @@
 //! Errors of imported networks.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{MAX_BYTES, MAX_PARAMETERS};
 
@@ -82,6 +82,14 @@ pub(super) fn sanitized(said: &str) -> String {
 }
 
 impl NetworkError {
+    /// Adds the path of the file.
+    pub(super) fn in_file(self, path: &Path) -> Self {
+        Self::InFile {
+            path: path.to_owned(),
+            reason: Box::new(self),
+        }
+    }
+
     pub(super) fn damaged(form: &'static str, problem: impl Into<String>) -> Self {
         Self::Damaged {
             format: form,
