@@ -77,11 +77,12 @@ impl FormulaReader<'_> {
     }
 
     fn window(&mut self) -> Result<TimeWindow, FormulaError> {
-        let (first, more) = (self.choices.byte() % 12, self.choices.byte());
+        let first = self.choices.byte() % 12;
+        let more = self.choices.byte();
         if more == 0 {
             return Ok(TimeWindow::ALL);
         }
-        let at = |steps: u8| f64::from(steps) * self.step_s;
-        TimeWindow::new(at(first), at(first + more % 25))
+        let [from_s, to_s] = [first, first + more % 25].map(|steps| f64::from(steps) * self.step_s);
+        TimeWindow::new(from_s, to_s)
     }
 }
