@@ -51,9 +51,9 @@ fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
             }
             3 => drop(contents.remove(*name)),
             4 => {
-                let other = names.get(position % names.len()).copied();
-                if let Some(other) = other.and_then(|other| contents.get(other)).cloned() {
-                    contents.insert((*name).clone(), other);
+                let source = names.get(position % names.len()).copied();
+                if let Some(content) = source.and_then(|source| contents.get(source)).cloned() {
+                    contents.insert((*name).clone(), content);
                 }
             }
             _ => {

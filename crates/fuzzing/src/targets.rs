@@ -412,9 +412,9 @@ fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Viola
             "a row or column is dropped without a note".to_owned()
         })?;
     }
-    let seen = recording::preview(&recording);
-    let is_even = seen.is_none_or(|seen| {
-        seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]
+    let preview = recording::preview(&recording);
+    let is_even = preview.is_none_or(|preview| {
+        preview.speed_mps[0] <= preview.speed_mps[1] && preview.speed_mps[1] <= preview.speed_mps[2]
     });
     ensure(is_even, Invariant::Reading, "", || {
         "speeds are out of order".to_owned()
@@ -436,7 +436,7 @@ const ROAD: &[u8] = br#"<OpenDRIVE><road id="1" length="4000" junction="-1"><pla
 pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
     let text = String::from_utf8_lossy(bytes);
     let variations =
-        ParameterDistributionFile::from_bytes(bytes).and_then(|found| found.variations());
+        ParameterDistributionFile::from_bytes(bytes).and_then(|file| file.variations());
     let imported =
         OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
     if let Ok(imported) = &imported {

@@ -283,13 +283,13 @@ impl NetworkDriver {
 }
 
 impl BatchQuery for NetworkDriver {
-    fn sample(&mut self, seen: &Observation) -> bool {
+    fn sample(&mut self, observation: &Observation) -> bool {
         let last_mps2 = self.replaced_mps2.take().unwrap_or(self.command_mps2);
         if !self.decision_timer.tick() {
             return false;
         }
         let mapping = &self.mapped.mapping;
-        let inputs = mapping.input_values(seen, last_mps2);
+        let inputs = mapping.input_values(observation, last_mps2);
         self.row.clear();
         self.history
             .push(mapping, inputs.map(|value| value as f32), &mut self.row);
@@ -334,8 +334,8 @@ impl BatchQuery for NetworkDriver {
 }
 
 impl Controller for NetworkDriver {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        decide_by_query(self, seen)
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        decide_by_query(self, observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {

@@ -254,12 +254,12 @@ impl Mapping {
     #[inline]
     pub fn input_values(
         &self,
-        seen: &Observation,
+        observation: &Observation,
         last_answer_mps2: f64,
     ) -> impl Iterator<Item = f64> {
         self.inputs
             .iter()
-            .map(move |input| input.value(seen, last_answer_mps2))
+            .map(move |input| input.value(observation, last_answer_mps2))
     }
 
     pub(super) fn limits(&self) -> Vec<[f64; 2]> {
@@ -413,10 +413,10 @@ impl InputMapping {
     }
 
     #[inline]
-    fn value(&self, seen: &Observation, last_answer_mps2: f64) -> f64 {
+    fn value(&self, observation: &Observation, last_answer_mps2: f64) -> f64 {
         let value = match (self.constant, self.quantity) {
             (Some(constant), _) => constant,
-            (None, Some(quantity)) => quantity.value(seen, last_answer_mps2, self.absent),
+            (None, Some(quantity)) => quantity.value(observation, last_answer_mps2, self.absent),
             (None, None) => 0.0,
         };
         self.scaled(value)

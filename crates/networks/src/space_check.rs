@@ -78,7 +78,7 @@ pub(super) fn warnings(mapping: &Mapping, saved: &SavedModel, is_normalised: boo
 }
 
 fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
-    let all: Vec<String> = mapping
+    let outside: Vec<String> = mapping
         .inputs
         .iter()
         .enumerate()
@@ -87,19 +87,19 @@ fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
             describe_input_outside(index, input, [bounds.0, bounds.1])
         })
         .collect();
-    let named = all
-        .get(..all.len().min(MAX_NAMED_INPUTS))
+    let named = outside
+        .get(..outside.len().min(MAX_NAMED_INPUTS))
         .unwrap_or_default()
         .join("; ");
-    let others = all.len().saturating_sub(MAX_NAMED_INPUTS);
-    let others = if others > 0 {
-        format!("; and {others} more")
+    let further = outside.len().saturating_sub(MAX_NAMED_INPUTS);
+    let more = if further > 0 {
+        format!("; and {further} more")
     } else {
         String::new()
     };
-    (!all.is_empty()).then(|| {
+    (!outside.is_empty()).then(|| {
         format!(
-            "in ordinary driving, inputs of the model leave its observation space: {named}{others}"
+            "in ordinary driving, inputs of the model leave its observation space: {named}{more}"
         )
     })
 }

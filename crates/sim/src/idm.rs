@@ -91,10 +91,12 @@ impl Idm {
 
 impl Idm {
     #[inline]
-    pub(crate) fn desired_acceleration_mps2(&self, seen: &Observation) -> f64 {
+    pub(crate) fn desired_acceleration_mps2(&self, observation: &Observation) -> f64 {
         self.acceleration_mps2(
-            seen.speed_mps,
-            seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]),
+            observation.speed_mps,
+            observation
+                .ahead
+                .map(|ahead| [ahead.gap_m, ahead.speed_mps]),
         )
     }
 }

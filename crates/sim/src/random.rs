@@ -202,8 +202,8 @@ impl NormalSampler {
         let bits = after.next_u64();
         let layer = bits as usize & 0xff;
         // The upper 52 bits as a number in [2, 4), and so in [-1, 1).
-        let place = f64::from_bits(bits >> 12 | 1 << 62) - 3.0;
-        let normal = place * self.half_widths[layer];
+        let uniform = f64::from_bits(bits >> 12 | 1 << 62) - 3.0;
+        let normal = uniform * self.half_widths[layer];
         if normal.abs() < self.half_widths[layer + 1] {
             *stream = after;
             return normal;
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn streams_are_distinct_and_repeatable() {
-        let mut seen = HashSet::new();
+        let mut first_numbers = HashSet::new();
         for seed in 0..20 {
             for purpose in [
                 Purpose::AccelerationNoise,
@@ -306,7 +306,7 @@ mod tests {
                     let first = stream(seed, purpose, index).next_u64();
                     assert_eq!(first, stream(seed, purpose, index).next_u64());
                     assert!(
-                        seen.insert(first),
+                        first_numbers.insert(first),
                         "stream {seed}/{purpose:?}/{index} repeats another"
                     );
                 }

@@ -128,7 +128,7 @@ impl EstimateBounds {
             .iter()
             .flat_map(|trace| &trace.vehicles);
         let accelerations = tracks.flat_map(|track| &track.acceleration_mps2);
-        let hardest_mps2 = accelerations.fold(0.0_f64, |most, a| most.max(a.abs()));
+        let hardest_mps2 = accelerations.fold(0.0_f64, |hardest, a| hardest.max(a.abs()));
         let jumps_mps: f64 = question
             .result
             .impacts
@@ -146,38 +146,44 @@ impl EstimateBounds {
         }
     }
 
-    fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
-        let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
-        if !(seen.speed_mps >= 0.0
-            && seen.acceleration_mps2.is_finite()
+    fn find_problem(&self, estimate: &Observation, truth: &Observation) -> Option<String> {
+        let own_off_mps = (estimate.speed_mps - truth.speed_mps).abs();
+        if !(estimate.speed_mps >= 0.0
+            && estimate.acceleration_mps2.is_finite()
             && own_off_mps <= self.own_speed_mps)
         {
             return Some(format!(
                 "its estimated speed is {} m/s, the truth is {} m/s",
-                seen.speed_mps, truth.speed_mps
+                estimate.speed_mps, truth.speed_mps
             ));
         }
-        for (seen, truth) in [(seen.ahead, truth.ahead), (seen.behind, truth.behind)] {
-            match (seen, truth) {
+        for (estimate, truth) in [
+            (estimate.ahead, truth.ahead),
+            (estimate.behind, truth.behind),
+        ] {
+            match (estimate, truth) {
                 (None, None) => {}
                 (None, Some(_)) if self.has_faults => {}
-                (Some(seen), None) if self.has_faults && self.contains(&seen, &seen) => {}
-                (Some(seen), Some(truth)) if self.contains(&seen, &truth) => {}
-                (seen, truth) => {
-                    return Some(format!("the estimate is {seen:?}, the truth is {truth:?}"));
+                (Some(estimate), None)
+                    if self.has_faults && self.contains(&estimate, &estimate) => {}
+                (Some(estimate), Some(truth)) if self.contains(&estimate, &truth) => {}
+                (estimate, truth) => {
+                    return Some(format!(
+                        "the estimate is {estimate:?}, the truth is {truth:?}"
+                    ));
                 }
             }
         }
         None
     }
 
-    fn contains(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
-        let finite = seen.gap_m.is_finite()
-            && seen.speed_mps.is_finite()
-            && seen.acceleration_mps2.is_finite();
+    fn contains(&self, estimate: &Neighbour, truth: &Neighbour) -> bool {
+        let finite = estimate.gap_m.is_finite()
+            && estimate.speed_mps.is_finite()
+            && estimate.acceleration_mps2.is_finite();
         finite
-            && seen.speed_mps >= 0.0
-            && (seen.gap_m - truth.gap_m).abs() <= self.gap_m
-            && (seen.speed_mps - truth.speed_mps).abs() <= self.neighbour_speed_mps
+            && estimate.speed_mps >= 0.0
+            && (estimate.gap_m - truth.gap_m).abs() <= self.gap_m
+            && (estimate.speed_mps - truth.speed_mps).abs() <= self.neighbour_speed_mps
     }
 }

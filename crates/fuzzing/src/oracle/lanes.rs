@@ -177,13 +177,13 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
 /// True if a change of the last vehicle may influence the others: their drivers, lane changes or filters.
 fn may_depend_on_last_vehicle(question: &OracleContext<'_>) -> bool {
     let scenario = &question.test_case.scenario;
-    let others = scenario
+    let changes = scenario
         .vehicles()
         .iter()
         .rev()
         .skip(1)
         .flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
-    let changes_of_others: Vec<LaneChange> = others.flatten().collect();
+    let changes_of_others: Vec<LaneChange> = changes.flatten().collect();
     // A trigger by gap or TTC may refer to the last vehicle.
     let change_by_time_only = changes_of_others
         .iter()

@@ -71,7 +71,7 @@ impl LineRuns {
         points: &[OperatingPoint],
     ) -> Result<Vec<MeasuredGain>, GainError> {
         self.settle(points)?;
-        let mut found: Vec<MeasuredGain> = points
+        let mut measured: Vec<MeasuredGain> = points
             .iter()
             .map(|&at| MeasuredGain {
                 at,
@@ -80,7 +80,7 @@ impl LineRuns {
             .collect();
         for transient_s in TRANSIENT_S {
             let mut prepared = Vec::new();
-            for (index, point) in found
+            for (index, point) in measured
                 .iter_mut()
                 .enumerate()
                 .filter(|(_, point)| point.gain == Err(NoGain::NotSteady))
@@ -94,14 +94,14 @@ impl LineRuns {
             }
             let lines = prepared
                 .iter()
-                .map(|(index, windows, gaps_m)| windows.line(found[*index].at, gaps_m));
+                .map(|(index, windows, gaps_m)| windows.line(measured[*index].at, gaps_m));
             let lines = lines.collect::<Result<Vec<_>, _>>()?;
-            let gains = self.simulate(&lines, |place, trace| prepared[place].1.gain(trace))?;
+            let gains = self.simulate(&lines, |line, trace| prepared[line].1.gain(trace))?;
             for ((index, ..), gain) in prepared.iter().zip(gains) {
-                found[*index].gain = gain;
+                measured[*index].gain = gain;
             }
         }
-        Ok(found)
+        Ok(measured)
     }
 
     /// Lets the vehicles settle behind a leader at each speed that is not known yet.

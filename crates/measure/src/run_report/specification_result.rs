@@ -104,10 +104,10 @@ impl SharedRuns<'_> {
     fn find(&mut self, specification: &Specification) -> Result<&SharedRun, SpecificationError> {
         let recording_level = specification.recording_level();
         let after_contact = specification.after_contact();
-        let known = self.simulated.iter().position(|shared| {
+        let existing = self.simulated.iter().position(|shared| {
             shared.recording_level == recording_level && shared.after_contact == after_contact
         });
-        let index = match known {
+        let index = match existing {
             Some(index) => index,
             None => {
                 let run = self.simulate(recording_level, after_contact)?;

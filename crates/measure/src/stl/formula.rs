@@ -100,7 +100,7 @@ impl LinearPredicate {
             if !is_signal_name(&name) {
                 return Err(FormulaError::Name { name });
             }
-            match sum.iter_mut().find(|(_, known)| *known == name) {
+            match sum.iter_mut().find(|(_, signal)| *signal == name) {
                 Some((total, _)) => *total += weight,
                 None => sum.push((weight, name)),
             }

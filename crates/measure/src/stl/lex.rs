@@ -218,8 +218,8 @@ impl std::fmt::Display for Token {
             Self::Name(name) => write!(out, "`{name}`"),
             Self::End => write!(out, "the end"),
             Self::Symbol(symbol) => {
-                let known = KEYWORDS.iter().chain(&SIGNS).find(|(_, s)| s == symbol);
-                write!(out, "`{}`", known.map_or("", |(text, _)| text))
+                let spelling = KEYWORDS.iter().chain(&SIGNS).find(|(_, s)| s == symbol);
+                write!(out, "`{}`", spelling.map_or("", |(text, _)| text))
             }
         }
     }

@@ -234,12 +234,12 @@ impl Monitor<'_> {
         joined: impl Fn(f64, f64) -> f64,
     ) -> Result<Vec<f64>, MonitorError> {
         let mut values = self.values(left, from, to)?;
-        let others = self.values(right, from, to)?;
+        let right = self.values(right, from, to)?;
         values
             .iter_mut()
-            .zip(&others)
-            .for_each(|(value, &other)| *value = joined(*value, other));
-        buffer_pool::release(others);
+            .zip(&right)
+            .for_each(|(value, &right)| *value = joined(*value, right));
+        buffer_pool::release(right);
         Ok(values)
     }
 
@@ -353,8 +353,8 @@ fn unbounded_until(path: &[f64], goal: Vec<f64>) -> Vec<f64> {
         .copied()
         .chain([Minimum::IDENTITY])
         .collect::<Vec<_>>();
-    for (value, &held) in values.iter_mut().zip(&path).rev() {
-        next = Maximum::combine(*value, Minimum::combine(held, next));
+    for (value, &path) in values.iter_mut().zip(&path).rev() {
+        next = Maximum::combine(*value, Minimum::combine(path, next));
         *value = next;
     }
     values

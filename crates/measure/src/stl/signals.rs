@@ -106,7 +106,7 @@ impl<'a> SampledSignals<'a> {
     pub fn get(&self, name: &str) -> Option<&[f64]> {
         self.entries
             .iter()
-            .find(|(known, _)| known == name)
+            .find(|(signal, _)| signal == name)
             .map(|(_, samples)| samples.as_ref())
     }
 

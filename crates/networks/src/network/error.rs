@@ -74,8 +74,8 @@ pub enum NetworkError {
 }
 
 /// Makes text of a file safe for a message: one line, without control characters, at most 200 characters.
-pub(super) fn sanitized(said: &str) -> String {
-    said.chars()
+pub(super) fn sanitized(text: &str) -> String {
+    text.chars()
         .take(200)
         .flat_map(char::escape_debug)
         .collect()
@@ -90,9 +90,9 @@ impl NetworkError {
         }
     }
 
-    pub(super) fn damaged(form: &'static str, problem: impl Into<String>) -> Self {
+    pub(super) fn damaged(format: &'static str, problem: impl Into<String>) -> Self {
         Self::Damaged {
-            format: form,
+            format,
             problem: problem.into(),
         }
     }

@@ -74,13 +74,13 @@ impl BuiltIn for AutowareAeb {
 
 impl Controller for AutowareAeb {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let fires = seen.speed_mps >= MIN_SPEED_MPS
-            && seen.ahead.is_some_and(|ahead| {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let fires = observation.speed_mps >= MIN_SPEED_MPS
+            && observation.ahead.is_some_and(|ahead| {
                 ahead.gap_m
                     < self
                         .settings
-                        .rss_distance_m(seen.speed_mps, ahead.speed_mps)
+                        .rss_distance_m(observation.speed_mps, ahead.speed_mps)
             });
         self.steps_left = if fires {
             self.hold_steps.saturating_add(1)

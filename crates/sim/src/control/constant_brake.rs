@@ -45,8 +45,8 @@ impl BuiltIn for ConstantBrake {
 
 impl Controller for ConstantBrake {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_braking = seen
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let is_braking = observation
             .ahead
             .is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
         Ok(

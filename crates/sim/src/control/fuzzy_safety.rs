@@ -99,14 +99,16 @@ impl FuzzySafetySettings {
     }
 
     /// Returns the deceleration that the metrics demand, in m/s², positive; 0 if both are 0.
-    fn demanded_brake_mps2(&self, seen: &Observation) -> f64 {
-        let Some(ahead) = seen.ahead else { return 0.0 };
-        let critical = self.critical(seen.speed_mps, seen.acceleration_mps2, &ahead);
+    fn demanded_brake_mps2(&self, observation: &Observation) -> f64 {
+        let Some(ahead) = observation.ahead else {
+            return 0.0;
+        };
+        let critical = self.critical(observation.speed_mps, observation.acceleration_mps2, &ahead);
         let asked_mps2 = if critical > 0.0 {
             self.comfortable_brake_mps2
                 + critical * (self.hardest_brake_mps2 - self.comfortable_brake_mps2)
         } else {
-            self.proactive(seen.speed_mps, &ahead) * self.comfortable_brake_mps2
+            self.proactive(observation.speed_mps, &ahead) * self.comfortable_brake_mps2
         };
         asked_mps2.min(self.limit_mps2)
     }
@@ -142,8 +144,8 @@ impl BuiltIn for FuzzySafety {
 
 impl Controller for FuzzySafety {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let asked_mps2 = self.settings.demanded_brake_mps2(seen);
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let asked_mps2 = self.settings.demanded_brake_mps2(observation);
         let reacts = self.reaction_timer.tick(asked_mps2 > 0.0) >= Some(self.reaction_steps);
         // `0.0 -` avoids a command of -0.
         Ok(if reacts {
@@ -248,9 +250,9 @@ mod tests {
             let (mut own, mut front, mut command, mut hardest) = (v, v, 0.0, 0.0_f64);
             let mut driver = FuzzySafety::start(&settings, &EGO, 0);
             for _ in 0..3500 {
-                let mut seen = leader_observation(own, gap_m, front, -brake_mps2);
-                seen.acceleration_mps2 = command;
-                command = driver.decide(&seen).unwrap();
+                let mut observation = leader_observation(own, gap_m, front, -brake_mps2);
+                observation.acceleration_mps2 = command;
+                command = driver.decide(&observation).unwrap();
                 hardest = hardest.max(-command);
                 let (next_own, next_front) = (
                     (own + command * 0.01).max(0.0),

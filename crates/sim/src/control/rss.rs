@@ -65,10 +65,10 @@ impl BuiltIn for Rss {
 
 impl Controller for Rss {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let settings = &self.settings;
-        if seen.ahead.is_none_or(|ahead| {
-            ahead.gap_m >= settings.safe_distance_m(seen.speed_mps, ahead.speed_mps)
+        if observation.ahead.is_none_or(|ahead| {
+            ahead.gap_m >= settings.safe_distance_m(observation.speed_mps, ahead.speed_mps)
         }) {
             self.unsafe_for_steps = 0;
             return Ok(0.0);

@@ -31,7 +31,7 @@ pub enum ServingError {
 /// use crumple_sim::control::{ServingError, serve, stateless};
 ///
 /// fn main() -> Result<(), ServingError> {
-///     serve("my-controller", &*stateless(|seen| seen.ahead.map_or(0.0, |ahead| ahead.speed_mps - seen.speed_mps)))
+///     serve("my-controller", &*stateless(|observation| observation.ahead.map_or(0.0, |ahead| ahead.speed_mps - observation.speed_mps)))
 /// }
 /// ```
 ///
@@ -102,16 +102,16 @@ impl Session {
             self.controller = Some(source.start(&ego, seed)?);
             return Ok(Some(json!({"id": id, "ready": true})));
         }
-        let seen = serde_json::from_value::<Vec<f64>>(take(&mut query, "see"))
+        let observation = serde_json::from_value::<Vec<f64>>(take(&mut query, "see"))
             .ok()
             .and_then(|values| {
                 let names = &self.inputs;
                 Inputs { names, values }.observation()
             });
-        let Some((seen, controller)) = seen.zip(self.controller.as_mut()) else {
+        let Some((observation, controller)) = observation.zip(self.controller.as_mut()) else {
             return Ok(None);
         };
-        let command_mps2 = controller.decide(&seen)?;
+        let command_mps2 = controller.decide(&observation)?;
         Ok(Some(json!({"id": id, "acceleration_mps2": command_mps2})))
     }
 
@@ -185,9 +185,9 @@ mod tests {
         "is_ahead","is_behind"],"history":1}}"#;
 
     fn answers(queries: &[&str]) -> Result<Vec<String>, ServingError> {
-        let controller = stateless(|seen| {
-            let ahead = seen.ahead.map_or(-1.0, |ahead| ahead.speed_mps);
-            ahead + 100.0 * seen.behind.map_or(-1.0, |behind| behind.gap_m)
+        let controller = stateless(|observation| {
+            let ahead = observation.ahead.map_or(-1.0, |ahead| ahead.speed_mps);
+            ahead + 100.0 * observation.behind.map_or(-1.0, |behind| behind.gap_m)
         });
         let hello = HELLO.replace('\n', "");
         let lines: String = std::iter::once(&*hello)

@@ -20,12 +20,18 @@ pub(super) fn is_set(set_speed_mps: f64) -> bool {
 /// With a set speed u it is k (u - v), which brakes above u. Without one it never brakes: it is k (w + c - v), at least
 /// 0, behind a leader at w, with c = [`CATCH_UP_MPS`], and 0 without a leader: the vehicle holds its speed.
 #[inline]
-pub(super) fn max_accel_mps2(set_speed_mps: f64, gain_per_s: f64, seen: &Observation) -> f64 {
+pub(super) fn max_accel_mps2(
+    set_speed_mps: f64,
+    gain_per_s: f64,
+    observation: &Observation,
+) -> f64 {
     if is_set(set_speed_mps) {
-        return gain_per_s * (set_speed_mps - seen.speed_mps);
+        return gain_per_s * (set_speed_mps - observation.speed_mps);
     }
-    let Some(ahead) = seen.ahead else { return 0.0 };
-    let closes_gap_mps2 = gain_per_s * (ahead.speed_mps + CATCH_UP_MPS - seen.speed_mps);
+    let Some(ahead) = observation.ahead else {
+        return 0.0;
+    };
+    let closes_gap_mps2 = gain_per_s * (ahead.speed_mps + CATCH_UP_MPS - observation.speed_mps);
     if closes_gap_mps2 > 0.0 {
         closes_gap_mps2
     } else {

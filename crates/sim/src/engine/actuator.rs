@@ -82,8 +82,8 @@ impl Actuator {
             Some(sluggish) => {
                 sluggish.pending_mps2.push_back(command_mps2);
                 let due_mps2 = sluggish.pending_mps2.pop_front().unwrap_or(command_mps2);
-                let wanted = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
-                let change = sluggish.response_fraction * (wanted - sluggish.response_mps2);
+                let target_mps2 = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
+                let change = sluggish.response_fraction * (target_mps2 - sluggish.response_mps2);
                 sluggish.response_mps2 +=
                     change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
                 match &mut sluggish.multi_body {

@@ -66,11 +66,12 @@ impl PlatoonState {
             return dt_s;
         }
         let mut done_s = 0.0;
-        let mut stints = self.lane_intervals(from_s, dt_s);
-        while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s)
+        let mut intervals = self.lane_intervals(from_s, dt_s);
+        while let Some((in_s, [front, rear])) =
+            self.next_contact(intervals.as_deref(), dt_s - done_s)
         {
-            let until = self.lane_intervals(from_s + done_s, in_s);
-            self.advance_and_track_gaps(until, in_s);
+            let before_impact = self.lane_intervals(from_s + done_s, in_s);
+            self.advance_and_track_gaps(before_impact, in_s);
             done_s += in_s;
             let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
@@ -88,9 +89,9 @@ impl PlatoonState {
                 self.lane.cancel_changes(vehicle);
             }
             self.share_acceleration();
-            stints = self.lane_intervals(from_s + done_s, dt_s - done_s);
+            intervals = self.lane_intervals(from_s + done_s, dt_s - done_s);
         }
-        self.advance_and_track_gaps(stints, dt_s - done_s);
+        self.advance_and_track_gaps(intervals, dt_s - done_s);
         dt_s
     }
 

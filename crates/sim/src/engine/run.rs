@@ -228,12 +228,12 @@ impl Run {
             time_grid,
             tuning: OnceLock::new(),
         };
-        let found = run.vehicle_samples();
-        if found > MAX_VEHICLE_STEPS {
+        let samples = run.vehicle_samples();
+        if samples > MAX_VEHICLE_STEPS {
             return Err(RunError::TooFine {
                 dt_s,
                 limit: MAX_VEHICLE_STEPS,
-                found,
+                found: samples,
             });
         }
         for vehicle in 0..scenario.vehicles().len() {

@@ -181,8 +181,8 @@ impl Stepper {
                 FallbackReason::Finished => return,
                 FallbackReason::CommandsReady => {}
                 FallbackReason::CommandsPending => {
-                    if let Some(seen) = self.observe(index) {
-                        self.command(index, command(&seen));
+                    if let Some(observation) = self.observe(index) {
+                        self.command(index, command(&observation));
                     }
                     self.decide();
                 }
@@ -398,11 +398,11 @@ impl VehicleLoop {
     }
 
     fn observe(&mut self, platoon: &PlatoonState, index: usize) -> Observation {
-        if let Some(seen) = self.observation {
-            return seen;
+        if let Some(observation) = self.observation {
+            return observation;
         }
         let truth = true_state(platoon, index);
-        let seen = match &mut self.estimator {
+        let observation = match &mut self.estimator {
             Some(estimator) => {
                 let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
                 if neighbours != self.tracked_neighbours {
@@ -415,7 +415,7 @@ impl VehicleLoop {
             }
             None => truth.observation,
         };
-        *self.observation.insert(seen)
+        *self.observation.insert(observation)
     }
 
     fn decide(
@@ -428,18 +428,18 @@ impl VehicleLoop {
         if self.estimator.is_some() {
             self.observe(platoon, index);
         }
-        let seen = self.observation.take();
+        let observation = self.observation.take();
         let speed_mps = platoon.motion[index].speed_mps;
         if self.consulted.is_some() {
-            self.consult_driver(seen, &true_state(platoon, index).observation)?;
+            self.consult_driver(observation, &true_state(platoon, index).observation)?;
         }
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
             (None, VehicleController::Profile(profile)) => {
                 profile.acceleration_mps2(from_s, to_s, speed_mps)
             }
-            (None, VehicleController::Controller(controller)) => match seen {
-                Some(seen) => controller.decide(&seen)?,
+            (None, VehicleController::Controller(controller)) => match observation {
+                Some(observation) => controller.decide(&observation)?,
                 None => controller.decide(&true_state(platoon, index).observation)?,
             },
         };

@@ -175,12 +175,12 @@ impl EgoEstimator {
             .zip(changed)
             .filter(|(_, changed)| *changed)
         {
-            *filter = neighbour.map(|other| {
+            *filter = neighbour.map(|neighbour| {
                 steady_filter(
                     &mut self.initial_errors,
                     &self.tuning.gap,
-                    other.gap_m,
-                    sign * (other.speed_mps - own.speed_mps),
+                    neighbour.gap_m,
+                    sign * (neighbour.speed_mps - own.speed_mps),
                 )
             });
         }

@@ -101,15 +101,15 @@ impl GapFaults {
             .ghost
             .as_mut()
             .and_then(|ghost| ghost.advance(own.position_m, self.step_s));
-        let in_range = neighbour.filter(|other| other.gap_m <= self.range_m);
+        let in_range = neighbour.filter(|neighbour| neighbour.gap_m <= self.range_m);
         let detected = in_range.filter(|_| self.steps_in_range >= self.detection_steps);
         self.steps_in_range = in_range.map_or(0, |_| self.steps_in_range.saturating_add(1));
         let target = match (detected, ghost) {
-            (Some(other), Some(ghost)) if other.gap_m <= ghost.gap_m => {
-                Some((other, Target::Vehicle))
+            (Some(vehicle), Some(ghost)) if vehicle.gap_m <= ghost.gap_m => {
+                Some((vehicle, Target::Vehicle))
             }
             (_, Some(ghost)) => Some((ghost, Target::Ghost)),
-            (Some(other), None) => Some((other, Target::Vehicle)),
+            (Some(vehicle), None) => Some((vehicle, Target::Vehicle)),
             (None, None) => None,
         };
         let kind = target.map(|(_, kind)| kind);

@@ -16,7 +16,7 @@ impl FrameStack {
     pub fn push(
         &mut self,
         scaling: &ObservationScaling,
-        seen: &Observation,
+        observation: &Observation,
         last_answer_mps2: f64,
     ) -> &[f32] {
         let width = scaling.width();
@@ -29,7 +29,7 @@ impl FrameStack {
             frames.copy_within(width.., 0);
         }
         let before = frames.len() - width;
-        scaling.write_state(seen, last_answer_mps2, &mut frames[before..]);
+        scaling.write_state(observation, last_answer_mps2, &mut frames[before..]);
         if is_first {
             (0..before)
                 .step_by(width)
@@ -64,7 +64,7 @@ mod tests {
             extra,
             ..Default::default()
         };
-        let seen = Observation {
+        let observation = Observation {
             speed_mps: 20.0,
             acceleration_mps2: 0.0,
             ahead: None,
@@ -72,7 +72,7 @@ mod tests {
         };
         let mut past = FrameStack::default();
         let decisions = (1..=20_u8).map(|answer| {
-            let row = past.push(&scaling, &seen, f64::from(answer));
+            let row = past.push(&scaling, &observation, f64::from(answer));
             assert_eq!(row.len(), history * scaling.width());
             row.chunks_exact(scaling.width())
                 .map(|frame| frame[STATE_LEN])

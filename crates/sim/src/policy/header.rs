@@ -107,22 +107,22 @@ impl ObservationScaling {
     /// Writes the inputs of the current decision, [`width`](Self::width) numbers. NaN counts as 0, infinity as the
     /// limit. `last_answer_mps2` is the controller's last answer.
     #[inline]
-    pub fn write_state(&self, seen: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
+    pub fn write_state(&self, observation: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
         let empty = Neighbour {
             gap_m: self.empty_gap_m,
-            speed_mps: seen.speed_mps,
+            speed_mps: observation.speed_mps,
             acceleration_mps2: 0.0,
         };
-        let ahead = seen.ahead.unwrap_or(empty);
-        let behind = seen.behind.unwrap_or(empty);
+        let ahead = observation.ahead.unwrap_or(empty);
+        let behind = observation.behind.unwrap_or(empty);
         let numbers = [
             ahead.gap_m,
             behind.gap_m,
             ahead.speed_mps,
-            seen.speed_mps,
+            observation.speed_mps,
             behind.speed_mps,
             ahead.acceleration_mps2,
-            seen.acceleration_mps2,
+            observation.acceleration_mps2,
             behind.acceleration_mps2,
         ];
         let paper = numbers.into_iter().zip(self.offset).zip(self.scale);
@@ -131,7 +131,7 @@ impl ObservationScaling {
             *input = self.scale_input(number, offset, scale);
         }
         for (input, extra) in rest.iter_mut().zip(&self.extra) {
-            let number = extra.quantity.value(seen, last_answer_mps2, None);
+            let number = extra.quantity.value(observation, last_answer_mps2, None);
             *input = self.scale_input(number, extra.offset, extra.scale);
         }
     }

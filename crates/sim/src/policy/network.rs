@@ -212,8 +212,8 @@ impl PackedNetwork {
     }
 
     /// Appends an elementwise operation on `width` values.
-    pub fn push_elementwise(&mut self, each: Elementwise, width: usize) {
-        self.steps.push(PackedStep::Elementwise(each, width));
+    pub fn push_elementwise(&mut self, function: Elementwise, width: usize) {
+        self.steps.push(PackedStep::Elementwise(function, width));
     }
 
     /// Returns the output for `batch` rows of `input`; the bits of a row do not depend on other rows.
@@ -235,8 +235,8 @@ impl PackedNetwork {
                     back.resize(batch, 0.0);
                     multiply_vector(front, weights, *bias, back);
                 }
-                PackedStep::Elementwise(each, width) => {
-                    each.apply(front, *width);
+                PackedStep::Elementwise(function, width) => {
+                    function.apply(front, *width);
                     continue;
                 }
             }

@@ -122,9 +122,9 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>, ScenarioFileError> {
         .map(|metadata| metadata.len())
         .sum();
     if files.len() > MAX_FILES || bytes > MAX_FOLDER_BYTES {
-        let most = MAX_FOLDER_BYTES >> 20;
+        let max_mib = MAX_FOLDER_BYTES >> 20;
         let problem = format!(
-            "holds more than {MAX_FILES} scenario files, or more than {most} MiB: too much at once"
+            "holds more than {MAX_FILES} scenario files, or more than {max_mib} MiB: too much at once"
         );
         let too_much = io::Error::new(io::ErrorKind::InvalidData, problem);
         return Err(read_error(path, too_much));

@@ -57,7 +57,7 @@ pub fn built_in_scenario(name: &str) -> Option<Scenario> {
     };
     let about = built_in_scenario_names()
         .into_iter()
-        .find(|(known, _)| *known == name)?
+        .find(|(built_in, _)| *built_in == name)?
         .1;
     let spacing_m = GAP_M + Light.length_m();
     let mut vehicles = vec![VehicleSpec::new(
@@ -188,10 +188,14 @@ mod tests {
         let draws: Vec<_> = (0..4000)
             .map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid"))
             .collect();
-        let moments = |of: &dyn Fn(&Scenario) -> f64| {
+        let moments = |quantity: &dyn Fn(&Scenario) -> f64| {
             let n = draws.len() as f64;
-            let mean = draws.iter().map(of).sum::<f64>() / n;
-            let variance = draws.iter().map(|d| (of(d) - mean).powi(2)).sum::<f64>() / n;
+            let mean = draws.iter().map(quantity).sum::<f64>() / n;
+            let variance = draws
+                .iter()
+                .map(|d| (quantity(d) - mean).powi(2))
+                .sum::<f64>()
+                / n;
             (mean, variance.sqrt())
         };
         let (mean, deviation) = moments(&|d| d.vehicles()[0].position_m);

@@ -60,8 +60,8 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
     Err(NetworkError::Unsupported(problem.into()))
 }
 
-fn unsupported_with_hint<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
-    unsupported(format!("{what}; {PROCESS_HINT}"))
+fn unsupported_with_hint<T>(problem: impl std::fmt::Display) -> Result<T, NetworkError> {
+    unsupported(format!("{problem}; {PROCESS_HINT}"))
 }
 
 /// A model that was read.

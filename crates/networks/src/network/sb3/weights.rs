@@ -44,9 +44,9 @@ pub(super) fn is_legacy(bytes: &[u8]) -> bool {
             .any(|window| window == MAGIC)
 }
 
-pub(super) fn legacy_error(what: &str) -> NetworkError {
+pub(super) fn legacy_error(part: &str) -> NetworkError {
     NetworkError::Unsupported(format!(
-        "{what} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 \
+        "{part} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 \
          and PyTorch 1.6 or later, and save it again, as in `PPO.load(\"old\").save(\"new\")`"
     ))
 }

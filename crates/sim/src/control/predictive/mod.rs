@@ -133,10 +133,10 @@ impl BuiltIn for Predictive {
 
 impl Controller for Predictive {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let state = &mut *self.0;
         let answer_mps2 = clamp_command(
-            state.command_mps2(seen),
+            state.command_mps2(observation),
             state.max_brake_mps2,
             state.max_accel_mps2,
         );
@@ -164,18 +164,21 @@ struct Outlook {
 }
 
 impl State {
-    fn command_mps2(&mut self, seen: &Observation) -> f64 {
-        let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
-        let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
-        let Some(ahead) = seen.ahead else {
+    fn command_mps2(&mut self, observation: &Observation) -> f64 {
+        let own_brake_mps2 = self.friction.usable_brake_mps2(observation);
+        let follow_mps2 = self.idm.desired_acceleration_mps2(observation);
+        let Some(ahead) = observation.ahead else {
             return follow_mps2;
         };
         self.leader.observe(&ahead);
-        let outlook = self.predict(seen.speed_mps, ahead, own_brake_mps2);
-        let wanted_mps2 = match &seen.behind {
+        let outlook = self.predict(observation.speed_mps, ahead, own_brake_mps2);
+        let wanted_mps2 = match &observation.behind {
             Some(behind) => {
                 let behind_brake_mps2 = self.settings.behind_brake_mps2 * outlook.friction;
-                if self.follower.observe(behind, seen, behind_brake_mps2) {
+                if self
+                    .follower
+                    .observe(behind, observation, behind_brake_mps2)
+                {
                     self.wake_mps2 = 0.0;
                     follow_mps2.max(self.give_way(&outlook, behind))
                 } else {
@@ -189,7 +192,7 @@ impl State {
             ahead.gap_m - self.settings.margin_m,
             ahead.speed_mps,
             -ahead.acceleration_mps2,
-            seen.speed_mps,
+            observation.speed_mps,
         )
         .unwrap_or(f64::INFINITY);
         let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);

@@ -14,7 +14,7 @@ fn follows_by_idm_while_nothing_is_wrong() {
             acceleration_mps2: 0.0,
         })
     };
-    let seen = Observation {
+    let observation = Observation {
         speed_mps: 20.0,
         acceleration_mps2: 0.0,
         ahead: neighbour(40.0),
@@ -22,8 +22,8 @@ fn follows_by_idm_while_nothing_is_wrong() {
     };
     for _ in 0..300 {
         assert_eq!(
-            driver.decide(&seen).unwrap(),
-            idm.desired_acceleration_mps2(&seen)
+            driver.decide(&observation).unwrap(),
+            idm.desired_acceleration_mps2(&observation)
         );
     }
 }
@@ -44,13 +44,13 @@ fn recognises_the_driver_behind() {
                 speed_mps: behind_mps,
                 acceleration_mps2: behind_mps2,
             };
-            let seen = Observation {
+            let observation = Observation {
                 speed_mps: own_mps,
                 acceleration_mps2: -1.5,
                 ahead: None,
                 behind: Some(behind),
             };
-            follower.observe(&behind, &seen, 5.0);
+            follower.observe(&behind, &observation, 5.0);
             gap_m += (own_mps - behind_mps) * 0.01;
             behind_mps += behind_mps2 * 0.01;
         }

@@ -243,19 +243,19 @@ fn commands_under_way_are_counted_on() {
         response_fraction: 0.5,
         ..slow_step_params()
     };
-    let seen = leader_observation(10.0, 100.0, 10.0, 0.0);
+    let observation = leader_observation(10.0, 100.0, 10.0, 0.0);
     let mut shield = full_throttle_shield(frame);
-    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!(shield.decide(&observation).unwrap(), 3.0);
     assert_eq!(
         (shield.response_mps2, shield.pending_mps2.as_slices().0),
         (0.0, &[3.0][..])
     );
-    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!(shield.decide(&observation).unwrap(), 3.0);
     assert_eq!(
         (shield.response_mps2, shield.pending_mps2.as_slices().0),
         (1.5, &[3.0][..])
     );
-    let worst = shield.worst_state(&seen).unwrap();
+    let worst = shield.worst_state(&observation).unwrap();
     assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
     assert!(
         (worst.speed_mps - 10.225).abs() < 1e-12
@@ -298,11 +298,11 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
             acceleration_mps2: 0.0,
         });
         let mut shield = full_throttle_shield(frame);
-        let seen = Observation {
+        let observation = Observation {
             behind: rear,
             ..leader_observation(20.0, 1.0, 10.0, 0.0)
         };
-        assert_eq!(shield.decide(&seen).unwrap(), -8.0);
+        assert_eq!(shield.decide(&observation).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
     let frame = ShieldParams {
@@ -344,7 +344,7 @@ fn overrides_in_successive_steps_are_one() {
     let far = leader_observation(20.0, 500.0, 15.0, 0.0);
     let near = leader_observation(20.0, near_m, 15.0, 0.0);
     let outside = leader_observation(20.0, near_m - 1.0, 15.0, 0.0);
-    for seen in [
+    for observation in [
         near,
         outside,
         Observation {
@@ -358,7 +358,7 @@ fn overrides_in_successive_steps_are_one() {
             ..near
         },
     ] {
-        shield.decide(&seen).unwrap();
+        shield.decide(&observation).unwrap();
     }
     let first = Override {
         first_step: 0,

@@ -280,8 +280,9 @@ proptest! {
         };
         let change = LaneChange::At(time_s);
         let both = vec![with_exit(twin(), change), with_entry(twin(), change)];
-        let (one, two) = (run(&line(vec![twin()])), run(&line(both)));
-        prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
+        let single = run(&line(vec![twin()]));
+        let successive = run(&line(both));
+        prop_assert_eq!(&tracks(&successive)[3..], &tracks(&single)[2..]);
     }
 
     /// A vehicle that leaves behind controllers that observe only their leader has no effect on them.

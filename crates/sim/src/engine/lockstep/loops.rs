@@ -120,22 +120,22 @@ pub(super) fn screen(
     let [front_m, length_m, rear_m, front_mps, rear_mps] = first_runs(now, n);
     let next_front_mps = &next_front_mps[..n];
     let next_rear_mps = &next_rear_mps[..n];
-    let mut found = 0;
+    let mut bits = 0;
     for run in 0..n {
         let gap_m = front_m[run] - length_m[run] - rear_m[run];
         let closing_mps = [
             rear_mps[run] - front_mps[run],
             next_rear_mps[run] - next_front_mps[run],
         ];
-        let care = motion::needs_contact_check(
+        let is_close = motion::needs_contact_check(
             gap_m,
             [rear_mps[run], next_rear_mps[run]],
             closing_mps,
             dt_s,
         );
-        found |= u64::from(care) << run;
+        bits |= u64::from(is_close) << run;
     }
-    RunSet(found)
+    RunSet(bits)
 }
 
 #[inline(always)]

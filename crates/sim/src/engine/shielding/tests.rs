@@ -112,7 +112,10 @@ fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
     let result = far.simulate();
     prop_assert_eq!(&result.outcome, &Outcome::NoCollision);
     prop_assert!(
-        result.interventions.iter().all(|one| !one.outside_kernel),
+        result
+            .interventions
+            .iter()
+            .all(|intervention| !intervention.outside_kernel),
         "{:?}",
         result.interventions
     );
@@ -327,7 +330,7 @@ fn delays_add_up() {
     };
     let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)]
         .map(|(seeing, acting)| frame(seeing, acting));
-    assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
+    assert!(frames.iter().all(|frame| *frame == frames[0]), "{frames:?}");
     assert_eq!(
         (
             frames[0].delay_steps,
@@ -384,17 +387,17 @@ fn assumptions_match_the_scenario() {
         is_near(behind.brake_mps2, 3.2) && is_near(behind.reaction_s, 0.3),
         "{behind:?}"
     );
-    let found = [
+    let errors_in_params = [
         frame.errors.gap_m,
         frame.errors.speed_mps,
         frame.errors.ahead_speed_mps,
     ];
     assert!(
-        found
+        errors_in_params
             .iter()
             .zip(errors)
-            .all(|(&found, expected)| is_near(found, expected)),
-        "{found:?} {errors:?}"
+            .all(|(&errors_in_params, expected)| is_near(errors_in_params, expected)),
+        "{errors_in_params:?} {errors:?}"
     );
     assert!(
         is_near(frame.response_fraction, 1.0 - (-0.01_f64 / 0.2).exp()),
@@ -446,7 +449,8 @@ fn interventions_are_reported_in_seconds_of_the_run() {
     );
     assert!(
         done.iter()
-            .all(|one| one.from_s < one.to_s && !one.rear_conflict),
+            .all(|intervention| intervention.from_s < intervention.to_s
+                && !intervention.rear_conflict),
         "{done:?}"
     );
 }
@@ -524,12 +528,12 @@ fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
         for (((run, log), result), of_batch) in runs.iter().zip(&logs).zip(together).zip(of_batch) {
             let alone = simulate(run, RecordingLevel::Trace);
             assert_eq!(alone, result);
-            let taken = || std::mem::take(&mut *log.replaced_mps2.lock().unwrap());
-            let of_scalar = taken();
+            let take_log = || std::mem::take(&mut *log.replaced_mps2.lock().unwrap());
+            let of_scalar = take_log();
             let steps: f64 = alone
                 .interventions
                 .iter()
-                .map(|one| (one.to_s - one.from_s) / 0.01)
+                .map(|intervention| (intervention.to_s - intervention.from_s) / 0.01)
                 .sum();
             let expected = vec![-7.5; steps.round() as usize];
             assert!(expected.len() > 10);
@@ -548,7 +552,7 @@ fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
                         |_| std::ops::ControlFlow::Continue(()),
                     );
                 }
-                taken()
+                take_log()
             });
             assert!(!of_steps[0].is_empty() && of_steps[0] == of_steps[1]);
         }
