@@ -124,7 +124,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn rules_survive_their_texts_and_others_are_none() {
+    fn driving_rules_parse_as_they_are_printed_and_other_texts_are_refused() {
         for text in DrivingRule::EXAMPLES {
             assert_eq!(text.parse::<DrivingRule>().unwrap().to_string(), text);
         }
@@ -151,7 +151,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(40))]
         /// The sign agrees with the measures of an assessment.
         #[test]
-        fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
+        fn the_sign_of_the_robustness_agrees_with_the_measure(index in 0..200_u64, controller in 0..4_usize) {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
             let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
             let options = RunOptions::new(BuiltInController::from_name(name).unwrap());

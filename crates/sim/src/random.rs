@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_noise_add_up_one_at_a_time_and_many_at_once() {
+    fn noise_is_the_weighted_sum_of_its_shares() {
         let shares = [(3, 0.8), (4, 0.6)].map(|(seed, weight)| NoiseShare { seed, weight });
         let noise = |shares: &[NoiseShare]| {
             NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1)

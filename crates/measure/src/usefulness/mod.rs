@@ -228,7 +228,7 @@ mod tests {
 
     /// The reference driver never brakes unnecessarily by its own measure, even with sensors and in an emergency.
     #[test]
-    fn the_reference_driver_brakes_with_cause() {
+    fn the_reference_driver_never_brakes_unnecessarily() {
         for index in 0..20 {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
             let run = Run::new(

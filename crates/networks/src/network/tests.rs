@@ -164,7 +164,7 @@ fn a_convolution_over_the_whole_input_is_a_product() {
 }
 
 #[test]
-fn a_constant_is_spread_as_numpy_does_or_refused() {
+fn a_constant_is_broadcast_as_in_numpy_or_refused() {
     let add = |constant_shape: &[u8], count: usize| {
         let numbers: Vec<f32> = (1..=count).map(|number| number as f32).collect();
         let nodes = [node("Add", &["c", "x"], "y", &[])];
@@ -280,7 +280,7 @@ fn a_cast_between_real_numbers_changes_nothing() {
 }
 
 #[test]
-fn numbers_that_cannot_be_calculated_with_are_refused() {
+fn numbers_that_are_not_finite_overflow_or_divide_by_zero_are_refused() {
     let with = |numbers: [f32; 4]| {
         let nodes = [node("MatMul", &["x", "w"], "y", &[])];
         NetworkFile::from_onnx(&model(

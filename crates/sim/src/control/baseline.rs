@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_unlatched_variant_lets_go() {
+    fn the_unlatched_variant_releases_the_brake() {
         let mut baseline = BaselineUnlatched::start(&AebSettings::default(), &EGO, 0);
         assert_eq!(command_behind(&mut baseline, 20.0, 13.99, 10.0, 0.0), -7.5);
         assert_eq!(command_behind(&mut baseline, 5.0, 50.0, 10.0, 0.0), 0.0);

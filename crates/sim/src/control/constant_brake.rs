@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brakes_five_steps_after_it_sees_braking() {
+    fn brakes_five_steps_after_the_leader_brakes() {
         let mut controller = ConstantBrake::start(&ConstantBrakeSettings::default(), &EGO, 0);
         assert_eq!(
             command_behind(&mut controller, 25.0, 16.0, 25.0, -1.0),

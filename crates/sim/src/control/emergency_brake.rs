@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brakes_at_its_level_until_it_no_longer_closes_in() {
+    fn brakes_at_its_level_until_the_gap_stops_closing() {
         let settings = EmergencyBrakeSettings {
             ttc_s: 2.0,
             brake_mps2: 4.0,

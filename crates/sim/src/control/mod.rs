@@ -346,7 +346,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn words_and_files_stand_for_one_specification() {
+    fn a_controller_has_one_identity_in_arguments_and_files() {
         for mut spec in BuiltInController::all() {
             let plain = (spec.identity(), spec.to_arg());
             assert_eq!(plain.1, spec.name());
@@ -369,7 +369,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
+    fn unknown_settings_and_values_out_of_range_are_refused_by_name() {
         let problem = |words: &str| {
             BuiltInController::parse(words)
                 .unwrap()

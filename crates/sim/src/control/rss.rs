@@ -119,7 +119,7 @@ mod tests {
 
     /// From the safe distance it does not collide with a leader that brakes within the assumed limit.
     #[test]
-    fn keeps_off_from_its_safe_distance() {
+    fn avoids_a_collision_from_the_safe_distance() {
         let settings = RssSettings::default();
         for (v, ahead) in [(14.0_f64, 14.0_f64), (36.1, 20.0), (8.0, 12.0)] {
             let (mut gap_m, mut own, mut front) = (settings.safe_distance_m(v, ahead), v, ahead);

@@ -31,7 +31,10 @@ pub enum ServingError {
 /// use crumple_sim::control::{ServingError, serve, stateless};
 ///
 /// fn main() -> Result<(), ServingError> {
-///     serve("my-controller", &*stateless(|observation| observation.ahead.map_or(0.0, |ahead| ahead.speed_mps - observation.speed_mps)))
+///     let match_speed = stateless(|observation| {
+///         observation.ahead.map_or(0.0, |ahead| ahead.speed_mps - observation.speed_mps)
+///     });
+///     serve("my-controller", &*match_speed)
 /// }
 /// ```
 ///
@@ -224,6 +227,8 @@ mod tests {
         for wrong in [
             "",
             "{}",
+            "5",
+            r#"{"hello":5}"#,
             r#"{"id":1,"reset":{}}"#,
             r#"{"id":1,"time_s":0,"see":[1.0]}"#,
         ] {

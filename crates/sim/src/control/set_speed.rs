@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_is_that_of_the_set_speed_or_of_the_leader() {
+    fn acceleration_is_limited_by_the_set_speed_or_the_speed_of_the_leader() {
         let behind = |speed_mps, ahead_mps| leader_observation(speed_mps, 50.0, ahead_mps, 0.0);
         let alone = Observation {
             ahead: None,
@@ -119,7 +119,7 @@ mod tests {
 
     /// From a standing start, and behind a leader that becomes faster.
     #[test]
-    fn both_controllers_follow_a_leader_that_accelerates() {
+    fn acc_aeb_and_openpilot_follow_an_accelerating_leader() {
         let green = RecordedSpeeds {
             time_s: vec![0.0, 10.0, 30.0],
             speed_mps: vec![0.0, 15.0, 15.0],

@@ -16,7 +16,10 @@ pub struct StatelessController<F>(F);
 /// use crumple_sim::scenario::built_in_scenario;
 /// use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 ///
-/// let brake = stateless(|observation| if observation.ahead.is_some_and(|ahead| ahead.gap_m < 30.0) { -7.5 } else { 0.0 });
+/// let brake = stateless(|observation| match observation.ahead {
+///     Some(ahead) if ahead.gap_m < 30.0 => -7.5,
+///     _ => 0.0,
+/// });
 /// let run = Run::new(&built_in_scenario("paper-1").unwrap(), RunOptions::new(brake)).unwrap();
 /// assert!(simulate(&run, RecordingLevel::Summary).outcome.failed_controller().is_none());
 /// ```

@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn decides_once_an_interval_and_fails_at_an_answer_that_is_no_number() {
+    fn decides_once_an_interval_and_fails_at_a_nan_answer() {
         let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
         let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_that_share_questions_end_as_they_would_alone() {
+    fn runs_that_share_a_batch_have_the_results_of_single_runs() {
         let draws: Vec<_> = (0..60)
             .map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap())
             .collect();

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_add_up() {
+    fn reaction_and_actuator_delays_add_up() {
         let mut actuator = actuator(|v| (v.reaction_delay_s, v.actuator_delay_s) = (0.02, 0.01));
         let responses =
             [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command, 10.0));

@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_near_miss_inside_a_step_is_seen() {
+    fn the_smallest_gap_inside_a_step_is_found() {
         // The gap 1 - 2t + 2t² has its minimum 0.5 at t = 0.5.
         let (front, rear) = (motion(3.0, 10.0, 0.0), motion(0.0, 12.0, -4.0));
         assert!((closest_gap_m(front, rear, 2.0, 1.0) - 0.5).abs() < 1e-12);
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn two_that_stop_in_one_step_were_closest_when_they_were_equally_fast() {
+    fn vehicles_that_stop_in_one_step_are_closest_at_equal_speed() {
         // Rear: 3 m/s braking at 8; front: 2 m/s braking at 4. Equal speeds after 0.25 s: 1 + 0.5 * (2 - 3) * 0.25.
         let (front, rear) = (motion(3.0, 2.0, -4.0), motion(0.0, 3.0, -8.0));
         let closest_m = closest_gap_m(front, rear, 2.0, 1.0);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn calm_steps_are_waved_through() {
+    fn steps_without_a_possible_collision_need_no_contact_check() {
         let (far_m, dt_s) = (50.0, 0.01);
         assert!(
             !needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s),
@@ -331,7 +331,7 @@ mod tests {
         }
 
         #[test]
-        fn screening_never_hides_a_contact((front, rear, dt) in any_pair()) {
+        fn screening_never_misses_a_collision((front, rear, dt) in any_pair()) {
             let gap = front.position_m - 2.0 - rear.position_m;
             let (f, r) = (front.after(dt), rear.after(dt));
             let closing = [rear.speed_mps - front.speed_mps, r.speed_mps - f.speed_mps];

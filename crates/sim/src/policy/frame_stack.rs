@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_is_forgotten_and_before_the_first_all_was_as_it_was_then() {
+    fn the_history_drops_the_oldest_frame_and_begins_with_copies_of_the_first() {
         assert_eq!(
             remembered(3, 1)[..4],
             [
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn every_third_decision_up_to_the_present_one() {
+    fn the_history_contains_every_third_decision_up_to_the_current_one() {
         for (decision, row) in (1..=20_u8).zip(remembered(3, 3)) {
             assert_eq!(
                 row,

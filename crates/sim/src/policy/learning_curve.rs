@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn curves_hold_their_last_value_and_then_their_best() {
+    fn a_finished_training_counts_with_its_best_reward() {
         let curve = BTreeMap::from([(5, 22_500.0), (10, 100.0)]);
         let at = [4, 5, 9, 10, 11].map(|episode| reward_at(&curve, episode));
         assert_eq!(

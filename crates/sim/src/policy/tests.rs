@@ -73,13 +73,18 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(64))]
 
     #[test]
-    fn one_state_and_many_get_the_same_bits(
-        observations in proptest::collection::vec(any_observation(), 1..40), history in [1..5_usize, 1..5_usize], seed: u64,
+    fn a_batch_of_states_has_the_answers_of_single_states(
+        observations in proptest::collection::vec(any_observation(), 1..40),
+        history in [1..5_usize, 1..5_usize],
+        seed: u64,
     ) {
         let policy = policy_with_history(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
         let mut past = FrameStack::default();
-        let rows: Vec<_> = observations.iter().map(|observation| policy.observe(observation, 0.0, &mut past).to_vec()).collect();
+        let rows: Vec<_> = observations
+            .iter()
+            .map(|observation| policy.observe(observation, 0.0, &mut past).to_vec())
+            .collect();
         let mut together = vec![0.0; observations.len()];
         policy.choose_batch(&rows.concat(), &mut space, &mut together);
         for ((observation, row), together) in observations.iter().zip(&rows).zip(together) {
@@ -143,7 +148,7 @@ fn the_network_equals_its_definition() {
 }
 
 #[test]
-fn files_read_back_and_have_one_form() {
+fn policy_files_read_back_and_equal_policies_have_equal_bytes() {
     let policy = policy(&[6, 4], 0.1, 2);
     let bytes = policy.to_bytes().unwrap();
     let again = Policy::from_bytes(&bytes).unwrap();
@@ -235,7 +240,7 @@ fn refusals_name_the_reason() {
 }
 
 #[test]
-fn no_number_at_all_means_full_braking() {
+fn a_nan_answer_means_full_braking() {
     let meant = |raw| {
         let mut held = HeldAction::default();
         held.set(ActionBounds::squash(raw));
@@ -248,7 +253,9 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn accepted_policies_output_a_number(observation in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize) {
+    fn accepted_policies_output_a_number(
+        observation in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize,
+    ) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
         let layer = network.layers().nth(layer).unwrap();
         let factor = 10.0_f32.powi(exp);

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_have_the_papers_moments() {
+    fn samples_have_the_mean_and_variance_of_the_paper() {
         let draws: Vec<_> = (0..4000)
             .map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid"))
             .collect();

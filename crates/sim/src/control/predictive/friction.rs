@@ -128,7 +128,7 @@ mod tests {
 
     /// 3.75 m/s² are available. The average deceleration of a period is 3.125 m/s².
     #[test]
-    fn commands_that_jump_do_not_let_the_estimate_collapse() {
+    fn the_friction_estimate_survives_jumping_commands() {
         for half_period in [5, 20, 50] {
             let jumping: Vec<f64> = (0..1000)
                 .map(|step| {

@@ -4,7 +4,7 @@ use super::super::tests::EGO;
 use super::*;
 
 #[test]
-fn follows_by_idm_while_nothing_is_wrong() {
+fn follows_by_idm_without_a_braking_vehicle() {
     let mut driver = Predictive::start(&PredictiveSettings::default(), &EGO, 0);
     let idm = Idm::from(&IdmSettings::default());
     let neighbour = |gap_m| {
@@ -114,7 +114,7 @@ proptest! {
 
     /// The waking time satisfies its equation. With a limit of the closing speed, waking takes at least as long.
     #[test]
-    fn the_waking_time_ends_at_the_firing(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
+    fn the_waking_time_ends_when_the_emergency_brake_of_the_follower_fires(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
         let free_s = waking_time_s(gap_m, 0.0, brake_mps2, f64::INFINITY);
         let left_m = gap_m - 0.5 * brake_mps2 * free_s * free_s;
         prop_assert!((left_m - FIRING_TTC_S * brake_mps2 * free_s).abs() < 1e-9);

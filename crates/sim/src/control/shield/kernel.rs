@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {
+    fn a_harder_braking_car_needs_a_gap_where_the_rss_distance_needs_none() {
         let kernel = ViabilityKernel {
             own_brake_mps2: 8.0,
             ahead_brake_mps2: 5.0,

@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn near_the_origin_the_margin_is_a_micrometre() {
+    fn the_margin_near_the_origin_is_one_micrometre() {
         let near = MotionBounds {
             position_m: 400.0,
             speed_mps: 70.0,

@@ -52,7 +52,7 @@ fn a_contact_within_a_step_is_prevented() {
 }
 
 #[test]
-fn the_step_has_to_end_in_the_kernel_by_the_margin() {
+fn a_command_is_admitted_if_the_step_ends_inside_the_kernel_by_the_margin() {
     let frame = slow_step_params();
     // 20 m/s are held for a second behind a leader that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
     let needed_m = 2.5 + 25.0 / 6.0;
@@ -113,7 +113,7 @@ proptest! {
     /// After an admitted command, for any leader and any noise, the gap is open at every instant of the step, and a
     /// collision can still be avoided at its end. A rejected command violates one of the two.
     #[test]
-    fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in any_state_and_action(),
+    fn a_command_is_admitted_exactly_if_full_braking_afterwards_avoids_a_collision((frame, now, wanted_mps2) in any_state_and_action(),
                                                                ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
         let worst = |t: f64| gap_m(&frame, now, wanted_mps2, frame.noise_mps2, -frame.ahead_brake_mps2, t);
         let grid = || (0..=400).map(|k| frame.step_s * f64::from(k) / 400.0);
@@ -175,7 +175,7 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
 
 /// 20 m/s against 15, step 0.1 s: computed by hand with exact quotients.
 #[test]
-fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
+fn the_smallest_admitted_gap_assumes_the_worst_state() {
     let plain = ShieldParams {
         step_s: 0.1,
         ..slow_step_params()
@@ -236,7 +236,7 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
 
 /// The prediction includes delay, lag and pending commands.
 #[test]
-fn commands_under_way_are_counted_on() {
+fn the_prediction_includes_pending_commands() {
     let frame = ShieldParams {
         step_s: 0.1,
         delay_steps: 1,
@@ -264,7 +264,7 @@ fn commands_under_way_are_counted_on() {
 }
 
 #[test]
-fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
+fn a_state_is_outside_the_kernel_below_half_the_margin() {
     for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
         let frame = ShieldParams {
             step_s: 0.1,

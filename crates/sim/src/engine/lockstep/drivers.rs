@@ -47,16 +47,17 @@ macro_rules! define {
                     };
                 }
                 use VehicleController::{Controller as C, Profile as P};
-                let drivers = unless_all!(drivers, P(profile) => profile, all => Self::Profile(ScriptedLeaders::new(all)));
+                let drivers = unless_all!(drivers, P(driver) => driver, all => Self::Profile(ScriptedLeaders::new(all)));
                 let drivers =
-                    unless_all!(drivers, C(AnyController::Idm(controller)) => controller, all => Self::Followers(all.into()));
-                $(let drivers = unless_all!(drivers, C(AnyController::$rule(controller)) => controller, all => Self::$rule(all));)*
-                let drivers = unless_all!(drivers, C(AnyController::Policy(controller)) => controller, all => Self::Policy(all));
-                let drivers = unless_all!(drivers, C(AnyController::Other(controller)) => controller, all => Self::Other(all));
+                    unless_all!(drivers, C(AnyController::Idm(driver)) => driver, all => Self::Followers(all.into()));
+                $(let drivers = unless_all!(drivers, C(AnyController::$rule(driver)) => driver, all => Self::$rule(all));)*
+                let drivers = unless_all!(drivers, C(AnyController::Policy(driver)) => driver, all => Self::Policy(all));
+                let drivers = unless_all!(drivers, C(AnyController::Other(driver)) => driver, all => Self::Other(all));
                 Self::Mixed(drivers)
             }
 
-            /// Writes each run's command to `commands`, failures to `failed`. Calls `observe` for each run once, in order.
+            /// Writes each run's command to `commands`, failures to `failed`. Calls `observe` once for each run, in
+            /// order.
             #[inline]
             pub(super) fn command(
                 &mut self,

@@ -146,7 +146,7 @@ mod tests {
 
     /// The register width does not change any bit of the results.
     #[test]
-    fn every_path_gives_the_same_results() {
+    fn every_register_width_gives_the_same_results() {
         let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());
         let lines = draws.map(|draw| {
             draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest)

@@ -156,7 +156,7 @@ fn rounding_far_from_the_origin_costs_no_contact() {
 
 /// The leader may accelerate for hours, far from the origin.
 #[test]
-fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
+fn a_shield_is_refused_if_rounding_exceeds_the_largest_margin() {
     let far = FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]);
     let refusal = |duration_s: f64| {
         let long = far.scenario().edited(|spec| {
@@ -230,7 +230,7 @@ fn motion_bounds_contain_the_motion() {
 }
 
 #[test]
-fn travel_counts_noise_and_both_ends_of_the_road() {
+fn motion_bounds_include_noise_and_both_ends_of_the_road() {
     let far = FarAway {
         onset_s: 2.0,
         ..FarAway::from_report(1.0, -1e4, [VehicleClass::Light; 2])
@@ -312,7 +312,7 @@ proptest! {
 }
 
 #[test]
-fn delays_add_up() {
+fn a_shield_adds_reaction_and_actuator_delay() {
     let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
         let late = built_in_scenario("paper-1").unwrap().edited(|spec| {
             for vehicle in &mut spec.vehicles[1..] {

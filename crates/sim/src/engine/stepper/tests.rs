@@ -35,7 +35,7 @@ fn commands_from_outside_equal_the_same_controller_inside() {
 }
 
 #[test]
-fn summaries_change_nothing_else() {
+fn a_stepper_without_summaries_has_the_same_results() {
     let spec = BuiltInController::BaselineUnlatched(AebSettings::default());
     for index in 0..20 {
         let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();

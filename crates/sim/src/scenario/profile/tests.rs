@@ -65,7 +65,7 @@ fn an_onset_inside_a_step_brakes_for_the_rest_of_the_step() {
 }
 
 #[test]
-fn half_a_g_within_a_second_and_a_half_held_to_a_quarter_second_before_standstill() {
+fn ramp_braking_builds_up_linearly_and_is_released_before_standstill() {
     let profile = LeadProfile::RampBrake(RampBrake {
         onset_s: 1.0,
         rate_mps2: 4.905,
@@ -106,7 +106,7 @@ fn braking_to_two_kilometres_an_hour_ends_there() {
 }
 
 #[test]
-fn pieces_average_over_the_steps_they_change_in() {
+fn a_piecewise_acceleration_is_averaged_over_a_step_with_changes() {
     let pieces = PiecewiseAcceleration {
         from_s: vec![0.0, 0.104, 0.107],
         accel_mps2: vec![1.0, -2.0, 4.0],
