@@ -341,7 +341,8 @@ fn answers_lie_in_their_ranges() {
         0.0..1.0_f32,
     );
     proptest!(crumple_cases::with_cases(256), |((pick, weights, biases, low, width, share) in question)| {
-        let steps = vec![NetworkStep::Linear(Linear { weights, biases }), NetworkStep::Elementwise(functions[pick].clone())];
+        let function = NetworkStep::Elementwise(functions[pick].clone());
+        let steps = vec![NetworkStep::Linear(Linear { weights, biases }), function];
         let network = FeedForward::new(2, steps).unwrap();
         let limits: Vec<[f64; 2]> =
             low.iter().zip(&width).map(|(&low, width)| [f64::from(low), f64::from(low + width.abs())]).collect();

@@ -114,10 +114,12 @@ proptest! {
 
     /// The waking time satisfies its equation. With a limit of the closing speed, waking takes at least as long.
     #[test]
-    fn the_waking_time_ends_when_the_emergency_brake_of_the_follower_fires(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
+    fn the_waking_time_ends_when_the_emergency_brake_of_the_follower_fires(
+        gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, max_closing_mps in 5.0..25.0f64,
+    ) {
         let free_s = waking_time_s(gap_m, 0.0, brake_mps2, f64::INFINITY);
         let left_m = gap_m - 0.5 * brake_mps2 * free_s * free_s;
         prop_assert!((left_m - FIRING_TTC_S * brake_mps2 * free_s).abs() < 1e-9);
-        prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, most_mps) >= free_s - 1e-9);
+        prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, max_closing_mps) >= free_s - 1e-9);
     }
 }

@@ -113,8 +113,9 @@ proptest! {
     /// After an admitted command, for any leader and any noise, the gap is open at every instant of the step, and a
     /// collision can still be avoided at its end. A rejected command violates one of the two.
     #[test]
-    fn a_command_is_admitted_exactly_if_full_braking_afterwards_avoids_a_collision((frame, now, wanted_mps2) in any_state_and_action(),
-                                                               ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
+    fn a_command_is_admitted_exactly_if_full_braking_afterwards_avoids_a_collision(
+        (frame, now, wanted_mps2) in any_state_and_action(), ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64,
+    ) {
         let worst = |t: f64| gap_m(&frame, now, wanted_mps2, frame.noise_mps2, -frame.ahead_brake_mps2, t);
         let grid = || (0..=400).map(|k| frame.step_s * f64::from(k) / 400.0);
         let coarse_m = 20.0 * (frame.step_s / 400.0).powi(2) + 1e-9;

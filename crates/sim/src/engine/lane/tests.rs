@@ -252,7 +252,9 @@ proptest! {
 
     /// A vehicle that enters or leaves far away has no effect on others.
     #[test]
-    fn a_lane_change_far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
+    fn a_lane_change_far_away_changes_nothing(
+        time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64,
+    ) {
         let line = |far: Option<VehicleSpec>| {
             let ahead = scripted_vehicle(40.0, 20.0, brake_profile(2.0, brake_mps2));
             let near = [ahead, controlled_vehicle(10.0, 20.0, "idm"), controlled_vehicle(-20.0, 20.0, "acc-aeb")];

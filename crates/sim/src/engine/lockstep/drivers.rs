@@ -46,13 +46,14 @@ macro_rules! define {
                         }
                     };
                 }
+                use AnyController as Any;
                 use VehicleController::{Controller as C, Profile as P};
-                let drivers = unless_all!(drivers, P(driver) => driver, all => Self::Profile(ScriptedLeaders::new(all)));
                 let drivers =
-                    unless_all!(drivers, C(AnyController::Idm(driver)) => driver, all => Self::Followers(all.into()));
-                $(let drivers = unless_all!(drivers, C(AnyController::$rule(driver)) => driver, all => Self::$rule(all));)*
-                let drivers = unless_all!(drivers, C(AnyController::Policy(driver)) => driver, all => Self::Policy(all));
-                let drivers = unless_all!(drivers, C(AnyController::Other(driver)) => driver, all => Self::Other(all));
+                    unless_all!(drivers, P(driver) => driver, all => Self::Profile(ScriptedLeaders::new(all)));
+                let drivers = unless_all!(drivers, C(Any::Idm(driver)) => driver, all => Self::Followers(all.into()));
+                $(let drivers = unless_all!(drivers, C(Any::$rule(driver)) => driver, all => Self::$rule(all));)*
+                let drivers = unless_all!(drivers, C(Any::Policy(driver)) => driver, all => Self::Policy(all));
+                let drivers = unless_all!(drivers, C(Any::Other(driver)) => driver, all => Self::Other(all));
                 Self::Mixed(drivers)
             }
 

@@ -70,7 +70,7 @@ impl<const N: usize> ShortLine<N> {
     }
 
     /// Returns the command of a vehicle for this step, in m/s². `external`, if given, maps its observation to it.
-    #[inline]
+    #[inline(always)]
     fn command_mps2(
         &self,
         index: usize,
@@ -188,7 +188,8 @@ impl Stepper {
     /// Returns the accelerations of all vehicles in this step, in m/s²; `None` unless there are `N` vehicles.
     ///
     /// `command` commands vehicle `commanded`. A controller that fails leaves its failure in `self.failed`.
-    #[inline]
+    // Inlined, so that the motions of the line stay in registers.
+    #[inline(always)]
     fn decide_short_line<const N: usize>(
         &mut self,
         line: &ShortLine<N>,

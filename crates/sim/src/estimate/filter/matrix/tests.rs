@@ -26,7 +26,9 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(1000))]
 
     #[test]
-    fn matrix_sums_and_products_agree_with_the_reference(left in any_matrix(), right in any_matrix(), factor in -1e3..1e3) {
+    fn matrix_sums_and_products_agree_with_the_reference(
+        left in any_matrix(), right in any_matrix(), factor in -1e3..1e3,
+    ) {
         let (a, b) = (oracle(&left), oracle(&right));
         prop_assert_eq!(bits(&(left + right)), bits_of_oracle(&(a + b)));
         prop_assert_eq!(bits(&(left * right)), bits_of_oracle(&(a * b)));
