@@ -276,17 +276,14 @@ mod tests {
             (true, Some(0.0))
         );
 
-        let told_by_the_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
+        let by_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
         assert_eq!(
-            told_by_the_gap_alone.states().count(),
+            by_gap_alone.states().count(),
             4,
             "ends at the first sample without a gap"
         );
         assert_eq!(
-            (
-                told_by_the_gap_alone.has_contact(),
-                told_by_the_gap_alone.min_gap_m()
-            ),
+            (by_gap_alone.has_contact(), by_gap_alone.min_gap_m()),
             (true, Some(0.0))
         );
     }

@@ -348,11 +348,12 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
             let before = trace
                 .time_s
                 .partition_point(|&time_s| time_s < contact.time_s);
-            let held = trace
+            let accelerations = trace
                 .vehicles
                 .get(ego)
                 .map(|track| &track.acceleration_mps2);
-            held.into_iter()
+            accelerations
+                .into_iter()
                 .flatten()
                 .take(before)
                 .fold(0.0, |hardest: f64, accel| hardest.max(-accel))

@@ -15,8 +15,8 @@ pub(super) fn driven_track(
     let mut position_m = vec![x];
     let mut speed_mps = vec![v];
     let mut acceleration_mps2 = Vec::new();
-    for &(held_s, a) in pieces {
-        for _ in 0..(held_s / step_s).round() as usize {
+    for &(duration_s, a) in pieces {
+        for _ in 0..(duration_s / step_s).round() as usize {
             let moving_s = if a < 0.0 { step_s.min(v / -a) } else { step_s };
             acceleration_mps2.push(if moving_s > 0.0 { a } else { 0.0 });
             x += v * moving_s + 0.5 * a * moving_s * moving_s;

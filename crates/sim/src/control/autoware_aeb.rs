@@ -114,10 +114,10 @@ mod tests {
                 command_behind(&mut driver, 15.0, by_hand_m - 0.01, ahead_mps, 0.0),
                 -3.0
             );
-            let held = (0..300)
+            let braking_steps = (0..300)
                 .filter(|_| command_behind(&mut driver, 15.0, 500.0, 15.0, 0.0) < 0.0)
                 .count();
-            assert_eq!(held, 200, "kept for 2 s");
+            assert_eq!(braking_steps, 200, "kept for 2 s");
         }
         assert_eq!(
             command_behind(&mut start(), 0.05, 0.1, 0.0, 0.0),

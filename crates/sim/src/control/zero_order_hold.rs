@@ -132,8 +132,8 @@ mod tests {
 
     #[test]
     fn decides_once_an_interval_and_fails_at_a_nan_answer() {
-        let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
-        let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
+        let mut hold = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
+        let answers = [0; 7].map(|_| hold.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
         assert_eq!(
             answers,

@@ -61,12 +61,12 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 }
 
 fn first_acceleration_mps2(policy: &Policy, observation: &Observation) -> f64 {
-    let mut held = HeldAction::default();
-    held.set(policy.choose(
+    let mut action = HeldAction::default();
+    action.set(policy.choose(
         policy.observe(observation, 0.0, &mut FrameStack::default()),
         &mut Workspace::default(),
     ));
-    held.acceleration_mps2(&policy.header().action)
+    action.acceleration_mps2(&policy.header().action)
 }
 
 proptest! {
@@ -242,9 +242,9 @@ fn refusals_name_the_reason() {
 #[test]
 fn a_nan_answer_means_full_braking() {
     let meant = |raw| {
-        let mut held = HeldAction::default();
-        held.set(ActionBounds::squash(raw));
-        held.acceleration_mps2(&ActionBounds::default())
+        let mut action = HeldAction::default();
+        action.set(ActionBounds::squash(raw));
+        action.acceleration_mps2(&ActionBounds::default())
     };
     assert_eq!([f32::NAN, f32::INFINITY].map(meant), [-7.5, 3.0]);
 }

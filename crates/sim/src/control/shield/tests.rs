@@ -97,8 +97,8 @@ fn gap_m(
     t: f64,
 ) -> f64 {
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
-    let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
-    let own_mps2 = if held {
+    let stands = state.speed_mps == 0.0 && response_mps2 <= 0.0;
+    let own_mps2 = if stands {
         0.0
     } else {
         response_mps2 + noise_mps2

@@ -36,7 +36,7 @@ fn the_constant_acceleration_equals_that_of_each_step() {
     for profile in profiles {
         let mut steps_held = 0;
         for from in 0..300 {
-            let [held_mps2, until_s] = profile
+            let [constant_mps2, until_s] = profile
                 .constant_acceleration_span(f64::from(from) * 0.01)
                 .unwrap();
             // All later steps that end in time, not only the next.
@@ -44,7 +44,7 @@ fn the_constant_acceleration_equals_that_of_each_step() {
                 let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
                 if to_s <= until_s {
                     let found_mps2 = profile.acceleration_mps2(from_s, to_s, 20.0);
-                    assert_eq!(held_mps2.to_bits(), found_mps2.to_bits(), "{profile:?}");
+                    assert_eq!(constant_mps2.to_bits(), found_mps2.to_bits(), "{profile:?}");
                     steps_held += 1;
                 }
             }
