@@ -30,24 +30,65 @@ pub const FEATURE_COUNT: usize = VEHICLE_BINS
 
 #[must_use]
 pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) -> Vec<usize> {
-    let mut found = Vec::new();
-    let mut start = 0;
-    let mut group = |size: usize, value: Option<usize>| {
-        found.extend(value.map(|value| start + value.min(size - 1)));
-        start += size;
-    };
-    let below = |steps: &[f64], value: f64| steps.iter().filter(|&&step| value <= step).count();
+    let mut features = FeatureSet::default();
     for vehicle in 0..VEHICLE_BINS {
+        features.push_vehicle(test_case, result, vehicle);
+    }
+    for role in [
+        ContactRole::Hits,
+        ContactRole::HitFromBehind,
+        ContactRole::Bystander,
+    ] {
+        let contact = result
+            .outcome
+            .contact()
+            .filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
+        features.push(VEHICLE_BINS, contact.map(|contact| contact.rear_vehicle));
+        features.push(
+            IMPACT_BINS,
+            contact.map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize),
+        );
+    }
+    features.push(
+        KIND_BINS,
+        collision_kind(test_case, result).map(|kind| kind_bin(&kind)),
+    );
+    let approach_start = features.next;
+    let approaches = approach_kinds(test_case, result);
+    features
+        .found
+        .extend(approaches.map(|kind| approach_start + kind_bin(&kind)));
+    features.found
+}
+
+/// Features of a run, as indices.
+#[derive(Default)]
+struct FeatureSet {
+    found: Vec<usize>,
+    /// First index of the next group.
+    next: usize,
+}
+
+impl FeatureSet {
+    /// Appends a group of `size` features, of which a run has at most one. The last one stands for larger values, too.
+    fn push(&mut self, size: usize, value: Option<usize>) {
+        self.found
+            .extend(value.map(|value| self.next + value.min(size - 1)));
+        self.next += size;
+    }
+
+    /// Appends smallest gap, smallest TTC and emergency braking of a vehicle.
+    fn push_vehicle(&mut self, test_case: &TestCase, result: &SimulationResult, vehicle: usize) {
         let summary = result.vehicles.get(vehicle);
         let min_gap_m = summary.and_then(|summary| summary.min_gap_m);
-        group(
+        self.push(
             GAP_BINS_M.len() + 1,
-            min_gap_m.map(|gap_m| below(&GAP_BINS_M, gap_m)),
+            min_gap_m.map(|gap_m| count_reached(&GAP_BINS_M, gap_m)),
         );
         let min_ttc_s = summary.and_then(|summary| summary.min_ttc_s);
-        group(
+        self.push(
             TTC_BINS_S.len() + 1,
-            min_ttc_s.map(|ttc_s| below(&TTC_BINS_S, ttc_s)),
+            min_ttc_s.map(|ttc_s| count_reached(&TTC_BINS_S, ttc_s)),
         );
         let track = result
             .trace
@@ -59,36 +100,21 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
             .vehicles()
             .get(vehicle)
             .is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
-        group(
+        self.push(
             BRAKE_ONSET_BINS,
             track
                 .filter(|_| !is_scripted)
                 .map(|track| full_braking_onsets(track, limit_mps2)),
         );
     }
-    let first = result.outcome.contact();
-    let of_role =
-        |role| first.filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
-    for role in [
-        ContactRole::Hits,
-        ContactRole::HitFromBehind,
-        ContactRole::Bystander,
-    ] {
-        group(
-            VEHICLE_BINS,
-            of_role(role).map(|contact| contact.rear_vehicle),
-        );
-        group(
-            IMPACT_BINS,
-            of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize),
-        );
-    }
-    group(
-        KIND_BINS,
-        collision_kind(test_case, result).map(|kind| kind_bin(&kind)),
-    );
-    found.extend(approach_kinds(test_case, result).map(|kind| start + kind_bin(&kind)));
-    found
+}
+
+/// Returns the number of thresholds that a value is at or below.
+fn count_reached(thresholds: &[f64], value: f64) -> usize {
+    thresholds
+        .iter()
+        .filter(|&&threshold| value <= threshold)
+        .count()
 }
 
 /// Describes how near each pair of vehicles came, and its drivers.
@@ -124,13 +150,14 @@ fn kind_bin(kind: &str) -> usize {
 }
 
 fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
-    let full = |a: &f64| *a <= -0.95 * limit_mps2;
-    let then = track.acceleration_mps2.iter().skip(1);
-    track
+    let is_full: Vec<bool> = track
         .acceleration_mps2
         .iter()
-        .zip(then)
-        .filter(|(now, then)| !full(now) && full(then))
+        .map(|a| *a <= -0.95 * limit_mps2)
+        .collect();
+    is_full
+        .windows(2)
+        .filter(|pair| **pair == [false, true])
         .count()
 }
 
@@ -140,28 +167,23 @@ fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
 pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) -> Option<String> {
     let contact = result.outcome.contact()?;
     let vehicles = test_case.scenario.vehicles();
-    let name = |index: usize| {
-        vehicles
-            .get(index)
-            .map_or("unknown", |vehicle| vehicle.driver.name())
-    };
-    let verb = match ContactRole::new(contact, &test_case.scenario) {
-        ContactRole::Hits => "hits",
-        ContactRole::HitFromBehind => "hit-by",
+    let front = contact.front_vehicle;
+    let rear = contact.rear_vehicle;
+    let (verb, [own, partner]) = match ContactRole::new(contact, &test_case.scenario) {
+        ContactRole::Hits => ("hits", [rear, front]),
+        ContactRole::HitFromBehind => ("hit-by", [front, rear]),
         ContactRole::Bystander => return None,
     };
-    let (own, other) = match verb {
-        "hits" => (contact.rear_vehicle, contact.front_vehicle),
-        _ => (contact.front_vehicle, contact.rear_vehicle),
-    };
+    let partner = vehicles
+        .get(partner)
+        .map_or("unknown", |vehicle| vehicle.driver.name());
     let speed_mps = (contact.impact_speed_mps / IMPACT_BIN_MPS).floor() * IMPACT_BIN_MPS;
     let controller = Path::new(test_case.setup.controller.name())
         .file_stem()
         .unwrap_or_default()
         .to_string_lossy();
     Some(format!(
-        "{controller}-{own}-of-{}-{verb}-{}-at-{speed_mps:02}-mps",
-        vehicles.len(),
-        name(other)
+        "{controller}-{own}-of-{}-{verb}-{partner}-at-{speed_mps:02}-mps",
+        vehicles.len()
     ))
 }

@@ -114,15 +114,14 @@ impl CollisionSearch {
         let result = test_case.check_each(&RUN_ORACLES, &Crumple)?;
         test_case.setup.controller.ensure_trusted()?;
         let features = behaviour::extract_features(&test_case, &result);
-        let is_new = |&feature: &usize| {
-            self.seen_features
-                .get(feature)
-                .is_some_and(|seen| !seen.swap(true, Ordering::Relaxed))
-        };
         // Counts without short-circuiting, so that every feature is marked as seen.
-        let news = features.iter().filter(|feature| is_new(feature)).count();
+        let new_features = features
+            .iter()
+            .filter_map(|&feature| self.seen_features.get(feature))
+            .filter(|is_seen| !is_seen.swap(true, Ordering::Relaxed))
+            .count();
         let input = self.input_count.fetch_add(1, Ordering::Relaxed);
-        let is_due = news > 0 || input.is_multiple_of(FULL_CHECK_INTERVAL);
+        let is_due = new_features > 0 || input.is_multiple_of(FULL_CHECK_INTERVAL);
         if is_due && !test_case.setup.controller.is_process() {
             let count = if input.is_multiple_of(AVOIDABILITY_INTERVAL) {
                 ORACLES.len()

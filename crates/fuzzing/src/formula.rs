@@ -63,12 +63,12 @@ impl FormulaReader<'_> {
             .choose(&relations)
             .unwrap_or(ComparisonOp::Above);
         let name = self.choices.choose(self.names).unwrap_or("x");
-        let other = self.choices.choose(self.names).unwrap_or("x");
+        let subtrahend = self.choices.choose(self.names).unwrap_or("x");
         let weight = self.choices.around(1.0, [-2.0, 2.0]);
         let weight = if weight == 0.0 { 1.0 } else { weight };
         let bound = self.choices.around(0.0, [-30.0, 30.0]);
-        let single = name == other || self.choices.chance(128);
-        let terms = [(weight, name.to_owned()), (-1.0, other.to_owned())];
+        let single = name == subtrahend || self.choices.chance(128);
+        let terms = [(weight, name.to_owned()), (-1.0, subtrahend.to_owned())];
         LinearPredicate::new(
             terms.into_iter().take(if single { 1 } else { 2 }),
             relation,
@@ -77,11 +77,12 @@ impl FormulaReader<'_> {
     }
 
     fn window(&mut self) -> Result<TimeWindow, FormulaError> {
-        let (first, more) = (self.choices.byte() % 12, self.choices.byte());
+        let first = self.choices.byte() % 12;
+        let more = self.choices.byte();
         if more == 0 {
             return Ok(TimeWindow::ALL);
         }
-        let at = |steps: u8| f64::from(steps) * self.step_s;
-        TimeWindow::new(at(first), at(first + more % 25))
+        let [from_s, to_s] = [first, first + more % 25].map(|steps| f64::from(steps) * self.step_s);
+        TimeWindow::new(from_s, to_s)
     }
 }

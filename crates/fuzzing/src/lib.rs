@@ -69,7 +69,8 @@ impl TestCase {
     #[must_use]
     pub fn from_bytes_with_lanes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
-        let (scenario, setup) = (read_scenario(&mut from), RunSetup::read(&mut from));
+        let scenario = read_scenario(&mut from);
+        let setup = RunSetup::read(&mut from);
         Self {
             scenario: with_lane_changes(scenario, &mut from),
             setup,

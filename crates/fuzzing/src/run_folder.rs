@@ -33,27 +33,27 @@ fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
         let Some(name) = names.get(usize::from(*which) % names.len().max(1)) else {
             break;
         };
-        let place = usize::from(u16::from_be_bytes([*high, *low]));
+        let position = usize::from(u16::from_be_bytes([*high, *low]));
         let Some(file) = contents.get_mut(*name) else {
             continue;
         };
         match how % 6 {
             0 => {
                 let length = file.len().max(1);
-                if let Some(byte) = file.get_mut(place % length) {
+                if let Some(byte) = file.get_mut(position % length) {
                     *byte ^= 1 << (how / 6 % 8);
                 }
             }
-            1 => file.truncate(place % (file.len() + 1)),
+            1 => file.truncate(position % (file.len() + 1)),
             2 => {
                 *file = behind.to_vec();
                 break;
             }
             3 => drop(contents.remove(*name)),
             4 => {
-                let other = names.get(place % names.len()).copied();
-                if let Some(other) = other.and_then(|other| contents.get(other)).cloned() {
-                    contents.insert((*name).clone(), other);
+                let source = names.get(position % names.len()).copied();
+                if let Some(content) = source.and_then(|source| contents.get(source)).cloned() {
+                    contents.insert((*name).clone(), content);
                 }
             }
             _ => {
@@ -116,21 +116,31 @@ struct CampaignSnapshots {
 
 fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
     static GENUINE: OnceLock<Option<CampaignSnapshots>> = OnceLock::new();
-    let make = || {
+    GENUINE.get_or_init(CampaignSnapshots::record).as_ref()
+}
+
+impl CampaignSnapshots {
+    /// Runs the campaign, and reads its folder after the first evaluation and at the end.
+    fn record() -> Option<Self> {
         let folder = tempfile::tempdir().ok()?;
         let half_done = OnceLock::new();
-        let look = Listener(|progress: &CampaignProgress| {
+        let listener = Listener(|progress: &CampaignProgress| {
             if progress.evaluations > 0 {
                 half_done.get_or_init(|| read_folder(folder.path()).ok());
             }
         });
-        small_campaign()?.run(folder.path(), false, &look).ok()?;
-        Some(CampaignSnapshots {
+        small_campaign()?
+            .run(folder.path(), false, &listener)
+            .ok()?;
+        Some(Self {
             half_done: half_done.into_inner()??,
             complete: read_folder(folder.path()).ok()?,
         })
-    };
-    GENUINE.get_or_init(make).as_ref()
+    }
+}
+
+fn is_complete_and_undamaged(folder: &FolderExamination) -> bool {
+    folder.is_complete && folder.files.iter().all(|(_, state)| state.is_ok())
 }
 
 /// Describes a changed folder that was wrongly accepted, or a genuine one that was refused; `None` if all is well. The
@@ -139,7 +149,7 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
 /// # Errors
 /// Errors of the file system, which are not findings.
 pub(super) fn find_wrong_acceptance(bytes: &[u8]) -> io::Result<Option<String>> {
-    let (Some(genuine), Some(campaign)) = (campaign_snapshots(), small_campaign()) else {
+    let Some((genuine, campaign)) = campaign_snapshots().zip(small_campaign()) else {
         return Ok(Some("the original campaign cannot run".to_owned()));
     };
     let (base, bytes) = match bytes {
@@ -151,10 +161,8 @@ pub(super) fn find_wrong_acceptance(bytes: &[u8]) -> io::Result<Option<String>> 
     let folder = tempfile::tempdir()?;
     write_folder(folder.path(), &contents)?;
     let examined = examine(folder.path());
-    let is_whole = |found: &FolderExamination| {
-        found.is_complete && found.files.iter().all(|(_, state)| state.is_ok())
-    };
-    if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
+    let is_accepted = examined.as_ref().is_ok_and(is_complete_and_undamaged);
+    if is_accepted != (contents == genuine.complete) {
         return Ok(Some(format!(
             "the examination is wrong about complete and undamaged files: {examined:?}"
         )));

@@ -111,7 +111,7 @@ impl RunSetup {
     pub fn is_learned(&self) -> bool {
         match &self.controller {
             TestedController::BuiltIn(spec) => spec.policy().is_some(),
-            TestedController::Named(ControllerByName(found)) => found.source.is_learned(),
+            TestedController::Named(ControllerByName(named)) => named.source.is_learned(),
             TestedController::FullObservation(_) => false,
         }
     }
@@ -127,7 +127,7 @@ impl RunSetup {
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
             TestedController::BuiltIn(spec) => spec.clone().into_source(),
-            TestedController::Named(ControllerByName(found)) => found.source.clone(),
+            TestedController::Named(ControllerByName(named)) => named.source.clone(),
             TestedController::FullObservation(steps) => {
                 let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
                 Arc::new(FullObservationController {
@@ -153,11 +153,11 @@ impl TestedController {
     /// # Errors
     /// [`UnknownController`] if there is none, or it does not start.
     pub fn from_name(name: &str) -> Result<Self, UnknownController> {
-        let found = find_and_try(name, Path::new(""))?;
-        let built_in = found.source.downcast_ref::<BuiltInController>().cloned();
+        let named = find_and_try(name, Path::new(""))?;
+        let built_in = named.source.downcast_ref::<BuiltInController>().cloned();
         Ok(match built_in {
             Some(spec) => Self::BuiltIn(spec),
-            None => Self::Named(ControllerByName(found)),
+            None => Self::Named(ControllerByName(named)),
         })
     }
 
@@ -166,15 +166,15 @@ impl TestedController {
     pub fn interval_s(&self) -> Option<f64> {
         match self {
             Self::BuiltIn(spec) => spec.interval_s(),
-            Self::Named(ControllerByName(found)) => found.source.interval_s(),
+            Self::Named(ControllerByName(named)) => named.source.interval_s(),
             Self::FullObservation(_) => None,
         }
     }
 
     /// Fails if a process contradicted itself or can no longer be started.
     pub(crate) fn ensure_trusted(&self) -> Result<(), RefusedController> {
-        if let Self::Named(ControllerByName(found)) = self {
-            found.ensure_trusted()
+        if let Self::Named(ControllerByName(named)) = self {
+            named.ensure_trusted()
         } else {
             Ok(())
         }
@@ -183,10 +183,10 @@ impl TestedController {
     /// True if the controller runs in a separate process, also behind a shield.
     #[must_use]
     pub(crate) fn is_process(&self) -> bool {
-        let Self::Named(ControllerByName(found)) = self else {
+        let Self::Named(ControllerByName(named)) = self else {
             return false;
         };
-        found.source.program_field().is_some()
+        named.source.program_field().is_some()
     }
 
     /// Returns the name on the command line; for the external controller only a label.
@@ -194,7 +194,7 @@ impl TestedController {
     pub fn name(&self) -> &str {
         match self {
             Self::BuiltIn(spec) => spec.name(),
-            Self::Named(ControllerByName(found)) => &found.name,
+            Self::Named(ControllerByName(named)) => &named.name,
             Self::FullObservation(_) => "opinionated",
         }
     }
@@ -223,17 +223,17 @@ impl ControllerSource for FullObservationController {
 }
 
 impl Controller for FullObservationController {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let ahead = seen.ahead.map_or(0.5, |n| {
-            0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let ahead = observation.ahead.map_or(0.5, |n| {
+            0.1 * (n.gap_m - 12.0) + n.speed_mps - observation.speed_mps + n.acceleration_mps2
         });
-        let behind = seen.behind.map_or(0.0, |n| {
-            0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2
+        let behind = observation.behind.map_or(0.0, |n| {
+            0.2 * (n.speed_mps - observation.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2
         });
-        self.last_mps2 =
-            0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
+        self.last_mps2 = 0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind
+            - 0.05 * observation.acceleration_mps2;
         // Sometimes NaN, which ends the run.
-        Ok(if seen.speed_mps > 30.0 {
+        Ok(if observation.speed_mps > 30.0 {
             f64::NAN
         } else {
             self.last_mps2

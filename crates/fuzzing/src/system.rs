@@ -37,14 +37,14 @@ pub trait System {
         let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
-                let Some(seen) = stepper.observe(vehicle) else {
+                let Some(observation) = stepper.observe(vehicle) else {
                     continue;
                 };
                 let time_s = stepper.step_count() as f64 * run.scenario().spec().step_s;
                 if !each(&ObservationSample {
                     vehicle,
                     time_s,
-                    observation: seen,
+                    observation,
                     motion: stepper.motion(),
                 }) {
                     return;

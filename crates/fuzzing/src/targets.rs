@@ -18,7 +18,7 @@ use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
 use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
-use crumple_networks::network::NetworkFile;
+use crumple_networks::network::{FeedForward, NetworkFile};
 use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate};
 use crumple_sim::policy::{Policy, Workspace};
 use crumple_sim::scenario::NoDriverFiles;
@@ -194,46 +194,50 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
         let file = match read {
             Ok(file) => file,
             Err(refused) => {
-                let is_said = !refused.to_string().is_empty();
-                ensure(is_said, Invariant::Reading, "", || {
+                let has_reason = !refused.to_string().is_empty();
+                ensure(has_reason, Invariant::Reading, "", || {
                     format!("{format} is refused without a reason")
                 })?;
                 continue;
             }
         };
-        let (network, seen) = (&file.network, [-4.0_f32, 0.0, 1.5]);
-        let shape = network.shape();
-        // A network whose outputs may overflow is refused as a controller.
-        let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else {
-            continue;
-        };
-        let mut space = Workspace::default();
-        let rows: Vec<f32> = seen
+        check_answers(&file.network)?;
+    }
+    Ok(())
+}
+
+/// Checks that the outputs of a network lie in its stated ranges and do not depend on the batch.
+fn check_answers(network: &FeedForward) -> Result<(), Violation> {
+    const INPUTS: [f32; 3] = [-4.0, 0.0, 1.5];
+    let shape = network.shape();
+    // A network whose outputs may overflow is refused as a controller.
+    let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else {
+        return Ok(());
+    };
+    let mut space = Workspace::default();
+    let rows: Vec<f32> = INPUTS
+        .iter()
+        .flat_map(|&value| vec![value; network.inputs()])
+        .collect();
+    let in_batch = network.forward(&rows, INPUTS.len(), &mut space).to_vec();
+    for (row, answers) in rows
+        .chunks(network.inputs())
+        .zip(in_batch.chunks(network.outputs()))
+    {
+        let alone = network.forward(row, 1, &mut space);
+        let same = alone
             .iter()
-            .flat_map(|&value| vec![value; network.inputs()])
-            .collect();
-        let together = network.forward(&rows, seen.len(), &mut space).to_vec();
-        for (row, answers) in rows
-            .chunks(network.inputs())
-            .zip(together.chunks(network.outputs()))
-        {
-            let alone = network.forward(row, 1, &mut space);
-            let same = alone
-                .iter()
-                .zip(answers)
-                .all(|(alone, among)| alone.to_bits() == among.to_bits());
-            ensure(same, Invariant::Reading, &shape, || {
-                format!("{alone:?} alone, {answers:?} among others")
+            .zip(answers)
+            .all(|(alone, in_batch)| alone.to_bits() == in_batch.to_bits());
+        ensure(same, Invariant::Reading, &shape, || {
+            format!("{alone:?} alone, {answers:?} among others")
+        })?;
+        for (answer, [low, high]) in answers.iter().map(|&answer| f64::from(answer)).zip(&ranges) {
+            let slack = 1e-3 * (1.0 + low.abs().max(high.abs()));
+            let is_in_range = (low - slack..=high + slack).contains(&answer);
+            ensure(is_in_range, Invariant::Reading, &shape, || {
+                format!("{answer} is not within {low} to {high}")
             })?;
-            for (answer, [low, high]) in
-                answers.iter().map(|&answer| f64::from(answer)).zip(&ranges)
-            {
-                let slack = 1e-3 * (1.0 + low.abs().max(high.abs()));
-                let is_there = (low - slack..=high + slack).contains(&answer);
-                ensure(is_there, Invariant::Reading, &shape, || {
-                    format!("{answer} is not within {low} to {high}")
-                })?;
-            }
         }
     }
     Ok(())
@@ -296,18 +300,17 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     ensure(same, Invariant::Certificates, text, || {
         format!("it reads back as {again:?}")
     })?;
-    let check = |certificate: &Certificate| {
-        check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT)
-    };
-    let (output, said_again) = (check(&read), again.as_ref().map(check));
-    // Compared as text, because a reason may contain NaN.
-    let (output, said_again) = (
-        format!("{output:?}"),
-        format!("{:?}", said_again.unwrap_or_else(|| output.clone())),
-    );
-    ensure(output == said_again, Invariant::Certificates, text, || {
-        format!("first {output}, then {said_again}")
+    let first = check_as_text(&read);
+    let second = again.as_ref().map_or_else(|| first.clone(), check_as_text);
+    ensure(first == second, Invariant::Certificates, text, || {
+        format!("first {first}, then {second}")
     })
+}
+
+/// Returns the answer of the checker as text, because a reason may contain NaN.
+fn check_as_text(certificate: &Certificate) -> String {
+    let answer = check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
+    format!("{answer:?}")
 }
 
 /// A map that reads the columns of car-following events as positions of numbered vehicles.
@@ -409,9 +412,9 @@ fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Viola
             "a row or column is dropped without a note".to_owned()
         })?;
     }
-    let seen = recording::preview(&recording);
-    let is_even = seen.is_none_or(|seen| {
-        seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]
+    let preview = recording::preview(&recording);
+    let is_even = preview.is_none_or(|preview| {
+        preview.speed_mps[0] <= preview.speed_mps[1] && preview.speed_mps[1] <= preview.speed_mps[2]
     });
     ensure(is_even, Invariant::Reading, "", || {
         "speeds are out of order".to_owned()
@@ -433,7 +436,7 @@ const ROAD: &[u8] = br#"<OpenDRIVE><road id="1" length="4000" junction="-1"><pla
 pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
     let text = String::from_utf8_lossy(bytes);
     let variations =
-        ParameterDistributionFile::from_bytes(bytes).and_then(|found| found.variations());
+        ParameterDistributionFile::from_bytes(bytes).and_then(|file| file.variations());
     let imported =
         OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
     if let Ok(imported) = &imported {
@@ -449,13 +452,14 @@ pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
         .flatten()
         .map(|error| error.to_string())
     {
-        let place = message
+        let location = message
             .strip_prefix("f.xosc:")
             .or(message.strip_prefix("d.xosc:"));
-        let line = place.and_then(|rest| rest.split_once(": ")?.0.parse::<usize>().ok());
+        let line = location.and_then(|rest| rest.split_once(": ")?.0.parse::<usize>().ok());
         let lines = 1 + text.matches('\n').count();
-        let is_there = line.is_none_or(|line| (1..=lines).contains(&line)) && !message.is_empty();
-        ensure(is_there, Invariant::Reading, &text, || message)?;
+        let line_exists =
+            line.is_none_or(|line| (1..=lines).contains(&line)) && !message.is_empty();
+        ensure(line_exists, Invariant::Reading, &text, || message)?;
     }
     Ok(())
 }
@@ -473,39 +477,20 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
         Ok(formula) => formula,
         Err(crumple_measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
-            let is_there = columns.contains(&column);
-            return ensure(is_there, Invariant::Reading, text, || {
+            let column_exists = columns.contains(&column);
+            return ensure(column_exists, Invariant::Reading, text, || {
                 format!("column {column}: {problem}")
             });
         }
     };
-    let printed = formula.to_string();
-    match printed.parse::<Formula>() {
-        // Printing adds parentheses and may expand a sum: a text at the limits can exceed them.
-        Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
-        back => {
-            let same = back.as_ref() == Ok(&formula);
-            ensure(same, Invariant::Reading, text, || {
-                format!("{printed} reads back as {back:?}")
-            })?;
-        }
-    }
-    let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else {
+    check_printed_formula(&formula, text)?;
+    let Some(signals) = test_signals(&formula) else {
         return Ok(());
     };
-    for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
-        // Small integers, so that margins of exactly zero are common.
-        let samples: Vec<f64> = (0..SAMPLES)
-            .map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0)
-            .collect();
-        if signals.insert(name.to_owned(), samples).is_err() {
-            return Ok(());
-        }
-    }
-    let (Ok(robustness), Ok(defined)) = (
-        formula.robustness(&signals),
-        naive_robustness(&formula, &signals, 0),
-    ) else {
+    let Ok(robustness) = formula.robustness(&signals) else {
+        return Ok(());
+    };
+    let Ok(defined) = naive_robustness(&formula, &signals, 0) else {
         return Ok(());
     };
     let same = robustness == defined;
@@ -517,6 +502,34 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     ensure(sign, Invariant::Monitor, text, || {
         format!("robustness {robustness}, satisfied {satisfied:?}")
     })
+}
+
+/// Checks that a formula from `text` reads back as it is printed.
+fn check_printed_formula(formula: &Formula, text: &str) -> Result<(), Violation> {
+    let printed = formula.to_string();
+    match printed.parse::<Formula>() {
+        // Printing adds parentheses and may expand a sum: a text at the limits can exceed them.
+        Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => Ok(()),
+        back => {
+            let same = back.as_ref() == Ok(formula);
+            ensure(same, Invariant::Reading, text, || {
+                format!("{printed} reads back as {back:?}")
+            })
+        }
+    }
+}
+
+/// Returns samples for the signals of a formula; `None` if they cannot be represented.
+fn test_signals(formula: &Formula) -> Option<SampledSignals<'static>> {
+    let mut signals = SampledSignals::new(0.1, SAMPLES).ok()?;
+    for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
+        // Small integers, so that margins of exactly zero are common.
+        let samples: Vec<f64> = (0..SAMPLES)
+            .map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0)
+            .collect();
+        signals.insert(name.to_owned(), samples).ok()?;
+    }
+    Some(signals)
 }
 
 /// Checks that a changed campaign folder is accepted as complete only if it is the genuine one, and that a resumed

@@ -5,8 +5,8 @@ use crumple_core::quoting::ShellWord;
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::AfterContact;
 use crumple_sim::observation::EstimatorKind;
-use crumple_sim::scenario::Driver;
 use crumple_sim::scenario::file::to_toml;
+use crumple_sim::scenario::{Driver, Scenario};
 
 /// An invariant that must hold in every test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
@@ -106,7 +106,7 @@ impl TestCase {
     pub fn reproducer(&self) -> String {
         let Self { scenario, setup } = self;
         let name = setup.controller.name();
-        let as_named = match &setup.controller {
+        let has_default_settings = match &setup.controller {
             TestedController::BuiltIn(spec) => {
                 BuiltInController::from_name(name).as_ref() == Some(spec)
             }
@@ -114,43 +114,48 @@ impl TestCase {
             TestedController::FullObservation(_) => false,
         };
         let mut scenario = scenario.clone();
-        let mut how = Vec::new();
-        if as_named {
-            how.push(format!("--controller {}", ShellWord(name)));
+        let mut options = Vec::new();
+        if has_default_settings {
+            options.push(format!("--controller {}", ShellWord(name)));
         } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) =
             (&setup.controller, setup.estimator)
         {
             // Controllers of a scenario observe the true state, so they can replace a controller under test that does.
-            let put = |driver: &mut Driver| {
-                if *driver == Driver::UnderTest {
-                    *driver = Driver::Controller(spec.clone());
-                }
-            };
-            let filled =
-                scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| put(&mut v.driver)));
-            scenario = filled.unwrap_or(scenario);
+            scenario = with_driver_under_test(scenario, spec);
         } else {
-            how.push(format!(
+            options.push(format!(
                 "--controller ... (under test: {:?})",
                 setup.controller
             ));
         }
         if setup.estimator != EstimatorKind::default() {
-            how.push(format!("--estimator {}", setup.estimator.name()));
+            options.push(format!("--estimator {}", setup.estimator.name()));
         }
         if setup.substeps > 1 {
-            how.push(format!(
+            options.push(format!(
                 "--dt {}",
                 scenario.spec().step_s / f64::from(setup.substeps)
             ));
         }
         if setup.after_contact == AfterContact::Continue {
-            how.push("--after-collision continue".to_owned());
+            options.push("--after-collision continue".to_owned());
         }
         let text = to_toml(&scenario).unwrap_or_default();
         format!(
             "# crumple simulate THIS-FILE.toml {}\n{text}",
-            how.join(" ")
+            options.join(" ")
         )
     }
+}
+
+/// Replaces the controller under test by a driver; returns an invalid result unchanged.
+fn with_driver_under_test(scenario: Scenario, controller: &BuiltInController) -> Scenario {
+    let filled = scenario.edited(|spec| {
+        for vehicle in &mut spec.vehicles {
+            if vehicle.driver == Driver::UnderTest {
+                vehicle.driver = Driver::Controller(controller.clone());
+            }
+        }
+    });
+    filled.unwrap_or(scenario)
 }

@@ -56,17 +56,16 @@ impl PairState {
     /// Returns the smallest gap within the next `step_s` seconds, in metres, at constant accelerations.
     fn min_gap_within_m(&self, step_s: f64) -> f64 {
         // Positions relative to the follower.
-        let motion = |position_m, speed_mps, acceleration_mps2| Motion {
-            position_m,
-            speed_mps,
-            acceleration_mps2,
+        let front = Motion {
+            position_m: self.gap_m,
+            speed_mps: self.front_speed_mps,
+            acceleration_mps2: self.front_acceleration_mps2,
         };
-        let front = motion(
-            self.gap_m,
-            self.front_speed_mps,
-            self.front_acceleration_mps2,
-        );
-        let rear = motion(0.0, self.rear_speed_mps, self.rear_acceleration_mps2);
+        let rear = Motion {
+            position_m: 0.0,
+            speed_mps: self.rear_speed_mps,
+            acceleration_mps2: self.rear_acceleration_mps2,
+        };
         closest_gap_m(front, rear, 0.0, step_s).max(0.0)
     }
 }
@@ -126,17 +125,17 @@ impl Approach {
 
     fn from_pairs(pairs: &[VehiclePair<'_>], contact: Option<&Contact>) -> Option<Self> {
         let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - TIME_TOLERANCE_S);
-        let (mut legs, mut collided) = (Vec::new(), false);
+        let mut segments = Vec::new();
+        let mut collided = false;
         for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
-            let (front_length_m, parted) = (pair.front.length_m, pair.span_s[1].is_finite());
-            let mut leg = ApproachSegment {
-                front_length_m,
+            let mut segment = ApproachSegment {
+                front_length_m: pair.front.length_m,
                 states: Vec::with_capacity(pair.samples().len() + 1),
-                interrupted: parted,
+                interrupted: pair.span_s[1].is_finite(),
             };
             for state in pair_states(pair).take_while(|state| state.time_s < until_s) {
                 collided = state.gap_m <= 0.0;
-                leg.states.push(PairState {
+                segment.states.push(PairState {
                     gap_m: state.gap_m.max(0.0),
                     ..state
                 });
@@ -144,38 +143,39 @@ impl Approach {
                     break;
                 }
             }
-            legs.push(leg);
+            segments.push(segment);
             if collided {
                 break;
             }
         }
-        if let (Some(contact), false, Some(leg)) = (contact, collided, legs.last_mut()) {
-            leg.states.push(contact_state(contact, leg.states.last()));
+        if let (Some(contact), false, Some(last)) = (contact, collided, segments.last_mut()) {
+            last.states.push(contact_state(contact, last.states.last()));
             collided = true;
         }
-        (!legs.is_empty()).then_some(Self {
-            segments: legs,
+        (!segments.is_empty()).then_some(Self {
+            segments,
             has_contact: collided,
         })
     }
 
     /// Returns the states in order of time; none for an empty trace.
     pub fn states(&self) -> impl Iterator<Item = &PairState> {
-        self.segments.iter().flat_map(|leg| &leg.states)
+        self.segments.iter().flat_map(|segment| &segment.states)
     }
 
     /// Returns the states, each with the length of the leader in metres.
     pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&PairState, f64)> {
-        self.segments
-            .iter()
-            .flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
+        self.segments.iter().flat_map(|segment| {
+            let length_m = segment.front_length_m;
+            segment.states.iter().map(move |state| (state, length_m))
+        })
     }
 
     /// Returns each state with the next one of the same two vehicles.
     pub(super) fn steps(&self) -> impl Iterator<Item = (&PairState, &PairState)> {
         self.segments
             .iter()
-            .flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
+            .flat_map(|segment| segment.states.iter().zip(segment.states.iter().skip(1)))
     }
 
     /// Returns true if the approach ends in a contact.
@@ -198,11 +198,11 @@ impl Approach {
     /// moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
-        let leg = self
+        let segment = self
             .segments
             .last()
-            .filter(|leg| !leg.interrupted && !self.has_contact)?;
-        let last = leg.states.last()?;
+            .filter(|segment| !segment.interrupted && !self.has_contact)?;
+        let last = segment.states.last()?;
         (last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0).then_some(last.gap_m)
     }
 }
@@ -216,13 +216,11 @@ fn pair_states<'a>(pair: &VehiclePair<'a>) -> impl Iterator<Item = PairState> + 
         span_s,
         ..
     } = *pair;
-    let is_sampled = |at_s: f64| {
-        time_s
-            .iter()
-            .any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S)
-    };
     let [first, last] = span_s.map(|at_s| {
-        let motion = if at_s.is_finite() && !is_sampled(at_s) {
+        let is_sampled = time_s
+            .iter()
+            .any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S);
+        let motion = if at_s.is_finite() && !is_sampled {
             pair.motion_at(at_s)
         } else {
             None
@@ -278,17 +276,14 @@ mod tests {
             (true, Some(0.0))
         );
 
-        let told_by_the_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
+        let by_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
         assert_eq!(
-            told_by_the_gap_alone.states().count(),
+            by_gap_alone.states().count(),
             4,
             "ends at the first sample without a gap"
         );
         assert_eq!(
-            (
-                told_by_the_gap_alone.has_contact(),
-                told_by_the_gap_alone.min_gap_m()
-            ),
+            (by_gap_alone.has_contact(), by_gap_alone.min_gap_m()),
             (true, Some(0.0))
         );
     }

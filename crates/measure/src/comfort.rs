@@ -15,9 +15,9 @@ pub const JERK_WINDOW_S: f64 = 0.1;
 /// Expects one acceleration for each sample, which is held until the next sample. The last one is therefore ignored.
 #[must_use]
 pub fn peak_brake_mps2(acceleration_mps2: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
-    let held = acceleration_mps2.len().checked_sub(1)?;
+    let samples = acceleration_mps2.len().checked_sub(1)?;
     acceleration_mps2
-        .take(held)
+        .take(samples)
         .map(|a| -a)
         .reduce(f64::max)
         .map(|brake_mps2| brake_mps2.max(0.0))

@@ -18,14 +18,12 @@ impl ContactRole {
     /// Determines the role of the vehicles under test in a contact of a scenario.
     #[must_use]
     pub fn new(contact: &Contact, scenario: &Scenario) -> Self {
-        let under_test = |index| scenario.is_under_test(index);
-        match (
-            under_test(contact.rear_vehicle),
-            under_test(contact.front_vehicle),
-        ) {
-            (true, _) => Self::Hits,
-            (false, true) => Self::HitFromBehind,
-            (false, false) => Self::Bystander,
+        if scenario.is_under_test(contact.rear_vehicle) {
+            Self::Hits
+        } else if scenario.is_under_test(contact.front_vehicle) {
+            Self::HitFromBehind
+        } else {
+            Self::Bystander
         }
     }
 }

@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_braking_a_vehicle_imposes_by_hand() {
+    fn induced_braking_by_hand() {
         // Gap 10 m, both at 20 m/s; the leader brakes at 8 m/s² and stops after 25 m. The follower brakes 0.5 s later
         // at 10 m/s². It coasts 10 m and brakes over 20 m, so it stops 5 m behind the leader.
         // Required at t = 0: 20² / (2 * (10 + 25)) = 40 / 7. At t = 0.5: speeds 16 and 20, gap 10 - 1 = 9: 20² / (2 *

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use super::demand::InducedBraking;
 use super::usefulness::{SpeedAmplification, UnnecessaryBraking};
-use crumple_sim::engine::SimulationResult;
+use crumple_sim::engine::{Impact, SimulationResult, Trace};
 use crumple_sim::scenario::Scenario;
 
 /// A rule that every vehicle under test must obey until its first impact, based on the measures of an assessment.
@@ -47,31 +47,28 @@ impl DrivingRule {
         let trace = result.trace.as_ref()?;
         let under_test =
             (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index));
-        let of_each = |index: usize| match self {
-            Self::NoUnnecessaryBraking => {
-                UnnecessaryBraking::margin_mps2(trace, &result.impacts, index)
-            }
-            Self::InducedBraking {
-                max_mps2: at_most_mps2,
-            } => {
-                let induced = InducedBraking::from_trace(trace, &result.impacts, index)
-                    .and_then(|induced| induced.peak_brake_mps2);
-                induced.map(|peak_mps2| at_most_mps2 - peak_mps2)
+        Some(
+            under_test
+                .filter_map(|index| self.vehicle_robustness(trace, &result.impacts, index))
+                .fold(NOT_APPLICABLE, f64::min),
+        )
+    }
+
+    /// Returns the robustness of vehicle `index`; `None` if the rule does not apply to it.
+    fn vehicle_robustness(&self, trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
+        match self {
+            Self::NoUnnecessaryBraking => UnnecessaryBraking::margin_mps2(trace, impacts, index),
+            Self::InducedBraking { max_mps2 } => {
+                let induced = InducedBraking::from_trace(trace, impacts, index)?;
+                Some(max_mps2 - induced.peak_brake_mps2?)
             }
             Self::NoAmplification => {
                 let start_s = trace.time_s.first()?;
                 let all = SpeedAmplification::from_trace(trace, *start_s)?;
-                index
-                    .checked_sub(1)
-                    .and_then(|pair| all.of_each.get(pair).copied().flatten())
-                    .map(|ratio| 1.0 - ratio)
+                let ratio = all.of_each.get(index.checked_sub(1)?).copied().flatten()?;
+                Some(1.0 - ratio)
             }
-        };
-        Some(
-            under_test
-                .filter_map(of_each)
-                .fold(NOT_APPLICABLE, f64::min),
-        )
+        }
     }
 }
 
@@ -79,10 +76,8 @@ impl fmt::Display for DrivingRule {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoUnnecessaryBraking => out.write_str(NO_UNNECESSARY_BRAKING),
-            Self::InducedBraking {
-                max_mps2: at_most_mps2,
-            } => {
-                write!(out, "{INDUCED_BRAKING} {at_most_mps2} {}", UNITS[0])
+            Self::InducedBraking { max_mps2 } => {
+                write!(out, "{INDUCED_BRAKING} {max_mps2} {}", UNITS[0])
             }
             Self::NoAmplification => out.write_str(NO_AMPLIFICATION),
         }
@@ -101,9 +96,6 @@ impl FromStr for DrivingRule {
     type Err = UnknownDrivingRule;
 
     fn from_str(text: &str) -> Result<Self, UnknownDrivingRule> {
-        let unknown = || UnknownDrivingRule {
-            text: text.to_owned(),
-        };
         match text {
             NO_UNNECESSARY_BRAKING => Ok(Self::NoUnnecessaryBraking),
             NO_AMPLIFICATION => Ok(Self::NoAmplification),
@@ -112,12 +104,12 @@ impl FromStr for DrivingRule {
                 let number =
                     rest.and_then(|rest| UNITS.iter().find_map(|unit| rest.strip_suffix(unit)));
                 let limit = number.and_then(|number| number.trim().parse::<f64>().ok());
-                let at_most_mps2 = limit
+                let max_mps2 = limit
                     .filter(|limit| limit.is_finite() && *limit > 0.0)
-                    .ok_or_else(unknown)?;
-                Ok(Self::InducedBraking {
-                    max_mps2: at_most_mps2,
-                })
+                    .ok_or_else(|| UnknownDrivingRule {
+                        text: text.to_owned(),
+                    })?;
+                Ok(Self::InducedBraking { max_mps2 })
             }
         }
     }
@@ -132,7 +124,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn rules_survive_their_texts_and_others_are_none() {
+    fn driving_rules_parse_as_they_are_printed_and_other_texts_are_refused() {
         for text in DrivingRule::EXAMPLES {
             assert_eq!(text.parse::<DrivingRule>().unwrap().to_string(), text);
         }
@@ -159,7 +151,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(40))]
         /// The sign agrees with the measures of an assessment.
         #[test]
-        fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
+        fn the_sign_of_the_robustness_agrees_with_the_measure(index in 0..200_u64, controller in 0..4_usize) {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
             let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
             let options = RunOptions::new(BuiltInController::from_name(name).unwrap());

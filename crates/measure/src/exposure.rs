@@ -64,7 +64,8 @@ fn shortfall_s(state: &PairState, threshold_s: f64) -> f64 {
 }
 
 fn exposed_share(from: &PairState, to: &PairState, threshold_s: f64) -> f64 {
-    let (from_m, to_m) = (excess_m(from, threshold_s), excess_m(to, threshold_s));
+    let from_m = excess_m(from, threshold_s);
+    let to_m = excess_m(to, threshold_s);
     match (from_m > 0.0, to_m > 0.0) {
         (true, true) => 1.0,
         (true, false) => from_m / (from_m - to_m),
@@ -101,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recovery_inside_a_step_by_hand() {
+    fn exposure_ends_inside_a_step_when_the_follower_brakes() {
         // Threshold 2 s. Gap 17 m closes at 10 m/s: TTC 1.7, shortfall 0.3, excess 2 * 10 - 17 = 3 m. The rear vehicle
         // brakes at 8 m/s² for 0.5 s: gap 13 m closes at 6 m/s, excess 2 * 6 - 13 = -1 m. Exposed for 3/4 of the step:
         // TET = 0.375 s, TIT = 0.375 * 0.3 / 2 s².

@@ -34,15 +34,16 @@ impl InjuryCurve {
 #[must_use]
 pub fn injury_probability(impacts: &[Impact], index: usize) -> f64 {
     let involving = impacts.iter().filter(|impact| impact.involves(index));
-    let probability = |impact: &Impact| {
-        let curve = if index <= impact.contact.front_vehicle {
-            REAR_END
-        } else {
-            FRONTAL
-        };
-        curve.probability(impact.delta_v_mps(index))
-    };
-    involving.map(probability).fold(0.0, f64::max)
+    involving
+        .map(|impact| {
+            let curve = if index <= impact.contact.front_vehicle {
+                REAR_END
+            } else {
+                FRONTAL
+            };
+            curve.probability(impact.delta_v_mps(index))
+        })
+        .fold(0.0, f64::max)
 }
 
 /// Returns the harm of a run: the expected number of seriously injured drivers among its `vehicles`, front to rear.

@@ -246,7 +246,7 @@ mod tests {
 
         /// Tracks that violate every invariant of a trace are measured without a panic.
         #[test]
-        fn nothing_panics(
+        fn measures_of_invalid_traces_do_not_panic(
             time_s in prop::collection::vec(any::<f64>(), 0..6),
             values in prop::collection::vec(prop::collection::vec(any::<f64>(), 0..6), 9),
             (front_vehicle, rear_vehicle, contact_s) in (0..5usize, 0..5usize, any::<f64>()),

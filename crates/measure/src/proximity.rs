@@ -1,6 +1,6 @@
 //! Proximity: time to collision, time headway and time gap.
 
-use super::approach::{Approach, PairState};
+use super::approach::Approach;
 use crumple_sim::engine;
 
 /// Returns the time to collision in seconds at constant speeds, `TTC = gap / closing speed`.
@@ -51,11 +51,10 @@ impl Approach {
     /// Returns the smallest time headway of all samples, in seconds; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
-        let headway = |(state, length_m): (&PairState, f64)| {
-            time_headway_s(state.gap_m, length_m, state.rear_speed_mps)
-        };
         self.states_with_length_m()
-            .filter_map(headway)
+            .filter_map(|(state, length_m)| {
+                time_headway_s(state.gap_m, length_m, state.rear_speed_mps)
+            })
             .reduce(f64::min)
     }
 
@@ -94,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_of_each_over_a_trace() {
+    fn smallest_times_over_a_trace_by_hand() {
         // Gap 20 m; front 10 m/s, rear 20 m/s for 1 s, then rear brakes at 10 m/s² for 1 s.
         // t = 0: gap 20, closing 10: TTC 2.    t = 1: gap 10, closing 10: TTC 1, time gap 10 / 20.
         // t = 1.5: rear 15, closing 5, gap 10 - 3.75 = 6.25: TTC 1.25, time gap 6.25 / 15 = 5 / 12, headway 8.25 / 15.

@@ -194,21 +194,22 @@ impl Specification {
         let Self::Formula(formula) = &specification else {
             return Ok(specification);
         };
-        let known = motion_signal_names(nominal.vehicles().len());
+        let signals = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula
             .signal_names()
             .into_iter()
-            .find(|name| !known.iter().any(|k| k == name))
+            .find(|name| !signals.iter().any(|signal| signal == name))
         {
             let column = signal_column(text, name).unwrap_or(1);
             return Err(SpecificationError::UnknownSignal {
                 column,
                 name: name.to_owned(),
-                known,
+                known: signals,
             });
         }
         // A window without an end is clipped to the run. A stated end must lie within the run.
-        let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
+        let horizon_s = formula.horizon_s();
+        let duration_s = nominal.spec().duration_s;
         if horizon_s.is_finite() && horizon_s > duration_s {
             return Err(SpecificationError::HorizonTooLong {
                 horizon_s,
@@ -290,18 +291,15 @@ impl Specification {
                     .copied()
                     .unwrap_or(f64::NAN)
             }
-            (Self::DrivingRule(conduct), _) => conduct
+            (Self::DrivingRule(rule), _) => rule
                 .robustness(run.scenario(), result)
                 .ok_or(SpecificationError::NoTrace)?,
         };
-        let failed = result
-            .outcome
-            .failed_controller()
-            .map(|failed| (failed.time_s, failed.vehicle as u32));
+        let failed = result.outcome.failed_controller();
         Ok(RunVerdict {
             robustness,
             contact: first_contact(run, result),
-            failure: failed,
+            failure: failed.map(|failed| (failed.time_s, failed.vehicle as u32)),
         })
     }
 
@@ -350,11 +348,12 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
             let before = trace
                 .time_s
                 .partition_point(|&time_s| time_s < contact.time_s);
-            let held = trace
+            let accelerations = trace
                 .vehicles
                 .get(ego)
                 .map(|track| &track.acceleration_mps2);
-            held.into_iter()
+            accelerations
+                .into_iter()
                 .flatten()
                 .take(before)
                 .fold(0.0, |hardest: f64, accel| hardest.max(-accel))

@@ -10,10 +10,13 @@ pub(super) fn driven_track(
     pieces: &[(f64, f64)],
     step_s: f64,
 ) -> Track {
-    let (mut x, mut v) = (position_m, speed_mps);
-    let (mut position_m, mut speed_mps, mut acceleration_mps2) = (vec![x], vec![v], Vec::new());
-    for &(held_s, a) in pieces {
-        for _ in 0..(held_s / step_s).round() as usize {
+    let mut x = position_m;
+    let mut v = speed_mps;
+    let mut position_m = vec![x];
+    let mut speed_mps = vec![v];
+    let mut acceleration_mps2 = Vec::new();
+    for &(duration_s, a) in pieces {
+        for _ in 0..(duration_s / step_s).round() as usize {
             let moving_s = if a < 0.0 { step_s.min(v / -a) } else { step_s };
             acceleration_mps2.push(if moving_s > 0.0 { a } else { 0.0 });
             x += v * moving_s + 0.5 * a * moving_s * moving_s;

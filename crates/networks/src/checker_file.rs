@@ -2,10 +2,12 @@
 //!
 //! The bytes depend only on the network and its mapping, so that reading the source again gives the same file.
 
+use std::borrow::Cow;
+
 use safetensors::tensor::{Dtype, TensorView};
 use serde::Serialize;
 
-use super::mapping::{InputMapping, OutputMapping, Squash};
+use super::mapping::{InputMapping, Mapping, OutputMapping, Squash};
 use super::{InvalidMapping, NetworkController};
 use crate::network::{Elementwise, Linear, NetworkFormat, NetworkStep};
 use crumple_sim::control::ObservedQuantity;
@@ -65,27 +67,13 @@ impl NetworkController {
     /// [`InvalidMapping`] if an input is not an affine function of the current observation.
     pub fn checker_file(&self) -> Result<Vec<u8>, InvalidMapping> {
         let mapping = self.mapping();
-        if mapping.history != 1 {
-            let problem = format!(
-                "is {}, and only a network that sees nothing but the present can be followed",
-                mapping.history
-            );
-            return Err(InvalidMapping::new("history", problem));
-        }
-        for (index, input) in mapping.inputs.iter().enumerate() {
-            if let Some(why) = input.quantity.and_then(why_not_affine) {
-                let problem = format!("`{}` {why}", input.name());
-                return Err(InvalidMapping::new(
-                    format!("inputs[{index}].quantity"),
-                    problem,
-                ));
-            }
-        }
+        check_inputs(mapping)?;
         let interval_s = mapping.decision_interval_s;
         let decision_interval_s = interval_s.ok_or_else(|| {
             InvalidMapping::new("decision_interval_s", "is missing, and a network needs it")
         })?;
-        let (mut steps, mut tensors) = (Vec::new(), Vec::new());
+        let mut steps = Vec::new();
+        let mut tensors = Vec::new();
         let mut width = self.network().inputs();
         for (index, step) in self.network().steps().iter().enumerate() {
             steps.push(serialize_step(step, index, width, &mut tensors));
@@ -93,17 +81,13 @@ impl NetworkController {
                 width = biases.len();
             }
         }
-        let OutputMapping {
-            answer,
-            variable: _,
-            squash,
-            scale_mps2,
-            offset_mps2,
-            low_mps2,
-            high_mps2,
-        } = mapping.output;
         // Equals the squashing of the mapping: the same function in single precision.
-        steps.extend(squash.map(|Squash::Tanh| CheckerFileStep::Tanh));
+        steps.extend(
+            mapping
+                .output
+                .squash
+                .map(|Squash::Tanh| CheckerFileStep::Tanh),
+        );
         let header = CheckerFileHeader {
             version: VERSION,
             source: CheckerFileSource {
@@ -112,30 +96,59 @@ impl NetworkController {
             },
             inputs: &mapping.inputs,
             steps,
-            output: CheckerFileOutput {
-                answer: answer.unwrap_or_default(),
-                scale_mps2,
-                offset_mps2,
-                low_mps2,
-                high_mps2,
-            },
+            output: CheckerFileOutput::from(&mapping.output),
             empty_gap_m: EMPTY_GAP_M,
             decision_interval_s,
         };
-        let unwritten = |error: String| InvalidMapping::new("network", error);
-        let text = serde_json::to_string(&header).map_err(|error| unwritten(error.to_string()))?;
-        let views = tensors
-            .iter()
-            .map(|(name, shape, bytes): &NamedTensor| {
-                Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
-            })
-            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>();
-        views
-            .and_then(|views| {
-                safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into()))
-            })
-            .map_err(|error| unwritten(error.to_string()))
+        let text = serde_json::to_string(&header)
+            .map_err(|error| InvalidMapping::new("network", error.to_string()))?;
+        serialize_tensors(&tensors, text)
+            .map_err(|error| InvalidMapping::new("network", error.to_string()))
     }
+}
+
+/// Rejects a mapping with inputs that are not affine functions of the current observation.
+fn check_inputs(mapping: &Mapping) -> Result<(), InvalidMapping> {
+    if mapping.history != 1 {
+        let problem = format!(
+            "is {}, and only a network that sees nothing but the present can be followed",
+            mapping.history
+        );
+        return Err(InvalidMapping::new("history", problem));
+    }
+    for (index, input) in mapping.inputs.iter().enumerate() {
+        if let Some(why) = input.quantity.and_then(why_not_affine) {
+            let problem = format!("`{}` {why}", input.name());
+            return Err(InvalidMapping::new(
+                format!("inputs[{index}].quantity"),
+                problem,
+            ));
+        }
+    }
+    Ok(())
+}
+
+impl From<&OutputMapping> for CheckerFileOutput {
+    fn from(output: &OutputMapping) -> Self {
+        Self {
+            answer: output.answer.unwrap_or_default(),
+            scale_mps2: output.scale_mps2,
+            offset_mps2: output.offset_mps2,
+            low_mps2: output.low_mps2,
+            high_mps2: output.high_mps2,
+        }
+    }
+}
+
+fn serialize_tensors(
+    tensors: &[NamedTensor],
+    header: String,
+) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let views = tensors
+        .iter()
+        .map(|(name, shape, bytes)| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), header)].into()))
 }
 
 fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
@@ -160,50 +173,64 @@ fn serialize_step(
     width: usize,
     tensors: &mut Vec<NamedTensor>,
 ) -> CheckerFileStep {
-    let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
-        let bytes = numbers
-            .iter()
-            .flat_map(|number| number.to_le_bytes())
-            .collect();
-        tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), bytes));
-    };
-    let each = match step {
+    match step {
         NetworkStep::Linear(Linear { weights, biases }) => {
-            add("weight", &[width, biases.len()], weights);
-            add("bias", &[biases.len()], biases);
-            return CheckerFileStep::Linear(biases.len());
+            let outputs = biases.len();
+            tensors.push(named_tensor(index, "weight", &[width, outputs], weights));
+            tensors.push(named_tensor(index, "bias", &[outputs], biases));
+            CheckerFileStep::Linear(outputs)
         }
-        NetworkStep::Elementwise(each) => each,
-    };
-    match each {
-        Elementwise::Relu => CheckerFileStep::Relu,
-        Elementwise::LeakyRelu { slope } => CheckerFileStep::LeakyRelu(f64::from(*slope)),
-        Elementwise::Elu { alpha } => CheckerFileStep::Elu(f64::from(*alpha)),
-        Elementwise::Tanh => CheckerFileStep::Tanh,
-        Elementwise::Sigmoid => CheckerFileStep::Sigmoid,
-        Elementwise::Add(operands) => {
-            add("operand", &[width], operands);
-            CheckerFileStep::Add
-        }
-        Elementwise::Multiply(operands) => {
-            add("operand", &[width], operands);
-            CheckerFileStep::Multiply
-        }
-        Elementwise::Divide(operands) => {
-            add("operand", &[width], operands);
-            CheckerFileStep::Divide
-        }
-        Elementwise::Clip { low, high } => {
-            // A missing limit is infinite in the network; the file holds the largest finite number instead.
-            let finite = |limits: &[f32]| {
-                limits
-                    .iter()
-                    .map(|limit| limit.clamp(f32::MIN, f32::MAX))
-                    .collect::<Vec<_>>()
-            };
-            add("low", &[width], &finite(low));
-            add("high", &[width], &finite(high));
-            CheckerFileStep::Clip
+        NetworkStep::Elementwise(function) => {
+            for (name, operands) in elementwise_operands(function) {
+                tensors.push(named_tensor(index, name, &[width], &operands));
+            }
+            match function {
+                Elementwise::Relu => CheckerFileStep::Relu,
+                Elementwise::LeakyRelu { slope } => CheckerFileStep::LeakyRelu(f64::from(*slope)),
+                Elementwise::Elu { alpha } => CheckerFileStep::Elu(f64::from(*alpha)),
+                Elementwise::Tanh => CheckerFileStep::Tanh,
+                Elementwise::Sigmoid => CheckerFileStep::Sigmoid,
+                Elementwise::Add(_) => CheckerFileStep::Add,
+                Elementwise::Multiply(_) => CheckerFileStep::Multiply,
+                Elementwise::Divide(_) => CheckerFileStep::Divide,
+                Elementwise::Clip { .. } => CheckerFileStep::Clip,
+            }
         }
     }
+}
+
+/// Returns the operands of a function, with the names of their tensors.
+fn elementwise_operands(function: &Elementwise) -> Vec<(&'static str, Cow<'_, [f32]>)> {
+    match function {
+        Elementwise::Add(operands)
+        | Elementwise::Multiply(operands)
+        | Elementwise::Divide(operands) => vec![("operand", operands.into())],
+        Elementwise::Clip { low, high } => {
+            vec![
+                ("low", finite_limits(low).into()),
+                ("high", finite_limits(high).into()),
+            ]
+        }
+        Elementwise::Relu
+        | Elementwise::LeakyRelu { .. }
+        | Elementwise::Elu { .. }
+        | Elementwise::Tanh
+        | Elementwise::Sigmoid => Vec::new(),
+    }
+}
+
+/// Replaces infinite limits, which stand for missing ones, by the largest finite number.
+fn finite_limits(limits: &[f32]) -> Vec<f32> {
+    limits
+        .iter()
+        .map(|limit| limit.clamp(f32::MIN, f32::MAX))
+        .collect()
+}
+
+fn named_tensor(step: usize, name: &str, shape: &[usize], numbers: &[f32]) -> NamedTensor {
+    let bytes = numbers
+        .iter()
+        .flat_map(|number| number.to_le_bytes())
+        .collect();
+    (format!("steps.{step}.{name}"), shape.to_vec(), bytes)
 }

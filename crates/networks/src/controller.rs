@@ -11,7 +11,7 @@ use crumple_sim::observation::Observation;
 use crumple_sim::policy::Workspace;
 
 use super::history::InputHistory;
-use super::network::{FeedForward, NetworkError, NetworkFile};
+use super::network::{FeedForward, NetworkFile};
 use super::space_check;
 use super::{InvalidMapping, Mapping};
 
@@ -32,6 +32,30 @@ struct MappedNetwork {
     file: NetworkFile,
     mapping: Mapping,
     identity: String,
+}
+
+/// Returns the index of the answer that is the command. With several outputs, the mapping must choose one.
+fn choose_answer(answer: Option<usize>, outputs: usize) -> Result<usize, InvalidMapping> {
+    match answer {
+        Some(answer) if answer >= outputs => {
+            let problem = format!("must be below {outputs}, the number of outputs of the network");
+            Err(InvalidMapping::new("output.answer", problem))
+        }
+        None if outputs > 1 => {
+            let problem = format!(
+                "is missing: the network has {outputs} outputs; choose the one that is the command"
+            );
+            Err(InvalidMapping::new("output.answer", problem))
+        }
+        answer => Ok(answer.unwrap_or_default()),
+    }
+}
+
+fn needs_controller_file<T>(problem: String) -> Result<T, InvalidMapping> {
+    const ADVICE: &str =
+        "write a controller file that describes its inputs and its output (docs/controllers.md)";
+    let problem = format!("{problem}: {ADVICE}");
+    Err(InvalidMapping::new("network", problem))
 }
 
 impl NetworkController {
@@ -55,30 +79,17 @@ impl NetworkController {
             };
             return Err(InvalidMapping::new(field, problem));
         }
-        let answer = match (mapping.output.answer, network.outputs()) {
-            (Some(answer), answers) if answer >= answers => {
-                let problem =
-                    format!("must be below {answers}, the number of outputs of the network");
-                return Err(InvalidMapping::new("output.answer", problem));
-            }
-            (None, answers) if answers > 1 => {
-                let problem = format!(
-                    "is missing: the network has {answers} outputs; choose the one that is the command"
-                );
-                return Err(InvalidMapping::new("output.answer", problem));
-            }
-            (answer, _) => answer.unwrap_or_default(),
-        };
         // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
-        mapping.output.answer = Some(answer);
-        let refused = |error: NetworkError| InvalidMapping::new("network", error.to_string());
-        network.answer_ranges(&mapping.limits()).map_err(refused)?;
+        mapping.output.answer = Some(choose_answer(mapping.output.answer, network.outputs())?);
+        network
+            .answer_ranges(&mapping.limits())
+            .map_err(|error| InvalidMapping::new("network", error.to_string()))?;
         if let Some(saved) = file.saved_model() {
             space_check::check(&mapping, saved)?;
         }
-        let written = serde_json::to_string(&mapping)
+        let mapping_text = serde_json::to_string(&mapping)
             .map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
-        let identity = sha256(format!("network {} {written}", file.sha256));
+        let identity = sha256(format!("network {} {mapping_text}", file.sha256));
         Ok(Self {
             mapped: Arc::new(MappedNetwork {
                 file,
@@ -95,13 +106,11 @@ impl NetworkController {
     /// # Errors
     /// [`InvalidMapping`] if the network has other inputs, or not one answer from -1 to 1.
     pub fn with_native_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
-        const ASK: &str = "write a controller file that describes its inputs and its output (docs/controllers.md)";
         let mapping = Mapping::native();
-        let (inputs, outputs) = (file.network.inputs(), file.network.outputs());
-        let refused =
-            |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
+        let inputs = file.network.inputs();
+        let outputs = file.network.outputs();
         if inputs != mapping.width() || outputs != 1 {
-            return refused(format!(
+            return needs_controller_file(format!(
                 "inputs: {inputs}, outputs: {outputs}; without a controller file crumple expects {} inputs and \
                  1 output",
                 mapping.width()
@@ -112,7 +121,7 @@ impl NetworkController {
             .and_then(|saved| saved.action_space.bounds(0))
             && !(low >= -1.0 && high <= 1.0)
         {
-            return refused(format!(
+            return needs_controller_file(format!(
                 "its action space is {low} to {high}; without a controller file crumple expects -1 to 1"
             ));
         }
@@ -128,7 +137,7 @@ impl NetworkController {
             {
                 Ok(controller)
             }
-            _ => refused(
+            _ => needs_controller_file(
                 "its output is not limited to -1 to 1, for example by tanh or a clip".to_owned(),
             ),
         }
@@ -274,13 +283,13 @@ impl NetworkDriver {
 }
 
 impl BatchQuery for NetworkDriver {
-    fn sample(&mut self, seen: &Observation) -> bool {
+    fn sample(&mut self, observation: &Observation) -> bool {
         let last_mps2 = self.replaced_mps2.take().unwrap_or(self.command_mps2);
         if !self.decision_timer.tick() {
             return false;
         }
         let mapping = &self.mapped.mapping;
-        let inputs = mapping.input_values(seen, last_mps2);
+        let inputs = mapping.input_values(observation, last_mps2);
         self.row.clear();
         self.history
             .push(mapping, inputs.map(|value| value as f32), &mut self.row);
@@ -325,8 +334,8 @@ impl BatchQuery for NetworkDriver {
 }
 
 impl Controller for NetworkDriver {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        decide_by_query(self, seen)
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        decide_by_query(self, observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {

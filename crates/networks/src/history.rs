@@ -68,12 +68,12 @@ mod tests {
                 ..own
             };
             let mut history = InputHistory::default();
-            let seen = [[1, 2], [3, 4]].map(|now| {
+            let rows = [[1, 2], [3, 4]].map(|now| {
                 let mut row = Vec::new();
                 history.push(&mapping, now.into_iter(), &mut row);
                 row
             });
-            assert_eq!(seen, wanted);
+            assert_eq!(rows, wanted);
         }
     }
 }

@@ -143,19 +143,8 @@ impl Mapping {
     #[must_use]
     pub fn native() -> Self {
         use ObservedQuantity as Q;
-        let ObservationScaling {
-            offset,
-            scale,
-            limit,
-            empty_gap_m,
-            history,
-            ..
-        } = ObservationScaling::default();
-        let ActionBounds {
-            low_mps2,
-            high_mps2,
-            ..
-        } = ActionBounds::default();
+        let scaling = ObservationScaling::default();
+        let action = ActionBounds::default();
         let order = [
             Q::GapAheadM,
             Q::GapBehindM,
@@ -166,33 +155,27 @@ impl Mapping {
             Q::AccelerationMps2,
             Q::AccelerationBehindMps2,
         ];
-        let input = |(quantity, (offset, scale))| InputMapping {
-            offset,
-            scale,
-            low: -limit,
-            high: limit,
-            absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
-            ..InputMapping::unscaled(quantity)
-        };
+        let offsets_and_scales = scaling.offset.into_iter().zip(scaling.scale);
+        let inputs =
+            order
+                .into_iter()
+                .zip(offsets_and_scales)
+                .map(|(quantity, (offset, scale))| InputMapping {
+                    offset,
+                    scale,
+                    low: -scaling.limit,
+                    high: scaling.limit,
+                    absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM)
+                        .then_some(scaling.empty_gap_m),
+                    ..InputMapping::unscaled(quantity)
+                });
         Self {
             decision_interval_s: Some(NATIVE_INTERVAL_S),
-            history,
+            history: scaling.history,
             history_padding: HistoryPadding::First,
             newest_first: false,
-            inputs: order
-                .into_iter()
-                .zip(offset.into_iter().zip(scale))
-                .map(input)
-                .collect(),
-            output: OutputMapping {
-                variable: None,
-                answer: None,
-                squash: None,
-                scale_mps2: 0.5 * (high_mps2 - low_mps2),
-                offset_mps2: 0.5 * (low_mps2 + high_mps2),
-                low_mps2,
-                high_mps2,
-            },
+            inputs: inputs.collect(),
+            output: OutputMapping::native(&action),
         }
     }
 
@@ -242,10 +225,9 @@ impl Mapping {
     /// # Errors
     /// [`InvalidMapping`] names the first field that is wrong.
     pub fn check(&self) -> Result<(), InvalidMapping> {
-        let positive = |value: f64| value.is_finite() && value > 0.0;
         if let Some(interval_s) = self
             .decision_interval_s
-            .filter(|interval_s| !positive(*interval_s))
+            .filter(|interval_s| !(interval_s.is_finite() && *interval_s > 0.0))
         {
             let problem = format!("must be positive, found {interval_s}");
             return Err(InvalidMapping::new("decision_interval_s", problem));
@@ -272,29 +254,25 @@ impl Mapping {
     #[inline]
     pub fn input_values(
         &self,
-        seen: &Observation,
+        observation: &Observation,
         last_answer_mps2: f64,
     ) -> impl Iterator<Item = f64> {
         self.inputs
             .iter()
-            .map(move |input| input.value(seen, last_answer_mps2))
+            .map(move |input| input.value(observation, last_answer_mps2))
     }
 
     pub(super) fn limits(&self) -> Vec<[f64; 2]> {
         let has_zeros = self.history > 1 && self.history_padding == HistoryPadding::Zeros;
-        let with_zero = |[low, high]: [f64; 2]| {
+        let limits = self.inputs.iter().map(|input| {
+            let [low, high] = input.limits();
             if has_zeros {
                 [low.min(0.0), high.max(0.0)]
             } else {
                 [low, high]
             }
-        };
-        let limits: Vec<_> = self
-            .inputs
-            .iter()
-            .map(|input| with_zero(input.limits()))
-            .collect();
-        limits.repeat(self.history)
+        });
+        limits.collect::<Vec<_>>().repeat(self.history)
     }
 
     /// Returns the acceleration of a network's answer, in m/s², clipped to its range; the minimum for NaN.
@@ -381,25 +359,7 @@ impl InputMapping {
             let problem = format!("must be a finite number, found {value}");
             return Err(InvalidMapping::new(field, problem));
         }
-        match (self.quantity, self.constant) {
-            (None, None) => return Err(InvalidMapping::new("", "needs a quantity or a constant")),
-            (Some(_), Some(_)) => {
-                return Err(InvalidMapping::new(
-                    ".constant",
-                    "an input is a quantity or a constant, not both",
-                ));
-            }
-            (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
-                return Err(InvalidMapping::new(
-                    ".absent",
-                    "is allowed only for quantities of another vehicle",
-                ));
-            }
-            (None, Some(_)) if self.absent.is_some() => {
-                return Err(InvalidMapping::new(".absent", "a constant is always there"));
-            }
-            _ => {}
-        }
+        self.check_source()?;
         if self.scale == 0.0 {
             return Err(InvalidMapping::new(".scale", "must not be 0"));
         }
@@ -408,6 +368,27 @@ impl InputMapping {
             return Err(InvalidMapping::new(".low", problem));
         }
         Ok(())
+    }
+
+    /// Checks that the input is a quantity or a constant, and that only a neighbour may be absent.
+    fn check_source(&self) -> Result<(), InvalidMapping> {
+        match (self.quantity, self.constant) {
+            (None, None) => Err(InvalidMapping::new("", "needs a quantity or a constant")),
+            (Some(_), Some(_)) => Err(InvalidMapping::new(
+                ".constant",
+                "an input is a quantity or a constant, not both",
+            )),
+            (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
+                Err(InvalidMapping::new(
+                    ".absent",
+                    "is allowed only for quantities of another vehicle",
+                ))
+            }
+            (None, Some(_)) if self.absent.is_some() => {
+                Err(InvalidMapping::new(".absent", "a constant is always there"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the smallest and the largest input.
@@ -432,10 +413,10 @@ impl InputMapping {
     }
 
     #[inline]
-    fn value(&self, seen: &Observation, last_answer_mps2: f64) -> f64 {
+    fn value(&self, observation: &Observation, last_answer_mps2: f64) -> f64 {
         let value = match (self.constant, self.quantity) {
             (Some(constant), _) => constant,
-            (None, Some(quantity)) => quantity.value(seen, last_answer_mps2, self.absent),
+            (None, Some(quantity)) => quantity.value(observation, last_answer_mps2, self.absent),
             (None, None) => 0.0,
         };
         self.scaled(value)
@@ -443,6 +424,19 @@ impl InputMapping {
 }
 
 impl OutputMapping {
+    /// Returns the mapping of an answer from -1 to 1 to the accelerations of a policy.
+    fn native(action: &ActionBounds) -> Self {
+        Self {
+            variable: None,
+            answer: None,
+            squash: None,
+            scale_mps2: 0.5 * (action.high_mps2 - action.low_mps2),
+            offset_mps2: 0.5 * (action.low_mps2 + action.high_mps2),
+            low_mps2: action.low_mps2,
+            high_mps2: action.high_mps2,
+        }
+    }
+
     fn check(&self) -> Result<(), InvalidMapping> {
         let numbers = [
             ("scale_mps2", self.scale_mps2),

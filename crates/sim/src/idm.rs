@@ -67,7 +67,6 @@ impl Idm {
     /// Returns the desired acceleration at `speed_mps`, given gap and speed of the leader.
     #[inline(always)]
     pub(crate) fn acceleration_mps2(&self, speed_mps: f64, ahead: Option<[f64; 2]>) -> f64 {
-        let squared = |value: f64| value * value;
         let free = 1.0 - squared(squared(speed_mps / self.desired_speed_mps));
         let interaction = ahead.map_or(0.0, |ahead| self.interaction(speed_mps, ahead));
         self.accel_mps2 * (free - interaction)
@@ -92,10 +91,12 @@ impl Idm {
 
 impl Idm {
     #[inline]
-    pub(crate) fn desired_acceleration_mps2(&self, seen: &Observation) -> f64 {
+    pub(crate) fn desired_acceleration_mps2(&self, observation: &Observation) -> f64 {
         self.acceleration_mps2(
-            seen.speed_mps,
-            seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]),
+            observation.speed_mps,
+            observation
+                .ahead
+                .map(|ahead| [ahead.gap_m, ahead.speed_mps]),
         )
     }
 }
@@ -118,4 +119,9 @@ impl From<&IdmSettings> for Idm {
             twice_mean_mps2,
         }
     }
+}
+
+#[inline(always)]
+fn squared(value: f64) -> f64 {
+    value * value
 }

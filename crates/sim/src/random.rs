@@ -129,7 +129,8 @@ impl NoiseStream {
     #[inline]
     pub(crate) fn normals<const N: usize>(&mut self) -> [f64; N] {
         // Local copies stay in registers.
-        let (mut stream, sampler) = (self.stream.clone(), self.normals);
+        let mut stream = self.stream.clone();
+        let sampler = self.normals;
         let mut numbers = [0.0; N];
         for number in &mut numbers {
             *number = sampler.sample(&mut stream);
@@ -201,8 +202,8 @@ impl NormalSampler {
         let bits = after.next_u64();
         let layer = bits as usize & 0xff;
         // The upper 52 bits as a number in [2, 4), and so in [-1, 1).
-        let place = f64::from_bits(bits >> 12 | 1 << 62) - 3.0;
-        let normal = place * self.half_widths[layer];
+        let uniform = f64::from_bits(bits >> 12 | 1 << 62) - 3.0;
+        let normal = uniform * self.half_widths[layer];
         if normal.abs() < self.half_widths[layer + 1] {
             *stream = after;
             return normal;
@@ -275,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_noise_add_up_one_at_a_time_and_many_at_once() {
+    fn noise_is_the_weighted_sum_of_its_shares() {
         let shares = [(3, 0.8), (4, 0.6)].map(|(seed, weight)| NoiseShare { seed, weight });
         let noise = |shares: &[NoiseShare]| {
             NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1)
@@ -294,7 +295,7 @@ mod tests {
 
     #[test]
     fn streams_are_distinct_and_repeatable() {
-        let mut seen = HashSet::new();
+        let mut first_numbers = HashSet::new();
         for seed in 0..20 {
             for purpose in [
                 Purpose::AccelerationNoise,
@@ -305,7 +306,7 @@ mod tests {
                     let first = stream(seed, purpose, index).next_u64();
                     assert_eq!(first, stream(seed, purpose, index).next_u64());
                     assert!(
-                        seen.insert(first),
+                        first_numbers.insert(first),
                         "stream {seed}/{purpose:?}/{index} repeats another"
                     );
                 }

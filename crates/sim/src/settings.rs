@@ -71,35 +71,34 @@ pub enum InvalidSetting {
     },
 }
 
-/// Parses settings, each as `name=value`, for `controller` with the `known` names and ranges. Returns the index of each
-/// in `known`, and its value.
+/// Parses settings, each as `name=value`, for `controller` with these names and ranges. Returns the index of each
+/// of them that is set, and its value.
 pub(crate) fn parse_settings<'t>(
     texts: impl Iterator<Item = &'t str>,
     controller: &'static str,
-    known: &[(&'static str, [f64; 2])],
+    names_and_ranges: &[(&'static str, [f64; 2])],
     unknown: impl Fn(String) -> InvalidSetting,
 ) -> Result<Vec<(usize, f64)>, InvalidSetting> {
     let mut settings: Vec<(usize, f64)> = Vec::new();
     for text in texts {
-        let (stated, found) = text.split_once('=').unwrap_or((text, ""));
-        let mut candidates = (0..).zip(known);
+        let (stated, value) = text.split_once('=').unwrap_or((text, ""));
+        let mut candidates = (0..).zip(names_and_ranges);
         let setting = candidates.find(|(_, (name, _))| *name == stated);
         let (index, &(name, range)) = setting.ok_or_else(|| unknown(text.to_owned()))?;
         if settings.iter().any(|&(earlier, _)| earlier == index) {
             return Err(InvalidSetting::Duplicate { controller, name });
         }
-        let value = found.parse::<f64>().ok();
-        let is_allowed = |value: &f64| (range[0]..=range[1]).contains(value);
-        let value = value
-            .filter(is_allowed)
+        let number = value.parse::<f64>().ok();
+        let number = number
+            .filter(|number| (range[0]..=range[1]).contains(number))
             .ok_or_else(|| InvalidSetting::Value {
                 controller,
                 name,
                 range,
-                found: found.to_owned(),
+                found: value.to_owned(),
             })?;
         // The sum turns -0 into 0.
-        settings.push((index, value + 0.0));
+        settings.push((index, number + 0.0));
     }
     Ok(settings)
 }

@@ -32,10 +32,8 @@ pub fn avoidability_bound_holds(question: &OracleContext<'_>) -> OracleResult {
         .vehicles
         .iter()
         .filter_map(|vehicle| vehicle.min_gap_m);
-    let (smallest_m, bound_m) = (
-        gaps_m.fold(f64::INFINITY, f64::min),
-        avoidance.min_gap_bound_m,
-    );
+    let smallest_m = gaps_m.fold(f64::INFINITY, f64::min);
+    let bound_m = avoidance.min_gap_bound_m;
     let possible = bound_m.is_none_or(|bound_m| smallest_m <= bound_m + ROUNDING_M);
     ensure(possible, Invariant::Avoidability, || {
         format!(

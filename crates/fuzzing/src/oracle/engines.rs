@@ -2,7 +2,9 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, Track};
+use crumple_sim::engine::{
+    Impact, Intervention, RecordingLevel, Run, SimulationResult, Track, VehicleSummary,
+};
 use crumple_sim::scenario::Scenario;
 
 /// Checks that the batch engine gives the results of the scalar engine to the last bit. The batch holds the test case
@@ -12,19 +14,8 @@ use crumple_sim::scenario::Scenario;
 /// [`Invariant::Engines`].
 pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
-    let others = [
-        scenario.edited(|spec| {
-            (spec.seed, spec.duration_s) = (spec.seed ^ 1, spec.duration_s + spec.step_s)
-        }),
-        scenario.edited(|spec| {
-            spec.environment.friction = 0.5;
-            spec.vehicles
-                .iter_mut()
-                .for_each(|vehicle| vehicle.speed_mps *= 0.75);
-        }),
-    ];
-    let others: Vec<Scenario> = others.into_iter().flatten().collect();
-    let scenarios = [scenario].into_iter().chain(&others).chain([scenario]);
+    let variants = variants(scenario);
+    let scenarios = [scenario].into_iter().chain(&variants).chain([scenario]);
     let runs = scenarios.map(|scenario| Run::new(scenario, question.run.options().clone()));
     let runs = runs
         .collect::<Result<Vec<_>, _>>()
@@ -38,8 +29,8 @@ pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
         format!("{results:?} results of {} runs", runs.len())
     })?;
     for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
-        let is_the_trial = std::ptr::eq(run.scenario().spec(), scenario.spec());
-        let mut alone = if is_the_trial {
+        let is_test_case = std::ptr::eq(run.scenario().spec(), scenario.spec());
+        let mut alone = if is_test_case {
             question.result.clone()
         } else {
             question.system.simulate(run, RecordingLevel::Trace)
@@ -64,112 +55,161 @@ pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
+/// Returns valid variants of a scenario with other noise and duration, and with other speeds and road.
+fn variants(scenario: &Scenario) -> Vec<Scenario> {
+    let variants = [
+        scenario.edited(|spec| {
+            spec.seed ^= 1;
+            spec.duration_s += spec.step_s;
+        }),
+        scenario.edited(|spec| {
+            spec.environment.friction = 0.5;
+            spec.vehicles
+                .iter_mut()
+                .for_each(|vehicle| vehicle.speed_mps *= 0.75);
+        }),
+    ];
+    variants.into_iter().flatten().collect()
+}
+
 /// Returns all numbers of a result as bits; 0 and -0 differ.
 #[must_use]
 pub fn result_bits(result: &SimulationResult) -> Vec<u64> {
     result_numbers(result)
         .iter()
-        .map(|(.., number)| number.to_bits())
+        .map(|number| number.value.to_bits())
         .collect()
 }
 
 fn first_difference(alone: &SimulationResult, batch: &SimulationResult) -> String {
-    let (one, other) = (result_numbers(alone), result_numbers(batch));
-    let differing = one
-        .iter()
-        .zip(&other)
-        .find(|(one, other)| one.2.to_bits() != other.2.to_bits());
+    let numbers_alone = result_numbers(alone);
+    let numbers_in_batch = result_numbers(batch);
+    let mut pairs = numbers_alone.iter().zip(&numbers_in_batch);
+    let differing = pairs.find(|(a, b)| a.value.to_bits() != b.value.to_bits());
     let outcomes = format!(
         "alone {:?}, in the batch {:?}",
         alone.outcome, batch.outcome
     );
     match differing {
-        Some((&(name, index, one), &(.., other))) => {
-            format!("{name} {index} is {one:?} and {other:?}; {outcomes}")
+        Some((alone, batch)) => {
+            let ResultNumber { name, index, value } = alone;
+            format!(
+                "{name} {index} is {value:?} and {:?}; {outcomes}",
+                batch.value
+            )
         }
-        None => format!("{} numbers and {}; {outcomes}", one.len(), other.len()),
+        None => format!(
+            "{} numbers and {}; {outcomes}",
+            numbers_alone.len(),
+            numbers_in_batch.len()
+        ),
     }
 }
 
-/// Returns all numbers of a result: a name, the index of the impact, vehicle or sample, and the number.
-fn result_numbers(result: &SimulationResult) -> Vec<(&'static str, usize, f64)> {
+/// A number of a result.
+struct ResultNumber {
+    name: &'static str,
+    /// Index of the impact, vehicle or sample.
+    index: usize,
+    value: f64,
+}
+
+/// Returns all numbers of a result.
+fn result_numbers(result: &SimulationResult) -> Vec<ResultNumber> {
     let mut numbers = Vec::new();
     for (index, impact) in result.impacts.iter().enumerate() {
-        let contact = &impact.contact;
-        let indices = [
-            contact.front_vehicle,
-            contact.rear_vehicle,
-            impact.first_involved,
-            impact.last_involved,
-        ];
-        numbers.extend(indices.map(|vehicle| ("vehicle of impact", index, vehicle as f64)));
-        let speeds = [
-            contact.front_speed_mps,
-            contact.rear_speed_mps,
-            contact.impact_speed_mps,
-            impact.common_speed_mps,
-        ];
-        numbers.push(("time of impact", index, contact.time_s));
-        numbers.extend(speeds.map(|speed_mps| ("speed of impact", index, speed_mps)));
+        numbers.extend(impact_numbers(index, impact));
     }
-    for (index, vehicle) in result.vehicles.iter().enumerate() {
-        let absent = f64::from_bits(u64::MAX);
-        numbers.push((
-            "smallest gap of vehicle",
-            index,
-            vehicle.min_gap_m.unwrap_or(absent),
-        ));
-        numbers.push((
-            "smallest time to collision of vehicle",
-            index,
-            vehicle.min_ttc_s.unwrap_or(absent),
-        ));
-        numbers.push(("hardest braking of vehicle", index, vehicle.max_brake_mps2));
-        numbers.push((
-            "whether it stopped, vehicle",
-            index,
-            f64::from(vehicle.stopped),
-        ));
+    for (index, summary) in result.vehicles.iter().enumerate() {
+        numbers.extend(summary_numbers(index, summary));
     }
-    for (index, done) in result.interventions.iter().enumerate() {
-        let flags = [done.outside_kernel, done.rear_conflict].map(f64::from);
-        let all = [
-            done.vehicle as f64,
-            done.from_s,
-            done.to_s,
-            flags[0],
-            flags[1],
-        ];
-        numbers.extend(all.map(|number| ("intervention", index, number)));
+    for (index, intervention) in result.interventions.iter().enumerate() {
+        numbers.extend(intervention_numbers(index, intervention));
     }
     if let Some(trace) = &result.trace {
-        let samples = |name: &'static str, values: &[f64]| {
-            values
-                .iter()
-                .copied()
-                .enumerate()
-                .map(|(index, value)| (name, index, value))
-                .collect::<Vec<_>>()
-        };
-        numbers.extend(samples("time of sample", &trace.time_s));
+        numbers.extend(series_numbers("time of sample", &trace.time_s));
         for (index, track) in trace.vehicles.iter().enumerate() {
-            let Track {
-                length_m,
-                mass_kg,
-                position_m,
-                speed_mps,
-                acceleration_mps2,
-                in_lane_s,
-            } = track;
-            numbers.extend([
-                ("length of vehicle", index, *length_m),
-                ("mass of vehicle", index, *mass_kg),
-            ]);
-            numbers.extend(samples("change of lane", in_lane_s));
-            numbers.extend(samples("position of sample", position_m));
-            numbers.extend(samples("speed of sample", speed_mps));
-            numbers.extend(samples("acceleration of sample", acceleration_mps2));
+            numbers.extend(track_numbers(index, track));
         }
     }
     numbers
+}
+
+fn impact_numbers(index: usize, impact: &Impact) -> [ResultNumber; 9] {
+    let contact = &impact.contact;
+    [
+        ("vehicle of impact", contact.front_vehicle as f64),
+        ("vehicle of impact", contact.rear_vehicle as f64),
+        ("vehicle of impact", impact.first_involved as f64),
+        ("vehicle of impact", impact.last_involved as f64),
+        ("time of impact", contact.time_s),
+        ("speed of impact", contact.front_speed_mps),
+        ("speed of impact", contact.rear_speed_mps),
+        ("speed of impact", contact.impact_speed_mps),
+        ("speed of impact", impact.common_speed_mps),
+    ]
+    .map(|(name, value)| ResultNumber { name, index, value })
+}
+
+fn summary_numbers(index: usize, summary: &VehicleSummary) -> [ResultNumber; 4] {
+    let absent = f64::from_bits(u64::MAX);
+    [
+        (
+            "smallest gap of vehicle",
+            summary.min_gap_m.unwrap_or(absent),
+        ),
+        (
+            "smallest time to collision of vehicle",
+            summary.min_ttc_s.unwrap_or(absent),
+        ),
+        ("hardest braking of vehicle", summary.max_brake_mps2),
+        ("whether it stopped, vehicle", f64::from(summary.stopped)),
+    ]
+    .map(|(name, value)| ResultNumber { name, index, value })
+}
+
+fn intervention_numbers(index: usize, intervention: &Intervention) -> [ResultNumber; 5] {
+    [
+        intervention.vehicle as f64,
+        intervention.from_s,
+        intervention.to_s,
+        f64::from(intervention.outside_kernel),
+        f64::from(intervention.rear_conflict),
+    ]
+    .map(|value| ResultNumber {
+        name: "intervention",
+        index,
+        value,
+    })
+}
+
+fn track_numbers(index: usize, track: &Track) -> Vec<ResultNumber> {
+    let Track {
+        length_m,
+        mass_kg,
+        position_m,
+        speed_mps,
+        acceleration_mps2,
+        in_lane_s,
+    } = track;
+    let of_vehicle = [
+        ("length of vehicle", *length_m),
+        ("mass of vehicle", *mass_kg),
+    ]
+    .map(|(name, value)| ResultNumber { name, index, value });
+    of_vehicle
+        .into_iter()
+        .chain(series_numbers("change of lane", in_lane_s))
+        .chain(series_numbers("position of sample", position_m))
+        .chain(series_numbers("speed of sample", speed_mps))
+        .chain(series_numbers("acceleration of sample", acceleration_mps2))
+        .collect()
+}
+
+/// Returns the numbers of a series, with their own indices.
+fn series_numbers(name: &'static str, values: &[f64]) -> impl Iterator<Item = ResultNumber> {
+    values
+        .iter()
+        .enumerate()
+        .map(move |(index, &value)| ResultNumber { name, index, value })
 }

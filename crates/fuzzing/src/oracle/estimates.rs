@@ -29,22 +29,18 @@ pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
         .flat_map(|trace| &trace.vehicles);
     let in_lane_s: Vec<[f64; 2]> = tracks.map(|track| track.in_lane_s).collect();
     let vehicles = question.test_case.scenario.vehicles();
-    let estimates = |vehicle: &VehicleSpec| {
-        vehicle.driver == Driver::UnderTest
-            && question.run.options().estimator == EstimatorKind::Kalman
-    };
+    let has_filters = question.run.options().estimator == EstimatorKind::Kalman;
     question
         .system
         .for_each_observation(&question.run, &mut |sight| {
-            let is_there = |vehicle: usize| {
-                in_lane_s.get(vehicle).is_none_or(|&[from_s, to_s]| {
-                    let now_s = sight.time_s + TIME_TOLERANCE_S;
-                    from_s <= now_s && now_s < to_s
-                })
-            };
-            let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
+            let now_s = sight.time_s + TIME_TOLERANCE_S;
+            let truth = true_observation(sight.motion, vehicles, sight.vehicle, |vehicle| {
+                in_lane_s
+                    .get(vehicle)
+                    .is_none_or(|&[from_s, to_s]| from_s <= now_s && now_s < to_s)
+            });
             let problem = match vehicles.get(sight.vehicle) {
-                Some(vehicle) if estimates(vehicle) => {
+                Some(vehicle) if has_filters && vehicle.driver == Driver::UnderTest => {
                     bounds.find_problem(&sight.observation, &truth)
                 }
                 _ => (sight.observation != truth).then(|| {
@@ -67,37 +63,37 @@ fn true_observation(
     motion: &[Motion],
     vehicles: &[VehicleSpec],
     index: usize,
-    is_there: impl Fn(usize) -> bool,
+    is_in_lane: impl Fn(usize) -> bool,
 ) -> Observation {
-    let gap_m = |front: usize, rear: usize| {
-        Some(
-            motion.get(front)?.position_m
-                - vehicles.get(front)?.length_m()
-                - motion.get(rear)?.position_m,
-        )
-    };
-    let neighbour = |other: usize, gap_m: Option<f64>| {
-        let Motion {
-            speed_mps,
-            acceleration_mps2,
-            ..
-        } = *motion.get(other)?;
-        Some(Neighbour {
-            gap_m: gap_m?,
-            speed_mps,
-            acceleration_mps2,
-        })
-    };
     let own = motion.get(index);
     let ahead = (0..index)
         .rev()
-        .find(|&other| is_there(other) && is_there(index));
-    let behind = (index + 1..motion.len()).find(|&other| is_there(other) && is_there(index));
+        .find(|&front| is_in_lane(front) && is_in_lane(index));
+    let behind = (index + 1..motion.len()).find(|&rear| is_in_lane(rear) && is_in_lane(index));
     Observation {
         speed_mps: own.map_or(f64::NAN, |own| own.speed_mps),
         acceleration_mps2: own.map_or(f64::NAN, |own| own.acceleration_mps2),
-        ahead: ahead.and_then(|front| neighbour(front, gap_m(front, index))),
-        behind: behind.and_then(|rear| neighbour(rear, gap_m(index, rear))),
+        ahead: ahead.and_then(|front| {
+            let gap_m = gap_m(motion, vehicles, front, index)?;
+            Some(neighbour(motion.get(front)?, gap_m))
+        }),
+        behind: behind.and_then(|rear| {
+            let gap_m = gap_m(motion, vehicles, index, rear)?;
+            Some(neighbour(motion.get(rear)?, gap_m))
+        }),
+    }
+}
+
+fn gap_m(motion: &[Motion], vehicles: &[VehicleSpec], front: usize, rear: usize) -> Option<f64> {
+    let front_m = motion.get(front)?.position_m;
+    Some(front_m - vehicles.get(front)?.length_m() - motion.get(rear)?.position_m)
+}
+
+fn neighbour(motion: &Motion, gap_m: f64) -> Neighbour {
+    Neighbour {
+        gap_m,
+        speed_mps: motion.speed_mps,
+        acceleration_mps2: motion.acceleration_mps2,
     }
 }
 
@@ -132,7 +128,7 @@ impl EstimateBounds {
             .iter()
             .flat_map(|trace| &trace.vehicles);
         let accelerations = tracks.flat_map(|track| &track.acceleration_mps2);
-        let hardest_mps2 = accelerations.fold(0.0_f64, |most, a| most.max(a.abs()));
+        let hardest_mps2 = accelerations.fold(0.0_f64, |hardest, a| hardest.max(a.abs()));
         let jumps_mps: f64 = question
             .result
             .impacts
@@ -150,38 +146,44 @@ impl EstimateBounds {
         }
     }
 
-    fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
-        let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
-        if !(seen.speed_mps >= 0.0
-            && seen.acceleration_mps2.is_finite()
+    fn find_problem(&self, estimate: &Observation, truth: &Observation) -> Option<String> {
+        let own_off_mps = (estimate.speed_mps - truth.speed_mps).abs();
+        if !(estimate.speed_mps >= 0.0
+            && estimate.acceleration_mps2.is_finite()
             && own_off_mps <= self.own_speed_mps)
         {
             return Some(format!(
                 "its estimated speed is {} m/s, the truth is {} m/s",
-                seen.speed_mps, truth.speed_mps
+                estimate.speed_mps, truth.speed_mps
             ));
         }
-        for (seen, truth) in [(seen.ahead, truth.ahead), (seen.behind, truth.behind)] {
-            match (seen, truth) {
+        for (estimate, truth) in [
+            (estimate.ahead, truth.ahead),
+            (estimate.behind, truth.behind),
+        ] {
+            match (estimate, truth) {
                 (None, None) => {}
                 (None, Some(_)) if self.has_faults => {}
-                (Some(seen), None) if self.has_faults && self.contains(&seen, &seen) => {}
-                (Some(seen), Some(truth)) if self.contains(&seen, &truth) => {}
-                (seen, truth) => {
-                    return Some(format!("the estimate is {seen:?}, the truth is {truth:?}"));
+                (Some(estimate), None)
+                    if self.has_faults && self.contains(&estimate, &estimate) => {}
+                (Some(estimate), Some(truth)) if self.contains(&estimate, &truth) => {}
+                (estimate, truth) => {
+                    return Some(format!(
+                        "the estimate is {estimate:?}, the truth is {truth:?}"
+                    ));
                 }
             }
         }
         None
     }
 
-    fn contains(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
-        let finite = seen.gap_m.is_finite()
-            && seen.speed_mps.is_finite()
-            && seen.acceleration_mps2.is_finite();
+    fn contains(&self, estimate: &Neighbour, truth: &Neighbour) -> bool {
+        let finite = estimate.gap_m.is_finite()
+            && estimate.speed_mps.is_finite()
+            && estimate.acceleration_mps2.is_finite();
         finite
-            && seen.speed_mps >= 0.0
-            && (seen.gap_m - truth.gap_m).abs() <= self.gap_m
-            && (seen.speed_mps - truth.speed_mps).abs() <= self.neighbour_speed_mps
+            && estimate.speed_mps >= 0.0
+            && (estimate.gap_m - truth.gap_m).abs() <= self.gap_m
+            && (estimate.speed_mps - truth.speed_mps).abs() <= self.neighbour_speed_mps
     }
 }

@@ -1,6 +1,8 @@
 //! Oracle: impacts are perfectly inelastic.
 
-use super::{OracleContext, OracleOutcome, OracleResult, ensure};
+use std::ops::RangeInclusive;
+
+use super::{Finding, OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_sim::engine::{AfterContact, Impact, Trace};
 
@@ -33,41 +35,48 @@ pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
         ensure(!again, Invariant::Sticking, || {
             format!("vehicle {rear} hits the same vehicle twice")
         })?;
-        let pairs = trace.pairs(rear);
-        let Some(pair) = pairs.last() else { continue };
-        let speeds = |sample: usize| {
-            pair.front
-                .speed_mps
-                .get(sample)
-                .zip(pair.rear.speed_mps.get(sample))
-        };
-        let samples = pair.gaps_m().filter_map(|(sample, gap_m)| {
-            Some((trace.time_s.get(sample)?, gap_m, speeds(sample)?))
-        });
-        for (t, gap_m, (front, behind)) in samples {
-            let together = gap_m.abs() < CONTACT_TOLERANCE_M && front == behind;
-            let is_after = *t > impact.contact.time_s + 1e-9;
-            ensure(!is_after || together, Invariant::Sticking, || {
-                format!(
-                    "vehicle {rear} at {t} s: {gap_m} m from the vehicle that it hit, {behind} against {front} m/s"
-                )
-            })?;
-        }
+        check_stays_together(trace, impact)?;
     }
     Ok(OracleOutcome::Holds)
 }
 
-fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Invariant, String)> {
-    let contact = &impact.contact;
-    let mass_kg = |vehicles: std::ops::RangeInclusive<usize>| -> f64 {
-        let involved = vehicles.filter(|vehicle| !impact.beside.contains(vehicle));
-        involved
-            .filter_map(|vehicle| trace.vehicles.get(vehicle))
-            .map(|track| track.mass_kg)
-            .sum()
+/// Checks that the two vehicles of an impact have no gap and equal speeds afterwards.
+fn check_stays_together(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
+    let rear = impact.contact.rear_vehicle;
+    let pairs = trace.pairs(rear);
+    let Some(pair) = pairs.last() else {
+        return Ok(());
     };
-    let front_kg = mass_kg(impact.first_involved..=contact.front_vehicle);
-    let rear_kg = mass_kg(contact.rear_vehicle..=impact.last_involved);
+    let samples = pair.gaps_m().filter_map(|(sample, gap_m)| {
+        let front_mps = pair.front.speed_mps.get(sample)?;
+        let rear_mps = pair.rear.speed_mps.get(sample)?;
+        Some((trace.time_s.get(sample)?, gap_m, front_mps, rear_mps))
+    });
+    for (t, gap_m, front_mps, rear_mps) in samples {
+        let are_together = gap_m.abs() < CONTACT_TOLERANCE_M && front_mps == rear_mps;
+        let is_after = *t > impact.contact.time_s + 1e-9;
+        ensure(!is_after || are_together, Invariant::Sticking, || {
+            format!(
+                "vehicle {rear} at {t} s: {gap_m} m from the vehicle that it hit, {rear_mps} against {front_mps} m/s"
+            )
+        })?;
+    }
+    Ok(())
+}
+
+/// Returns the mass of those vehicles that are involved in an impact, in kg.
+fn involved_mass_kg(trace: &Trace, impact: &Impact, vehicles: RangeInclusive<usize>) -> f64 {
+    vehicles
+        .filter(|vehicle| !impact.beside.contains(vehicle))
+        .filter_map(|vehicle| trace.vehicles.get(vehicle))
+        .map(|track| track.mass_kg)
+        .sum()
+}
+
+fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
+    let contact = &impact.contact;
+    let front_kg = involved_mass_kg(trace, impact, impact.first_involved..=contact.front_vehicle);
+    let rear_kg = involved_mass_kg(trace, impact, contact.rear_vehicle..=impact.last_involved);
     let [front_mps, rear_mps] = [contact.front_speed_mps, contact.rear_speed_mps];
     let common_mps = impact.common_speed_mps;
     let at = |what: &str| {
@@ -76,13 +85,13 @@ fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Invariant, String
         )
     };
     let momentum = front_kg * front_mps + rear_kg * rear_mps;
-    let kept = (momentum - (front_kg + rear_kg) * common_mps).abs() <= 1e-9 * momentum.max(1.0);
-    ensure(kept, Invariant::Momentum, || at("momentum changes"))?;
+    let is_conserved =
+        (momentum - (front_kg + rear_kg) * common_mps).abs() <= 1e-9 * momentum.max(1.0);
+    ensure(is_conserved, Invariant::Momentum, || at("momentum changes"))?;
     let energy = front_kg * front_mps * front_mps + rear_kg * rear_mps * rear_mps;
-    let left = (front_kg + rear_kg) * common_mps * common_mps;
-    ensure(left <= energy * (1.0 + 1e-12), Invariant::Energy, || {
-        at("energy increases")
-    })?;
+    let energy_after = (front_kg + rear_kg) * common_mps * common_mps;
+    let adds_no_energy = energy_after <= energy * (1.0 + 1e-12);
+    ensure(adds_no_energy, Invariant::Energy, || at("energy increases"))?;
     let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
     ensure(apart_mps <= 1e-9, Invariant::Momentum, || {
         at("the impact speed differs")

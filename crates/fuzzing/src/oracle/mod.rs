@@ -47,7 +47,7 @@ pub enum OracleOutcome {
 /// An oracle: a function that checks an invariant on a test case.
 pub type OracleFn = fn(&OracleContext<'_>) -> OracleResult;
 
-pub(crate) type OracleResult = Result<OracleOutcome, (Invariant, String)>;
+pub(crate) type OracleResult = Result<OracleOutcome, Finding>;
 
 /// All oracles, the cheapest first.
 pub const ORACLES: [OracleFn; 10] = [
@@ -128,7 +128,7 @@ impl<'t> OracleContext<'t> {
         })
     }
 
-    fn trace(&self) -> Result<&Trace, (Invariant, String)> {
+    fn trace(&self) -> Result<&Trace, Finding> {
         self.result
             .trace
             .as_ref()
@@ -139,23 +139,26 @@ impl<'t> OracleContext<'t> {
 /// True if a gap is so small, or an impact so soft, that rounding may decide the verdict.
 #[must_use]
 pub fn is_grazing(result: &SimulationResult) -> bool {
-    let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
-    let soft = result
+    let is_soft = result
         .impacts
         .iter()
         .any(|impact| impact.contact.impact_speed_mps < 1e-6);
-    soft || result
-        .vehicles
-        .iter()
-        .filter_map(|vehicle| vehicle.min_gap_m)
-        .any(near)
+    is_soft
+        || result
+            .vehicles
+            .iter()
+            .filter_map(|vehicle| vehicle.min_gap_m)
+            .any(|gap_m| gap_m > 0.0 && gap_m < ROUNDING_M)
 }
+
+/// A violated invariant, and a description of the violation.
+type Finding = (Invariant, String);
 
 fn ensure(
     holds: bool,
     invariant: Invariant,
     finding: impl FnOnce() -> String,
-) -> Result<(), (Invariant, String)> {
+) -> Result<(), Finding> {
     if holds {
         Ok(())
     } else {

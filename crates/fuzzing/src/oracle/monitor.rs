@@ -1,6 +1,8 @@
 //! Oracle: STL formulas have the robustness of the definition, and "always a gap" agrees with the verdict.
 
-use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
+use std::fmt::Display;
+
+use super::{Finding, OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
 use crate::formula::formula_from_bytes;
 use crumple_measure::stl::{
@@ -22,12 +24,31 @@ const NO_VEHICLE_GAP_M: f64 = 1e6;
 /// [`Invariant::Monitor`].
 pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
-    let wrong = |finding: String| (Invariant::Monitor, finding);
-    let step_s = question.run.dt_s();
-    let all = trace_signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
-    let apart =
-        no_contact_formula(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
-    let robustness = first_robustness(question, &apart, &all)?;
+    check_no_contact_formula(question, trace)?;
+    let every = trace.len().div_ceil(MAX_SAMPLES);
+    let signals = trace_signals(trace, question.run.dt_s(), every).map_err(monitor_finding)?;
+    let names: Vec<&str> = signals.names().collect();
+    // Derived from the scenario, so that a test case is deterministic.
+    let mut bytes = Vec::new();
+    for vehicle in question.test_case.scenario.vehicles() {
+        bytes.extend(vehicle.position_m.to_bits().to_le_bytes());
+        bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
+    }
+    bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
+    let formula = formula_from_bytes(&bytes, &names, signals.step_s()).map_err(monitor_finding)?;
+    check_definition(question, &formula, &signals)?;
+    Ok(OracleOutcome::Holds)
+}
+
+fn monitor_finding(error: impl Display) -> Finding {
+    (Invariant::Monitor, error.to_string())
+}
+
+/// Checks that the robustness of "always a gap" agrees with collisions and the smallest gap of the run.
+fn check_no_contact_formula(question: &OracleContext<'_>, trace: &Trace) -> Result<(), Finding> {
+    let signals = trace_signals(trace, question.run.dt_s(), 1).map_err(monitor_finding)?;
+    let apart = no_contact_formula(trace.vehicles.len()).map_err(monitor_finding)?;
+    let robustness = first_robustness(question, &apart, &signals)?;
     let collided = !question.result.impacts.is_empty();
     let sign = if collided {
         robustness <= ROUNDING_M
@@ -42,44 +63,30 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
         .vehicles
         .iter()
         .filter_map(|vehicle| vehicle.min_gap_m);
-    let least_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
+    let min_gap_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
     ensure(
-        robustness >= least_m - ROUNDING_M,
+        robustness >= min_gap_m - ROUNDING_M,
         Invariant::Monitor,
         || {
             format!(
-                "{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m"
+                "{apart} has robustness {robustness}, but the smallest gap of the run is {min_gap_m} m"
             )
         },
-    )?;
-    let few = trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES))
-        .map_err(|error| wrong(error.to_string()))?;
-    let names: Vec<&str> = few.names().collect();
-    // Derived from the scenario, so that a test case is deterministic.
-    let mut bytes = Vec::new();
-    for vehicle in question.test_case.scenario.vehicles() {
-        bytes.extend(vehicle.position_m.to_bits().to_le_bytes());
-        bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
-    }
-    bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
-    let formula = formula_from_bytes(&bytes, &names, few.step_s())
-        .map_err(|error| wrong(error.to_string()))?;
-    check_definition(question, &formula, &few)?;
-    Ok(OracleOutcome::Holds)
+    )
 }
 
 fn check_definition(
     question: &OracleContext<'_>,
     formula: &Formula,
     signals: &SampledSignals<'_>,
-) -> Result<(), (Invariant, String)> {
-    let wrong = |error: MonitorError| (Invariant::Monitor, format!("{formula}: {error}"));
+) -> Result<(), Finding> {
+    let finding = |error: MonitorError| (Invariant::Monitor, format!("{formula}: {error}"));
     let over_time = question
         .system
         .robustness_over_time(formula, signals)
-        .map_err(wrong)?;
+        .map_err(finding)?;
     for (k, &value) in over_time.iter().enumerate() {
-        let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
+        let defined = naive_robustness(formula, signals, k).map_err(finding)?;
         ensure(value == defined, Invariant::Monitor, || {
             format!("{formula} at sample {k}: {value}, defined as {defined}")
         })?;
@@ -87,7 +94,7 @@ fn check_definition(
     let satisfied = question
         .system
         .is_satisfied(formula, signals)
-        .map_err(wrong)?;
+        .map_err(finding)?;
     let sign = over_time
         .first()
         .is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
@@ -103,9 +110,9 @@ fn first_robustness(
     question: &OracleContext<'_>,
     formula: &Formula,
     signals: &SampledSignals<'_>,
-) -> Result<f64, (Invariant, String)> {
+) -> Result<f64, Finding> {
     let over_time = question.system.robustness_over_time(formula, signals);
-    let over_time = over_time.map_err(|error| (Invariant::Monitor, error.to_string()))?;
+    let over_time = over_time.map_err(monitor_finding)?;
     over_time.first().copied().ok_or_else(|| {
         (
             Invariant::Monitor,
@@ -115,17 +122,18 @@ fn first_robustness(
 }
 
 fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
-    let gap = |rear: usize| -> Result<Formula, FormulaError> {
-        let comparison =
-            LinearPredicate::new([(1.0, format!("gap{rear}_m"))], ComparisonOp::Above, 0.0)?;
-        Ok(Formula::Always(
-            TimeWindow::ALL,
-            Box::new(Formula::Compare(comparison)),
-        ))
-    };
-    (2..vehicles).try_fold(gap(1)?, |all, rear| {
-        Ok(Formula::And(Box::new(all), Box::new(gap(rear)?)))
+    (2..vehicles).try_fold(always_a_gap(1)?, |all, rear| {
+        Ok(Formula::And(Box::new(all), Box::new(always_a_gap(rear)?)))
     })
+}
+
+fn always_a_gap(rear: usize) -> Result<Formula, FormulaError> {
+    let gap = format!("gap{rear}_m");
+    let comparison = LinearPredicate::new([(1.0, gap)], ComparisonOp::Above, 0.0)?;
+    Ok(Formula::Always(
+        TimeWindow::ALL,
+        Box::new(Formula::Compare(comparison)),
+    ))
 }
 
 /// Returns gaps and speeds of a trace, at every `every`-th sample.

@@ -2,7 +2,7 @@
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure, is_grazing};
 use crate::Invariant;
-use crumple_sim::engine::{Impact, RecordingLevel, Run, SimulationResult, Trace};
+use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, Trace};
 use crumple_sim::scenario::ScenarioSpec;
 
 const REFINEMENT: usize = 10;
@@ -23,7 +23,8 @@ const EXPLAINED_SHARE: f64 = 0.01;
 /// # Errors
 /// [`Invariant::StepSize`].
 pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
-    let (run, coarse) = (&question.run, &question.result);
+    let run = &question.run;
+    let coarse = &question.result;
     let options = run
         .options()
         .clone()
@@ -66,19 +67,20 @@ fn check_held_accelerations(
         .map(|impact| impact.contact.time_s)
         .collect();
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
-        for (step, (held, times)) in track
+        for (step, (accelerations, times)) in track
             .acceleration_mps2
             .chunks_exact(substeps)
             .zip(trace.time_s.chunks_exact(substeps))
             .enumerate()
         {
-            let (Some(&from_s), Some(&to_s)) = (times.first(), times.last()) else {
+            let Some((&from_s, &to_s)) = times.first().zip(times.last()) else {
                 continue;
             };
             let collided = impacts_s
                 .iter()
                 .any(|t| (from_s - 1e-9..=to_s + (to_s - from_s) + 1e-9).contains(t));
-            if !collided && held.iter().any(|a| Some(a) != held.first()) {
+            let first = accelerations.first();
+            if !collided && accelerations.iter().any(|a| Some(a) != first) {
                 return Err(format!(
                     "vehicle {vehicle} changes its acceleration within step {step}, {from_s} s"
                 ));
@@ -90,18 +92,8 @@ fn check_held_accelerations(
 
 /// Returns the largest distance of two runs at the samples of the first or at impacts, in metres; infinite if different
 /// vehicles collide.
-fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usize) -> f64 {
-    let who = |result: &SimulationResult| -> Vec<[usize; 3]> {
-        let of = |impact: &Impact| {
-            [
-                impact.contact.rear_vehicle,
-                impact.first_involved,
-                impact.last_involved,
-            ]
-        };
-        result.impacts.iter().map(of).collect()
-    };
-    if who(coarse) != who(fine) {
+fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, refinement: usize) -> f64 {
+    if colliding_vehicles(coarse) != colliding_vehicles(fine) {
         return f64::INFINITY;
     }
     let impacts = coarse
@@ -118,7 +110,7 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usi
             }
         });
     let impacts_m = impacts.fold(0.0, f64::max);
-    let (Some(coarse), Some(fine)) = (&coarse.trace, &fine.trace) else {
+    let Some((coarse, fine)) = coarse.trace.as_ref().zip(fine.trace.as_ref()) else {
         return f64::INFINITY;
     };
     let tracks = coarse.vehicles.iter().zip(&fine.vehicles);
@@ -127,12 +119,27 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usi
         let samples = coarse_track
             .position_m
             .iter()
-            .zip(fine_track.position_m.iter().step_by(finer));
+            .zip(fine_track.position_m.iter().step_by(refinement));
         samples.take(coarse.len().saturating_sub(1))
     });
     samples
         .map(|(x, y)| (x - y).abs())
         .fold(impacts_m, f64::max)
+}
+
+/// Returns the rear, the first and the last vehicle of each impact.
+fn colliding_vehicles(result: &SimulationResult) -> Vec<[usize; 3]> {
+    result
+        .impacts
+        .iter()
+        .map(|impact| {
+            [
+                impact.contact.rear_vehicle,
+                impact.first_involved,
+                impact.last_involved,
+            ]
+        })
+        .collect()
 }
 
 /// True if the vehicle whose motion differs first was at rest and has noise. A vehicle at rest gets no noise unless it
@@ -172,35 +179,35 @@ fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
 
 /// Returns the largest change of the run if all gaps or all speeds are disturbed, in metres.
 fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
-    let gaps = |by_m: f64| {
-        move |spec: &mut ScenarioSpec| {
-            spec.vehicles
-                .iter_mut()
-                .zip(0_u32..)
-                .for_each(|(v, index)| v.position_m -= by_m * f64::from(index));
-        }
-    };
-    let speeds = |by_mps: f64| {
-        move |spec: &mut ScenarioSpec| {
-            // Followers only, each more than its leader, so that closing speeds change.
-            for (vehicle, index) in spec.vehicles.iter_mut().zip(0_u32..).skip(1) {
-                vehicle.speed_mps = (vehicle.speed_mps + by_mps * f64::from(index)).max(0.0);
-            }
-        }
-    };
     let scenario = &question.test_case.scenario;
-    let twins = DISTURBANCES
-        .into_iter()
-        .flat_map(|by| [scenario.edited(gaps(by)), scenario.edited(speeds(by))]);
-    let apart = twins.flatten().filter_map(|twin| {
-        let run = Run::new(&twin, question.run.options().clone()).ok()?;
+    let disturbed = DISTURBANCES.into_iter().flat_map(|by| {
+        [
+            scenario.edited(|spec| disturb_gaps(spec, by)),
+            scenario.edited(|spec| disturb_speeds(spec, by)),
+        ]
+    });
+    let effects_m = disturbed.flatten().filter_map(|disturbed| {
+        let run = Run::new(&disturbed, question.run.options().clone()).ok()?;
         Some(max_distance_m(
             &question.result,
             &question.system.simulate(&run, RecordingLevel::Trace),
             1,
         ))
     });
-    apart.fold(0.0, f64::max)
+    effects_m.fold(0.0, f64::max)
+}
+
+fn disturb_gaps(spec: &mut ScenarioSpec, by_m: f64) {
+    for (vehicle, index) in spec.vehicles.iter_mut().zip(0_u32..) {
+        vehicle.position_m -= by_m * f64::from(index);
+    }
+}
+
+/// Changes the speeds of followers, each more than that of its leader, so that closing speeds change.
+fn disturb_speeds(spec: &mut ScenarioSpec, by_mps: f64) {
+    for (vehicle, index) in spec.vehicles.iter_mut().zip(0_u32..).skip(1) {
+        vehicle.speed_mps = (vehicle.speed_mps + by_mps * f64::from(index)).max(0.0);
+    }
 }
 
 /// Checks that two runs have the same impacts, except for a shift of vehicle indices and of time. Rounding moves

@@ -10,17 +10,22 @@ pub(super) struct Wave {
 impl Wave {
     /// Samples `periods` whole periods; `periods` must be less than half of `samples`.
     pub(super) fn new(periods: usize, samples: usize) -> Self {
-        // The remainder keeps the argument small, so that long windows lose no accuracy.
-        let phase = |sample: usize| TAU * ((periods * sample) % samples) as f64 / samples as f64;
+        let sin_cos = (0..samples).map(|sample| {
+            // The remainder keeps the argument small, so that long windows lose no accuracy.
+            let phase = TAU * ((periods * sample) % samples) as f64 / samples as f64;
+            phase.sin_cos()
+        });
         Self {
-            sin_cos: (0..samples).map(|sample| phase(sample).sin_cos()).collect(),
+            sin_cos: sin_cos.collect(),
         }
     }
 
     /// Returns mean and amplitude of values at these samples: the projection on sine and cosine. It is exact for a sum
     /// of a constant and harmonics, because the samples are whole periods.
     pub(super) fn project(&self, values: &[f64]) -> [f64; 2] {
-        let (mut sum, mut sine, mut cosine) = (0.0, 0.0, 0.0);
+        let mut sum = 0.0;
+        let mut sine = 0.0;
+        let mut cosine = 0.0;
         for (value, (sin, cos)) in values.iter().zip(&self.sin_cos) {
             sum += value;
             sine += value * sin;

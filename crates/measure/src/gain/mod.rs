@@ -134,11 +134,12 @@ impl GainSurvey {
     ) -> Result<Self, GainError> {
         let frequencies = grid.frequencies_rad_per_s();
         let points = speeds_mps.iter().flat_map(|&mean_speed_mps| {
-            let of = move |&frequency_rad_per_s: &f64| OperatingPoint {
-                mean_speed_mps,
-                frequency_rad_per_s,
-            };
-            frequencies.iter().map(of)
+            frequencies
+                .iter()
+                .map(move |&frequency_rad_per_s| OperatingPoint {
+                    mean_speed_mps,
+                    frequency_rad_per_s,
+                })
         });
         let mut runs = LineRuns::new(controller);
         let mut survey = Self {
@@ -149,8 +150,8 @@ impl GainSurvey {
             let Some((largest, _)) = survey.largest() else {
                 break;
             };
-            let beside = survey.points_around(largest, steps, speeds_mps);
-            survey.points.extend(runs.measure(&beside)?);
+            let around = survey.points_around(largest, steps, speeds_mps);
+            survey.points.extend(runs.measure(&around)?);
             steps = steps.map(f64::sqrt);
         }
         Ok(survey)
@@ -163,20 +164,20 @@ impl GainSurvey {
             .points
             .iter()
             .filter_map(|point| Some((point.at, *point.gain.as_ref().ok()?)));
-        gains.max_by(|(_, one), (_, other)| one.total_cmp(other))
+        gains.max_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 
     /// Returns frequencies, in rad/s, and gains of the grid at a mean speed of the grid, in order of frequency.
     #[must_use]
     pub fn curve(&self, mean_speed_mps: f64) -> Vec<(f64, f64)> {
-        let own = self
+        let at_speed = self
             .points
             .iter()
             .filter(|point| point.at.mean_speed_mps == mean_speed_mps);
-        let mut curve: Vec<_> = own
+        let mut curve: Vec<_> = at_speed
             .filter_map(|point| Some((point.at.frequency_rad_per_s, *point.gain.as_ref().ok()?)))
             .collect();
-        curve.sort_by(|(one, _), (other, _)| one.total_cmp(other));
+        curve.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         curve
     }
 
@@ -187,11 +188,11 @@ impl GainSurvey {
         [speed_factor, frequency_factor]: [f64; 2],
         speeds_mps: &[f64],
     ) -> Vec<OperatingPoint> {
-        let (low_mps, high_mps) = extent(speeds_mps);
+        let [low_mps, high_mps] = extent(speeds_mps);
         let [lowest, highest] = GAIN_FREQUENCIES_RAD_PER_S;
         let mut around: Vec<OperatingPoint> = Vec::new();
         for (speed_power, frequency_power) in
-            (-1..=1).flat_map(|speed| (-1..=1).map(move |other| (speed, other)))
+            (-1..=1).flat_map(|speed| (-1..=1).map(move |frequency| (speed, frequency)))
         {
             let mean_speed_mps =
                 (centre.mean_speed_mps * speed_factor.powi(speed_power)).clamp(low_mps, high_mps);
@@ -202,7 +203,7 @@ impl GainSurvey {
                 mean_speed_mps,
                 frequency_rad_per_s,
             };
-            if !around.contains(&point) && self.points.iter().all(|known| known.at != point) {
+            if !around.contains(&point) && self.points.iter().all(|measured| measured.at != point) {
                 around.push(point);
             }
         }
@@ -231,18 +232,18 @@ impl GainGrid {
 
 /// Returns the mean factor between successive speeds; 1 for a single speed.
 fn speed_step(speeds_mps: &[f64]) -> f64 {
-    let (lowest, highest) = extent(speeds_mps);
+    let [lowest, highest] = extent(speeds_mps);
     match speeds_mps.len() {
         0 | 1 => 1.0,
         count => (highest / lowest).powf(1.0 / (count - 1) as f64),
     }
 }
 
-fn extent(values: &[f64]) -> (f64, f64) {
+fn extent(values: &[f64]) -> [f64; 2] {
     values
         .iter()
-        .fold((f64::INFINITY, 0.0), |(low, high), &value| {
-            (value.min(low), value.max(high))
+        .fold([f64::INFINITY, 0.0], |[low, high], &value| {
+            [value.min(low), value.max(high)]
         })
 }
 

@@ -71,7 +71,7 @@ impl LineRuns {
         points: &[OperatingPoint],
     ) -> Result<Vec<MeasuredGain>, GainError> {
         self.settle(points)?;
-        let mut found: Vec<MeasuredGain> = points
+        let mut measured: Vec<MeasuredGain> = points
             .iter()
             .map(|&at| MeasuredGain {
                 at,
@@ -80,7 +80,7 @@ impl LineRuns {
             .collect();
         for transient_s in TRANSIENT_S {
             let mut prepared = Vec::new();
-            for (index, point) in found
+            for (index, point) in measured
                 .iter_mut()
                 .enumerate()
                 .filter(|(_, point)| point.gain == Err(NoGain::NotSteady))
@@ -94,21 +94,24 @@ impl LineRuns {
             }
             let lines = prepared
                 .iter()
-                .map(|(index, windows, gaps_m)| windows.line(found[*index].at, gaps_m));
+                .map(|(index, windows, gaps_m)| windows.line(measured[*index].at, gaps_m));
             let lines = lines.collect::<Result<Vec<_>, _>>()?;
-            let gains = self.simulate(&lines, |place, trace| prepared[place].1.gain(trace))?;
+            let gains = self.simulate(&lines, |line, trace| prepared[line].1.gain(trace))?;
             for ((index, ..), gain) in prepared.iter().zip(gains) {
-                found[*index].gain = gain;
+                measured[*index].gain = gain;
             }
         }
-        Ok(found)
+        Ok(measured)
     }
 
     /// Lets the vehicles settle behind a leader at each speed that is not known yet.
     fn settle(&mut self, points: &[OperatingPoint]) -> Result<(), GainError> {
         let mut pending: Vec<f64> = Vec::new();
         for speed_mps in points.iter().map(|point| point.mean_speed_mps) {
-            if self.settled.iter().all(|(known, _)| *known != speed_mps)
+            if self
+                .settled
+                .iter()
+                .all(|(settled, _)| *settled != speed_mps)
                 && !pending.contains(&speed_mps)
             {
                 pending.push(speed_mps);
@@ -132,8 +135,8 @@ impl LineRuns {
     }
 
     fn settled_gaps(&self, speed_mps: f64) -> SettledGaps {
-        let known = self.settled.iter().find(|(known, _)| *known == speed_mps);
-        match known {
+        let settled = self.settled.iter().find(|(speed, _)| *speed == speed_mps);
+        match settled {
             // A collision on the way to the equilibrium says nothing about oscillations.
             None | Some((_, Err(NoGain::Collision))) => Err(NoGain::NotSettled),
             Some((_, gaps_m)) => gaps_m.clone(),
@@ -187,20 +190,22 @@ fn settled_gaps_m(trace: &Trace) -> SettledGaps {
         .first()
         .and_then(|leader| leader.speed_mps.first())
         .ok_or(NoGain::NotSettled)?;
-    let gap_m = |rear: usize| {
-        let late_mps = trace.vehicles.get(rear)?.speed_mps.get(from..)?;
-        let gaps_m = trace.gaps_m(rear);
-        let [first_m, last_m] = [*gaps_m.get(from)?, *gaps_m.last()?];
-        let keeps_speed = late_mps
-            .iter()
-            .all(|speed_mps| (speed_mps - leader_mps).abs() <= SETTLED_SPEED_MPS);
-        let (first_m, last_m) = (first_m?, last_m?);
-        (keeps_speed && (last_m - first_m).abs() <= SETTLED_GAP_M).then_some(last_m)
-    };
     (1..trace.vehicles.len())
-        .map(gap_m)
+        .map(|rear| settled_gap_m(trace, rear, from, *leader_mps))
         .collect::<Option<Vec<_>>>()
         .ok_or(NoGain::NotSettled)
+}
+
+/// Returns the final gap of a vehicle, if it keeps the leader's speed and its gap from sample `from` on.
+fn settled_gap_m(trace: &Trace, rear: usize, from: usize, leader_mps: f64) -> Option<f64> {
+    let late_mps = trace.vehicles.get(rear)?.speed_mps.get(from..)?;
+    let gaps_m = trace.gaps_m(rear);
+    let first_m = gaps_m.get(from).copied().flatten()?;
+    let last_m = gaps_m.last().copied().flatten()?;
+    let keeps_speed = late_mps
+        .iter()
+        .all(|speed_mps| (speed_mps - leader_mps).abs() <= SETTLED_SPEED_MPS);
+    (keeps_speed && (last_m - first_m).abs() <= SETTLED_GAP_M).then_some(last_m)
 }
 
 /// Two successive windows of whole periods after a transient, in steps.

@@ -29,12 +29,12 @@ impl ControllerSource for LinearFollower {
 }
 
 impl Controller for LinearFollower {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let law = |gap_m: f64, ahead_mps: f64| {
-            self.stiffness_per_s2 * (gap_m - self.time_gap_s * seen.speed_mps)
-                + self.damping_per_s * (ahead_mps - seen.speed_mps)
+            self.stiffness_per_s2 * (gap_m - self.time_gap_s * observation.speed_mps)
+                + self.damping_per_s * (ahead_mps - observation.speed_mps)
         };
-        Ok(seen
+        Ok(observation
             .ahead
             .map_or(0.0, |ahead| law(ahead.gap_m, ahead.speed_mps)))
     }

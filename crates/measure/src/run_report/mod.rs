@@ -149,12 +149,13 @@ fn unnecessary_braking(
     let Some(trace) = &result.trace else {
         return Vec::new();
     };
-    let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
-    let measure = |vehicle| {
-        let braking = UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)?;
-        Some(UnnecessaryBrakingReport { vehicle, braking })
-    };
-    under_test.filter_map(measure).collect()
+    (0..trace.vehicles.len())
+        .filter(|&vehicle| scenario.is_under_test(vehicle))
+        .filter_map(|vehicle| {
+            let braking = UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)?;
+            Some(UnnecessaryBrakingReport { vehicle, braking })
+        })
+        .collect()
 }
 
 /// Returns the vehicles under test that fall behind their leader.
@@ -162,13 +163,12 @@ fn fell_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
     let Some(trace) = &result.trace else {
         return Vec::new();
     };
-    let falls_behind = |&vehicle: &usize| {
-        UsefulnessMeasures::from_trace(trace, &result.impacts, vehicle)
-            .and_then(|measures| measures.following)
-            .is_some_and(|following| following.fell_behind)
-    };
     (0..trace.vehicles.len())
         .filter(|&vehicle| scenario.is_under_test(vehicle))
-        .filter(falls_behind)
+        .filter(|&vehicle| {
+            UsefulnessMeasures::from_trace(trace, &result.impacts, vehicle)
+                .and_then(|measures| measures.following)
+                .is_some_and(|following| following.fell_behind)
+        })
         .collect()
 }

@@ -104,10 +104,10 @@ impl SharedRuns<'_> {
     fn find(&mut self, specification: &Specification) -> Result<&SharedRun, SpecificationError> {
         let recording_level = specification.recording_level();
         let after_contact = specification.after_contact();
-        let known = self.simulated.iter().position(|shared| {
+        let existing = self.simulated.iter().position(|shared| {
             shared.recording_level == recording_level && shared.after_contact == after_contact
         });
-        let index = match known {
+        let index = match existing {
             Some(index) => index,
             None => {
                 let run = self.simulate(recording_level, after_contact)?;
@@ -150,23 +150,22 @@ impl From<FormulaPart> for PartReport {
 impl PartReport {
     /// Returns the least robustness, and the times between which the part is violated.
     pub(super) fn describe(&self, step_s: f64) -> String {
-        let time_s = |sample: usize| sample as f64 * step_s;
         let (sample, least) = self.part.least().unwrap_or_default();
-        let is_violated = |value: &f64| *value < 0.0;
-        let first = self.part.robustness.iter().position(is_violated);
-        let last = self.part.robustness.iter().rposition(is_violated);
+        let robustness = &self.part.robustness;
+        let first = robustness.iter().position(|value| *value < 0.0);
+        let last = robustness.iter().rposition(|value| *value < 0.0);
         let violated = match first.zip(last) {
             Some((first, last)) => format!(
                 ", below 0 between {:.2} and {:.2} s",
-                time_s(first),
-                time_s(last)
+                first as f64 * step_s,
+                last as f64 * step_s
             ),
             None => String::new(),
         };
         let indent = "  ".repeat(self.depth);
         format!(
             "    {indent}least {least:.3} at {:.2} s{violated}: {}",
-            time_s(sample),
+            sample as f64 * step_s,
             self.formula
         )
     }

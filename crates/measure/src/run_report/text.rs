@@ -244,17 +244,23 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
         .filter(|intervention| intervention.vehicle == vehicle)
         .collect();
     let first_s = own.first()?.from_s;
-    let braked_s: f64 = own.iter().map(|one| one.to_s - one.from_s).sum();
+    let braked_s: f64 = own
+        .iter()
+        .map(|intervention| intervention.to_s - intervention.from_s)
+        .sum();
     let times = match own.len() {
         1 => "once".to_owned(),
         count => format!("{count} times"),
     };
-    let outside = if own.iter().any(|one| one.outside_kernel) {
+    let outside = if own.iter().any(|intervention| intervention.outside_kernel) {
         "; the state was outside the safety kernel"
     } else {
         ""
     };
-    let conflicts = own.iter().filter(|one| one.rear_conflict).count();
+    let conflicts = own
+        .iter()
+        .filter(|intervention| intervention.rear_conflict)
+        .count();
     let no_safe_command = "no command was safe for both the leader and the follower";
     let rear = match conflicts {
         0 => String::new(),

@@ -100,7 +100,7 @@ impl LinearPredicate {
             if !is_signal_name(&name) {
                 return Err(FormulaError::Name { name });
             }
-            match sum.iter_mut().find(|(_, known)| *known == name) {
+            match sum.iter_mut().find(|(_, signal)| *signal == name) {
                 Some((total, _)) => *total += weight,
                 None => sum.push((weight, name)),
             }
@@ -261,10 +261,10 @@ impl Formula {
             .iter()
             .map(|part| format!("`{part}`"))
             .collect();
-        let (no, are) = if parts.len() == 1 {
-            ("has no", "is")
+        let [no, are] = if parts.len() == 1 {
+            ["has no", "is"]
         } else {
-            ("have no", "are")
+            ["have no", "are"]
         };
         (!parts.is_empty()).then(|| {
             format!(

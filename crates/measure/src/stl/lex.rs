@@ -129,68 +129,86 @@ pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseEr
     let mut column = 1;
     let mut rest = text;
     while let Some(first) = rest.chars().next() {
-        let (length, token) = if first.is_whitespace() {
-            (first.len_utf8(), None)
-        } else if first.is_ascii_digit() || first == '.' {
-            let length = number_length(rest);
-            let written = rest.get(..length).unwrap_or_default();
-            let number = written.parse::<f64>().ok().filter(|x| x.is_finite());
-            let misread = || FormulaParseError {
-                column,
-                problem: SyntaxProblem::Number {
-                    found: written.to_owned(),
-                },
-            };
-            (length, Some(Token::Number(number.ok_or_else(misread)?)))
-        } else if is_name_start(first) {
-            let length = rest.find(|c| !is_name_continue(c)).unwrap_or(rest.len());
-            let word = rest.get(..length).unwrap_or_default();
-            (
-                length,
-                Some(
-                    find_keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol),
-                ),
-            )
+        let lexeme = if first.is_whitespace() {
+            Lexeme {
+                length: first.len_utf8(),
+                token: None,
+            }
         } else {
-            let sign = SIGNS.iter().find(|(sign, _)| rest.starts_with(sign));
-            let unknown = || FormulaParseError {
-                column,
-                problem: SyntaxProblem::Character { found: first },
-            };
-            let (sign, symbol) = sign.ok_or_else(unknown)?;
-            (sign.len(), Some(Token::Symbol(*symbol)))
+            lex_token(first, rest).map_err(|problem| FormulaParseError { column, problem })?
         };
-        tokens.extend(token.map(|token| (column, token)));
-        let (taken, left) = rest.split_at_checked(length).unwrap_or((rest, ""));
-        column += taken.chars().count();
+        tokens.extend(lexeme.token.map(|token| (column, token)));
+        let (lexed, left) = rest.split_at_checked(lexeme.length).unwrap_or((rest, ""));
+        column += lexed.chars().count();
         rest = left;
     }
     tokens.push((column, Token::End));
     Ok(tokens)
 }
 
+/// A piece of the text and its token; white space has none.
+struct Lexeme {
+    /// Length in bytes.
+    length: usize,
+    token: Option<Token>,
+}
+
+/// Reads the token at the start of `text`, whose first character is `first`.
+fn lex_token(first: char, text: &str) -> Result<Lexeme, SyntaxProblem> {
+    if first.is_ascii_digit() || first == '.' {
+        let length = number_length(text);
+        let digits = text.get(..length).unwrap_or_default();
+        return match digits.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(Lexeme {
+                length,
+                token: Some(Token::Number(number)),
+            }),
+            _ => Err(SyntaxProblem::Number {
+                found: digits.to_owned(),
+            }),
+        };
+    }
+    if is_name_start(first) {
+        let length = text.find(|c| !is_name_continue(c)).unwrap_or(text.len());
+        let word = text.get(..length).unwrap_or_default();
+        let keyword = find_keyword(word).map(Token::Symbol);
+        return Ok(Lexeme {
+            length,
+            token: Some(keyword.unwrap_or_else(|| Token::Name(word.to_owned()))),
+        });
+    }
+    match SIGNS.iter().find(|(sign, _)| text.starts_with(sign)) {
+        Some((sign, symbol)) => Ok(Lexeme {
+            length: sign.len(),
+            token: Some(Token::Symbol(*symbol)),
+        }),
+        None => Err(SyntaxProblem::Character { found: first }),
+    }
+}
+
 /// Returns the length in bytes of the number at the start of `text`: digits, a point, digits, an exponent.
 fn number_length(text: &str) -> usize {
     let bytes = text.as_bytes();
-    let digits = |from: usize| {
-        bytes
-            .iter()
-            .skip(from)
-            .take_while(|b| b.is_ascii_digit())
-            .count()
-    };
-    let mut length = digits(0);
+    let mut length = count_digits(bytes, 0);
     if bytes.get(length) == Some(&b'.') {
-        length += 1 + digits(length + 1);
+        length += 1 + count_digits(bytes, length + 1);
     }
     if matches!(bytes.get(length), Some(b'e' | b'E')) {
         let sign = usize::from(matches!(bytes.get(length + 1), Some(b'+' | b'-')));
-        let exponent = digits(length + 1 + sign);
+        let exponent = count_digits(bytes, length + 1 + sign);
         if exponent > 0 {
             length += 1 + sign + exponent;
         }
     }
     length
+}
+
+fn count_digits(bytes: &[u8], from: usize) -> usize {
+    bytes
+        .iter()
+        .skip(from)
+        .take_while(|b| b.is_ascii_digit())
+        .count()
 }
 
 impl std::fmt::Display for Token {
@@ -200,8 +218,8 @@ impl std::fmt::Display for Token {
             Self::Name(name) => write!(out, "`{name}`"),
             Self::End => write!(out, "the end"),
             Self::Symbol(symbol) => {
-                let known = KEYWORDS.iter().chain(&SIGNS).find(|(_, s)| s == symbol);
-                write!(out, "`{}`", known.map_or("", |(text, _)| text))
+                let spelling = KEYWORDS.iter().chain(&SIGNS).find(|(_, s)| s == symbol);
+                write!(out, "`{}`", spelling.map_or("", |(text, _)| text))
             }
         }
     }

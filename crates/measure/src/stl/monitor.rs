@@ -1,5 +1,7 @@
 //! Monitor: one bottom-up pass over the formula, linear in the trace for every operator.
 
+use std::ops::Range;
+
 use super::buffer_pool;
 use super::formula::{Formula, LinearPredicate, TimeWindow};
 use super::signals::SampledSignals;
@@ -87,10 +89,17 @@ impl Formula {
         signals: &SampledSignals<'_>,
         samples: usize,
     ) -> Result<Vec<f64>, MonitorError> {
-        let values = |semantics| Monitor { signals, semantics }.values(self, 0, samples);
-        let mut robustness = values(MonitorSemantics::Quantitative)?;
+        let mut robustness = Monitor {
+            signals,
+            semantics: MonitorSemantics::Quantitative,
+        }
+        .values(self, 0, samples)?;
         if robustness.contains(&0.0) {
-            let truth = values(MonitorSemantics::Boolean)?;
+            let truth = Monitor {
+                signals,
+                semantics: MonitorSemantics::Boolean,
+            }
+            .values(self, 0, samples)?;
             let zeros = robustness
                 .iter_mut()
                 .zip(truth)
@@ -104,13 +113,9 @@ impl Formula {
     fn first_value(
         &self,
         signals: &SampledSignals<'_>,
-        reading: MonitorSemantics,
+        semantics: MonitorSemantics,
     ) -> Result<f64, MonitorError> {
-        let values = Monitor {
-            signals,
-            semantics: reading,
-        }
-        .values(self, 0, 1)?;
+        let values = Monitor { signals, semantics }.values(self, 0, 1)?;
         let first = values.first().copied().unwrap_or(f64::NAN);
         buffer_pool::release(values);
         Ok(first)
@@ -174,60 +179,50 @@ impl Monitor<'_> {
         } else {
             -1.0
         };
+        let terms = self.weighted_samples(comparison, sign, from..to)?;
+        let mut values = buffer_pool::acquire();
+        let is_defined = subtract_bound(&terms, sign * comparison.bound(), &mut values, to - from);
+        if !is_defined {
+            let index = from
+                + values
+                    .iter()
+                    .position(|value| value.is_nan())
+                    .unwrap_or_default();
+            return Err(MonitorError::Undefined {
+                comparison: comparison.to_string(),
+                time_s: index as f64 * self.signals.step_s(),
+            });
+        }
+        if self.semantics == MonitorSemantics::Boolean {
+            let is_strict = comparison.operator().is_strict();
+            for value in &mut values {
+                let is_true = *value > 0.0 || (*value == 0.0 && !is_strict);
+                *value = if is_true { 1.0 } else { -1.0 };
+            }
+        }
+        Ok(values)
+    }
+
+    /// Returns the terms of a comparison: weight, multiplied by `sign`, and samples of the signal.
+    fn weighted_samples(
+        &self,
+        comparison: &LinearPredicate,
+        sign: f64,
+        range: Range<usize>,
+    ) -> Result<Vec<(f64, &[f64])>, MonitorError> {
         let mut terms = Vec::with_capacity(comparison.terms().len());
         for (weight, name) in comparison.terms() {
             let samples = self
                 .signals
                 .get(name)
-                .and_then(|samples| samples.get(from..to));
+                .and_then(|samples| samples.get(range.clone()));
             let samples = samples.ok_or_else(|| MonitorError::UnknownSignal {
                 name: name.clone(),
                 known: self.signals.names().map(str::to_owned).collect(),
             })?;
             terms.push((sign * weight, samples));
         }
-        let bound = sign * comparison.bound();
-        let mut values = buffer_pool::acquire();
-        let mut any_undefined = false;
-        // In chunks that stay in the L1 cache for all terms.
-        for start in (0..to - from).step_by(CHUNK) {
-            values.resize((start + CHUNK).min(to - from), 0.0);
-            let piece = &mut values[start..];
-            for (weight, samples) in &terms {
-                piece
-                    .iter_mut()
-                    .zip(&samples[start..])
-                    .for_each(|(value, &sample)| *value += weight * sample);
-            }
-            for value in piece {
-                *value -= bound;
-                any_undefined |= value.is_nan();
-            }
-        }
-        if any_undefined {
-            let index = from
-                + values
-                    .iter()
-                    .position(|value| value.is_nan())
-                    .unwrap_or_default();
-            let time_s = index as f64 * self.signals.step_s();
-            return Err(MonitorError::Undefined {
-                comparison: comparison.to_string(),
-                time_s,
-            });
-        }
-        if self.semantics == MonitorSemantics::Boolean {
-            let strict = comparison.operator().is_strict();
-            let truth = |margin: f64| {
-                if margin > 0.0 || (margin == 0.0 && !strict) {
-                    1.0
-                } else {
-                    -1.0
-                }
-            };
-            values.iter_mut().for_each(|value| *value = truth(*value));
-        }
-        Ok(values)
+        Ok(terms)
     }
 
     fn join(
@@ -239,12 +234,12 @@ impl Monitor<'_> {
         joined: impl Fn(f64, f64) -> f64,
     ) -> Result<Vec<f64>, MonitorError> {
         let mut values = self.values(left, from, to)?;
-        let others = self.values(right, from, to)?;
+        let right = self.values(right, from, to)?;
         values
             .iter_mut()
-            .zip(&others)
-            .for_each(|(value, &other)| *value = joined(*value, other));
-        buffer_pool::release(others);
+            .zip(&right)
+            .for_each(|(value, &right)| *value = joined(*value, right));
+        buffer_pool::release(right);
         Ok(values)
     }
 
@@ -256,10 +251,10 @@ impl Monitor<'_> {
         to: usize,
     ) -> Result<Vec<f64>, MonitorError> {
         let (first, last) = window.sample_bounds(self.signals.step_s())?;
-        let Some((inner_from, inner_to)) = self.referenced_samples(first, last, from, to) else {
+        let Some(referenced) = self.referenced_samples(first, last, from, to) else {
             return Ok(vec![E::IDENTITY; to - from]);
         };
-        let values = self.values(inner, inner_from, inner_to)?;
+        let values = self.values(inner, referenced.start, referenced.end)?;
         Ok(sliding_extremum::<E>(
             values,
             (last - first).saturating_add(1),
@@ -275,10 +270,10 @@ impl Monitor<'_> {
         last: usize,
         from: usize,
         to: usize,
-    ) -> Option<(usize, usize)> {
+    ) -> Option<Range<usize>> {
         let start = from.saturating_add(first);
         let end = to.saturating_add(last).min(self.signals.samples());
-        (start < end).then_some((start, end))
+        (start < end).then_some(start..end)
     }
 
     /// Evaluates `until` by the rewriting of Donzé, Ferrère and Maler (Efficient robust monitoring for STL, CAV 2013),
@@ -294,45 +289,75 @@ impl Monitor<'_> {
         to: usize,
     ) -> Result<Vec<f64>, MonitorError> {
         let (first, last) = window.sample_bounds(self.signals.step_s())?;
-        let Some((start, end)) = self.referenced_samples(first, last, from, to) else {
+        let Some(referenced) = self.referenced_samples(first, last, from, to) else {
             return Ok(vec![Maximum::IDENTITY; to - from]);
         };
-        let goal = self.values(right, start, end)?;
+        let goal = self.values(right, referenced.start, referenced.end)?;
         // The left side at the last sample has no effect.
-        let path = self.values(left, from, end - 1)?;
+        let path = self.values(left, from, referenced.end - 1)?;
         let mut result =
             sliding_extremum::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
-        let before = if first == 0 {
-            Vec::new()
-        } else {
-            sliding_extremum::<Minimum>(path.clone(), first, to - from)
-        };
-        result
-            .iter_mut()
-            .zip(&before)
-            .for_each(|(value, &held)| *value = Minimum::combine(*value, held));
-        // Unbounded until, from the last sample backwards: u(k) = max(q(k), min(p(k), u(k + 1))).
-        let mut unbounded = goal;
-        let mut next = Maximum::IDENTITY;
-        let path = path
-            .iter()
-            .copied()
-            .skip(first)
-            .chain([Minimum::IDENTITY])
-            .collect::<Vec<_>>();
-        for (value, &held) in unbounded.iter_mut().zip(&path).rev() {
-            next = Maximum::combine(*value, Minimum::combine(held, next));
-            *value = next;
+        if first > 0 {
+            let before = sliding_extremum::<Minimum>(path.clone(), first, to - from);
+            result
+                .iter_mut()
+                .zip(&before)
+                .for_each(|(value, &before)| *value = Minimum::combine(*value, before));
         }
-        let reached = unbounded
-            .into_iter()
-            .chain(std::iter::repeat(Maximum::IDENTITY));
+        let unbounded = unbounded_until(path.get(first..).unwrap_or_default(), goal);
         result
             .iter_mut()
-            .zip(reached)
-            .for_each(|(value, reached)| *value = Minimum::combine(*value, reached));
+            .zip(
+                unbounded
+                    .into_iter()
+                    .chain(std::iter::repeat(Maximum::IDENTITY)),
+            )
+            .for_each(|(value, unbounded)| *value = Minimum::combine(*value, unbounded));
         Ok(result)
     }
+}
+
+/// Writes the weighted sum of `terms` less `bound` to `values`, for `samples` samples. Returns false if one is NaN.
+fn subtract_bound(
+    terms: &[(f64, &[f64])],
+    bound: f64,
+    values: &mut Vec<f64>,
+    samples: usize,
+) -> bool {
+    let mut any_undefined = false;
+    // In chunks that stay in the L1 cache for all terms.
+    for start in (0..samples).step_by(CHUNK) {
+        values.resize((start + CHUNK).min(samples), 0.0);
+        let chunk = &mut values[start..];
+        for (weight, samples) in terms {
+            chunk
+                .iter_mut()
+                .zip(&samples[start..])
+                .for_each(|(value, &sample)| *value += weight * sample);
+        }
+        for value in chunk {
+            *value -= bound;
+            any_undefined |= value.is_nan();
+        }
+    }
+    !any_undefined
+}
+
+/// Evaluates `p until q` without a window: u(k) = max(q(k), min(p(k), u(k + 1))), from the last sample backwards.
+/// `path` has the values of p, and no value at the last sample.
+fn unbounded_until(path: &[f64], goal: Vec<f64>) -> Vec<f64> {
+    let mut values = goal;
+    let mut next = Maximum::IDENTITY;
+    let path = path
+        .iter()
+        .copied()
+        .chain([Minimum::IDENTITY])
+        .collect::<Vec<_>>();
+    for (value, &path) in values.iter_mut().zip(&path).rev() {
+        next = Maximum::combine(*value, Minimum::combine(path, next));
+        *value = next;
+    }
+    values
 }
 
 #[cfg(test)]

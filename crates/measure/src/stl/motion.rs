@@ -1,9 +1,11 @@
 //! Signals of a simulated run.
 
+use std::borrow::Cow;
+
 use super::{SampledSignals, SignalsError};
 use crate::approach::PairState;
 use crate::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
-use crumple_sim::engine::Trace;
+use crumple_sim::engine::{Trace, Track};
 
 const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
 /// Signals of every vehicle but the first, towards its leader.
@@ -30,14 +32,15 @@ const LEAD_SIGNALS: [&str; 6] = [
 /// Without a leader in the lane, gap and times are +∞, closing speed and deceleration 0.
 #[must_use]
 pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
-    let of = |i: usize| {
-        let ahead = if i > 0 { &LEAD_SIGNALS[..] } else { &[] };
-        OWN_SIGNALS
-            .iter()
-            .chain(ahead)
-            .map(move |name| format!("v{i}.{name}"))
-    };
-    (0..vehicles).flat_map(of).collect()
+    (0..vehicles).flat_map(vehicle_signal_names).collect()
+}
+
+fn vehicle_signal_names(vehicle: usize) -> impl Iterator<Item = String> {
+    let ahead = if vehicle > 0 { &LEAD_SIGNALS[..] } else { &[] };
+    OWN_SIGNALS
+        .iter()
+        .chain(ahead)
+        .map(move |name| format!("v{vehicle}.{name}"))
 }
 
 /// Collects the signals in `names` that a run has, including samples after a collision, one every `step_s`.
@@ -51,66 +54,59 @@ pub fn motion_signals<'a>(
 ) -> Result<SampledSignals<'a>, SignalsError> {
     let mut signals = SampledSignals::new(step_s, trace.len())?;
     for &name in names {
-        let Some((vehicle, quantity)) =
-            name.strip_prefix('v').and_then(|rest| rest.split_once('.'))
-        else {
-            continue;
-        };
-        let Ok(index) = vehicle.parse::<usize>() else {
-            continue;
-        };
-        let Some(track) = trace.vehicles.get(index) else {
-            continue;
-        };
-        match quantity {
-            "position_m" => signals.insert(name.to_owned(), track.position_m.as_slice())?,
-            "speed_mps" => signals.insert(name.to_owned(), track.speed_mps.as_slice())?,
-            "accel_mps2" => signals.insert(name.to_owned(), track.acceleration_mps2.as_slice())?,
-            "jerk_mps3" => {
-                let changes = track.acceleration_mps2.windows(2).map(|pair| match pair {
-                    [before, now] => (now - before) / step_s,
-                    _ => 0.0,
-                });
-                signals.insert(
-                    name.to_owned(),
-                    std::iter::once(0.0).chain(changes).collect::<Vec<f64>>(),
-                )?;
-            }
-            other => {
-                let Some(of) = lead_quantity(other) else {
-                    continue;
-                };
-                if index == 0 {
-                    continue;
-                }
-                let samples = trace.leaders(index).enumerate().map(|(sample, front)| {
-                    let seen = front.and_then(|front| {
-                        Some((
-                            front,
-                            PairState::from_sample(&trace.time_s, [front, track], sample)?,
-                        ))
-                    });
-                    let Some((front, state)) = seen else {
-                        return of(f64::INFINITY, 0.0, 0.0, 0.0);
-                    };
-                    // Vehicles that stay together after an impact have a gap of zero; remove its rounding error.
-                    let gap_m = if state.gap_m.abs() < 1e-9 {
-                        0.0
-                    } else {
-                        state.gap_m
-                    };
-                    of(
-                        gap_m,
-                        state.front_speed_mps,
-                        state.rear_speed_mps,
-                        front.length_m,
-                    )
-                });
-                signals.insert(name.to_owned(), samples.collect::<Vec<f64>>())?;
-            }
+        if let Some(samples) = motion_signal(trace, step_s, name) {
+            signals.insert(name.to_owned(), samples)?;
         }
     }
     Ok(signals)
+}
+
+/// Returns the samples of a signal; `None` if the run has no such signal.
+fn motion_signal<'a>(trace: &'a Trace, step_s: f64, name: &str) -> Option<Cow<'a, [f64]>> {
+    let (vehicle, quantity) = name.strip_prefix('v')?.split_once('.')?;
+    let vehicle = vehicle.parse::<usize>().ok()?;
+    let track = trace.vehicles.get(vehicle)?;
+    Some(match quantity {
+        "position_m" => Cow::Borrowed(&*track.position_m),
+        "speed_mps" => Cow::Borrowed(&*track.speed_mps),
+        "accel_mps2" => Cow::Borrowed(&*track.acceleration_mps2),
+        "jerk_mps3" => {
+            let changes = track.acceleration_mps2.windows(2).map(|pair| match pair {
+                [before, now] => (now - before) / step_s,
+                _ => 0.0,
+            });
+            Cow::Owned(std::iter::once(0.0).chain(changes).collect())
+        }
+        _ if vehicle == 0 => return None,
+        _ => Cow::Owned(lead_signal(trace, vehicle, track, lead_quantity(quantity)?)),
+    })
+}
+
+/// Returns a quantity of a vehicle and its leader at each sample.
+fn lead_signal(trace: &Trace, vehicle: usize, track: &Track, quantity: LeadQuantity) -> Vec<f64> {
+    trace
+        .leaders(vehicle)
+        .enumerate()
+        .map(|(sample, front)| {
+            let state = front
+                .and_then(|front| PairState::from_sample(&trace.time_s, [front, track], sample));
+            let Some((front, state)) = front.zip(state) else {
+                return quantity(f64::INFINITY, 0.0, 0.0, 0.0);
+            };
+            // Vehicles that stay together after an impact have a gap of zero; remove its rounding error.
+            let gap_m = if state.gap_m.abs() < 1e-9 {
+                0.0
+            } else {
+                state.gap_m
+            };
+            quantity(
+                gap_m,
+                state.front_speed_mps,
+                state.rear_speed_mps,
+                front.length_m,
+            )
+        })
+        .collect()
 }
 
 /// Computes a quantity from gap, leader speed, own speed and leader length.

@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use super::formula::{Formula, TimeWindow};
+use super::formula::{Formula, LinearPredicate, TimeWindow};
 use super::monitor::MonitorError;
 use super::signals::SampledSignals;
 
@@ -55,31 +55,7 @@ impl<'a> NaiveNode<'a> {
 
     fn evaluate(&self, signals: &SampledSignals<'_>, k: usize) -> Result<f64, MonitorError> {
         match (self.formula, self.inner.as_slice()) {
-            (Formula::Compare(comparison), _) => {
-                let mut sum = 0.0;
-                for (weight, name) in comparison.terms() {
-                    let samples = signals
-                        .get(name)
-                        .ok_or_else(|| MonitorError::UnknownSignal {
-                            name: name.clone(),
-                            known: signals.names().map(str::to_owned).collect(),
-                        })?;
-                    sum += weight * samples.get(k).copied().unwrap_or(f64::NAN);
-                }
-                let more = sum - comparison.bound();
-                if more.is_nan() {
-                    let time_s = k as f64 * signals.step_s();
-                    return Err(MonitorError::Undefined {
-                        comparison: comparison.to_string(),
-                        time_s,
-                    });
-                }
-                Ok(if comparison.operator().is_lower_bound() {
-                    more
-                } else {
-                    -more
-                })
-            }
+            (Formula::Compare(comparison), _) => margin(comparison, signals, k),
             (Formula::Not(_), [a]) => Ok(-a.value_at(signals, k)?),
             (Formula::And(..), [a, b]) => Ok(a.value_at(signals, k)?.min(b.value_at(signals, k)?)),
             (Formula::Or(..), [a, b]) => Ok(a.value_at(signals, k)?.max(b.value_at(signals, k)?)),
@@ -96,20 +72,50 @@ impl<'a> NaiveNode<'a> {
                 }),
             (Formula::Until(_, window, _), [a, b]) => {
                 let mut best = f64::NEG_INFINITY;
-                let mut held = f64::INFINITY;
-                let mut reached = k;
+                let mut path_min = f64::INFINITY;
+                let mut next = k;
                 for j in samples(*window, signals, k)? {
-                    while reached < j {
-                        held = held.min(a.value_at(signals, reached)?);
-                        reached += 1;
+                    while next < j {
+                        path_min = path_min.min(a.value_at(signals, next)?);
+                        next += 1;
                     }
-                    best = best.max(b.value_at(signals, j)?.min(held));
+                    best = best.max(b.value_at(signals, j)?.min(path_min));
                 }
                 Ok(best)
             }
             _ => Ok(f64::NAN),
         }
     }
+}
+
+/// Returns the robustness of a comparison at sample `k`.
+fn margin(
+    comparison: &LinearPredicate,
+    signals: &SampledSignals<'_>,
+    k: usize,
+) -> Result<f64, MonitorError> {
+    let mut sum = 0.0;
+    for (weight, name) in comparison.terms() {
+        let samples = signals
+            .get(name)
+            .ok_or_else(|| MonitorError::UnknownSignal {
+                name: name.clone(),
+                known: signals.names().map(str::to_owned).collect(),
+            })?;
+        sum += weight * samples.get(k).copied().unwrap_or(f64::NAN);
+    }
+    let excess = sum - comparison.bound();
+    if excess.is_nan() {
+        return Err(MonitorError::Undefined {
+            comparison: comparison.to_string(),
+            time_s: k as f64 * signals.step_s(),
+        });
+    }
+    Ok(if comparison.operator().is_lower_bound() {
+        excess
+    } else {
+        -excess
+    })
 }
 
 /// Returns the samples of a window at sample `k`, clipped to the trace.

@@ -88,13 +88,13 @@ impl FromStr for Formula {
 
     fn from_str(text: &str) -> Result<Self, FormulaParseError> {
         let tokens = tokenize(text)?;
-        let (mut others, mut parentheses) = (0, 0);
-        for (column, token) in &tokens {
-            match token {
-                Token::Symbol(Symbol::Open | Symbol::Close) => parentheses += 1,
-                _ => others += 1,
+        let mut parentheses = 0;
+        for (index, (column, token)) in tokens.iter().enumerate() {
+            if matches!(token, Token::Symbol(Symbol::Open | Symbol::Close)) {
+                parentheses += 1;
             }
-            if others > MAX_TOKENS || parentheses > MAX_PARENTHESES {
+            let other_tokens = index + 1 - parentheses;
+            if other_tokens > MAX_TOKENS || parentheses > MAX_PARENTHESES {
                 let what = "words and signs, or more than twice as many parentheses";
                 return Err(FormulaParseError {
                     column: *column,
@@ -120,11 +120,10 @@ impl FromStr for Formula {
 
 /// Returns the column, in characters from 1, of the first use of a signal.
 pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
-    let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
     tokenize(text)
         .ok()?
         .into_iter()
-        .find(|(_, token)| named(token))
+        .find(|(_, token)| matches!(token, Token::Name(word) if word == name))
         .map(|(column, _)| column)
 }
 
@@ -135,24 +134,65 @@ struct ParsedExpr {
 
 enum ExprKind {
     Formula(Formula),
-    /// A sum of weighted signals and a constant.
-    Sum(Vec<(f64, String)>, f64),
+    Sum(LinearSum),
+}
+
+/// A sum of weighted signals and a constant.
+struct LinearSum {
+    terms: Vec<(f64, String)>,
+    constant: f64,
+}
+
+impl LinearSum {
+    fn from_constant(constant: f64) -> Self {
+        Self {
+            terms: Vec::new(),
+            constant,
+        }
+    }
+
+    fn from_signal(name: String) -> Self {
+        Self {
+            terms: vec![(1.0, name)],
+            constant: 0.0,
+        }
+    }
+
+    /// Applies a linear function to each weight and the constant.
+    fn map(self, linear: impl Fn(f64) -> f64) -> Self {
+        Self {
+            terms: self
+                .terms
+                .into_iter()
+                .map(|(weight, name)| (linear(weight), name))
+                .collect(),
+            constant: linear(self.constant),
+        }
+    }
+
+    /// Adds `sign` times another sum.
+    fn add(&mut self, sign: f64, summand: Self) {
+        let terms = summand.terms.into_iter();
+        self.terms
+            .extend(terms.map(|(weight, name)| (sign * weight, name)));
+        self.constant += sign * summand.constant;
+    }
 }
 
 impl ParsedExpr {
     fn into_formula(self) -> Result<Formula, FormulaParseError> {
         match self.kind {
             ExprKind::Formula(formula) => Ok(formula),
-            ExprKind::Sum(..) => Err(FormulaParseError {
+            ExprKind::Sum(_) => Err(FormulaParseError {
                 column: self.column,
                 problem: SyntaxProblem::SumNotFormula,
             }),
         }
     }
 
-    fn into_sum(self) -> Result<(Vec<(f64, String)>, f64), FormulaParseError> {
+    fn into_sum(self) -> Result<LinearSum, FormulaParseError> {
         match self.kind {
-            ExprKind::Sum(terms, constant) => Ok((terms, constant)),
+            ExprKind::Sum(sum) => Ok(sum),
             ExprKind::Formula(_) => Err(FormulaParseError {
                 column: self.column,
                 problem: SyntaxProblem::FormulaNotSum,
@@ -178,9 +218,13 @@ impl Parser<'_> {
     }
 
     fn eat(&mut self, symbol: Symbol) -> bool {
-        let found = *self.peek().1 == Token::Symbol(symbol);
-        self.next += usize::from(found);
-        found
+        let is_next = *self.peek().1 == Token::Symbol(symbol);
+        self.next += usize::from(is_next);
+        is_next
+    }
+
+    fn token(&self, index: usize) -> Option<&Token> {
+        self.tokens.get(index).map(|(_, token)| token)
     }
 
     fn fail_expected<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
@@ -196,18 +240,18 @@ impl Parser<'_> {
 
     /// Returns the error for a token in place of an operator, a parenthesis or the end.
     fn fail_expected_operator<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
-        let token = |index: usize| self.tokens.get(index).map(|(_, token)| token);
-        let begins_operand = match self.next.checked_sub(2).and_then(token) {
+        let second_last = self.next.checked_sub(2);
+        let begins_operand = match second_last.and_then(|index| self.token(index)) {
             Some(Token::Symbol(symbol)) => symbol.precedes_formula(),
             Some(_) => false,
             None => true,
         };
         // The unknown operator comes first in `globally x > 1` and `globally[0,5] ...`, and second in `x above 1`.
         let is_before = begins_operand
-            && match token(self.next) {
+            && match self.token(self.next) {
                 Some(Token::Symbol(symbol)) => symbol.begins_operand(),
                 Some(Token::Name(_)) => {
-                    matches!(token(self.next + 1), Some(Token::Symbol(symbol)) if *symbol != Symbol::Open)
+                    matches!(self.token(self.next + 1), Some(Token::Symbol(symbol)) if *symbol != Symbol::Open)
                 }
                 _ => false,
             };
@@ -345,7 +389,7 @@ impl Parser<'_> {
             Token::Number(_) | Token::End => false,
         };
         match part.kind {
-            ExprKind::Sum(..) if precedes_operand => self.fail_expected_operator("an operator"),
+            ExprKind::Sum(_) if precedes_operand => self.fail_expected_operator("an operator"),
             _ => part.into_formula(),
         }
     }
@@ -408,11 +452,14 @@ impl Parser<'_> {
         let column = left.column;
         let right = self.parse_sum()?;
         self.refuse_another(|symbol| matches!(symbol, Symbol::Compare(_)))?;
-        let (mut terms, left_constant) = left.into_sum()?;
-        let (subtracted, right_constant) = right.into_sum()?;
-        terms.extend(subtracted.into_iter().map(|(weight, name)| (-weight, name)));
-        let comparison = LinearPredicate::new(terms, relation, right_constant - left_constant)
-            .map_err(|error| FormulaParseError {
+        let left = left.into_sum()?;
+        let right = right.into_sum()?;
+        let bound = right.constant - left.constant;
+        let mut terms = left.terms;
+        let subtracted = right.terms.into_iter();
+        terms.extend(subtracted.map(|(weight, name)| (-weight, name)));
+        let comparison =
+            LinearPredicate::new(terms, relation, bound).map_err(|error| FormulaParseError {
                 column,
                 problem: error.into(),
             })?;
@@ -443,16 +490,11 @@ impl Parser<'_> {
                 return Ok(whole);
             };
             let column = whole.column;
-            let (mut terms, constant) = whole.into_sum()?;
-            let (added, more) = self.parse_product()?.into_sum()?;
-            terms.extend(
-                added
-                    .into_iter()
-                    .map(|(weight, name)| (sign * weight, name)),
-            );
+            let mut sum = whole.into_sum()?;
+            sum.add(sign, self.parse_product()?.into_sum()?);
             whole = ParsedExpr {
                 column,
-                kind: ExprKind::Sum(terms, constant + sign * more),
+                kind: ExprKind::Sum(sum),
             };
         }
     }
@@ -470,63 +512,59 @@ impl Parser<'_> {
                 column: right_column,
                 problem: SyntaxProblem::NotAffine,
             };
-            let (left, right) = (whole.into_sum()?, self.parse_factor()?.into_sum()?);
-            let ((terms, constant), number) = match (left, right) {
-                (sum, (none, number)) if none.is_empty() => (sum, number),
-                ((none, number), sum) if none.is_empty() && !divides => (sum, number),
-                _ => return Err(not_affine),
+            let left = whole.into_sum()?;
+            let right = self.parse_factor()?.into_sum()?;
+            let product = if right.terms.is_empty() {
+                let number = right.constant;
+                left.map(|x| if divides { x / number } else { x * number })
+            } else if left.terms.is_empty() && !divides {
+                let number = left.constant;
+                right.map(|x| x * number)
+            } else {
+                return Err(not_affine);
             };
-            let scaled = |x: f64| if divides { x / number } else { x * number };
-            let terms = terms
-                .into_iter()
-                .map(|(weight, name)| (scaled(weight), name))
-                .collect();
             whole = ParsedExpr {
                 column,
-                kind: ExprKind::Sum(terms, scaled(constant)),
+                kind: ExprKind::Sum(product),
             };
         }
     }
 
     fn parse_factor(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         let (column, token) = self.peek();
-        let meaning = match token {
-            Token::Number(number) => ExprKind::Sum(Vec::new(), *number),
-            Token::Name(name) => ExprKind::Sum(vec![(1.0, name.clone())], 0.0),
+        let kind = match token {
+            Token::Number(number) => {
+                let number = *number;
+                self.next += 1;
+                ExprKind::Sum(LinearSum::from_constant(number))
+            }
+            Token::Name(name) => {
+                let name = name.clone();
+                self.next += 1;
+                ExprKind::Sum(LinearSum::from_signal(name))
+            }
             Token::Symbol(Symbol::Minus) => {
                 self.next += 1;
-                let (terms, constant) = self.parse_nested(Self::parse_factor)?.into_sum()?;
-                let terms = terms
-                    .into_iter()
-                    .map(|(weight, name)| (-weight, name))
-                    .collect();
-                return Ok(ParsedExpr {
-                    column,
-                    kind: ExprKind::Sum(terms, -constant),
-                });
+                let negated = self.parse_nested(Self::parse_factor)?.into_sum()?;
+                ExprKind::Sum(negated.map(|x| -x))
             }
-            Token::Symbol(Symbol::Open) => {
-                let is_operand = self.operand_at == Some(self.next);
-                self.next += 1;
-                let part = if is_operand {
-                    self.parse_implies()?
-                } else {
-                    self.parse_nested(Self::parse_implies)?
-                };
-                if !self.eat(Symbol::Close) {
-                    return self.fail_expected_operator("an operator or `)`");
-                }
-                return Ok(ParsedExpr {
-                    column,
-                    kind: part.kind,
-                });
-            }
+            Token::Symbol(Symbol::Open) => self.parse_parentheses()?,
             _ => return self.fail_expected("a formula, a signal or a number"),
         };
+        Ok(ParsedExpr { column, kind })
+    }
+
+    fn parse_parentheses(&mut self) -> Result<ExprKind, FormulaParseError> {
+        let is_operand = self.operand_at == Some(self.next);
         self.next += 1;
-        Ok(ParsedExpr {
-            column,
-            kind: meaning,
-        })
+        let part = if is_operand {
+            self.parse_implies()?
+        } else {
+            self.parse_nested(Self::parse_implies)?
+        };
+        if !self.eat(Symbol::Close) {
+            return self.fail_expected_operator("an operator or `)`");
+        }
+        Ok(part.kind)
     }
 }

@@ -21,7 +21,7 @@ impl FormulaPart {
             .iter()
             .copied()
             .enumerate()
-            .min_by(|one, other| one.1.total_cmp(&other.1))
+            .min_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 }
 

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn words_that_are_no_operators_are_named() {
+    fn errors_name_words_that_are_not_operators() {
         for (text, column, word) in [
             ("globally[0,5] a > 1", 1, "globally"),
             ("G(a > 1)", 1, "G"),
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_without_a_temporal_operator_are_found() {
+    fn a_warning_names_parts_without_a_temporal_operator() {
         for (text, parts) in [
             ("always a > 1 and b > 1", &["b > 1"][..]),
             ("a > 1 and b > 1", &["(a > 1) and (b > 1)"]),
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn both_spellings_and_loose_writing_mean_the_same() {
+    fn words_signs_and_equivalent_sums_give_the_same_formula() {
         let plain: Formula =
             "always[0,72] eventually[0,8] (a - b >= 9 implies not c < 1 and d > 2 or a > 0)"
                 .parse()

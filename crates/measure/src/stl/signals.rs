@@ -77,18 +77,18 @@ impl<'a> SampledSignals<'a> {
         name: impl Into<Cow<'a, str>>,
         samples: impl Into<Cow<'a, [f64]>>,
     ) -> Result<(), SignalsError> {
-        let (name, samples) = (name.into(), samples.into());
+        let name = name.into();
+        let samples = samples.into();
         if self.get(&name).is_some() {
             return Err(SignalsError::DuplicateName {
                 name: name.into_owned(),
             });
         }
         if samples.len() != self.samples {
-            let (found, expected) = (samples.len(), self.samples);
             return Err(SignalsError::Length {
                 name: name.into_owned(),
-                found,
-                expected,
+                found: samples.len(),
+                expected: self.samples,
             });
         }
         if let Some(index) = samples.iter().position(|x| x.is_nan()) {
@@ -106,7 +106,7 @@ impl<'a> SampledSignals<'a> {
     pub fn get(&self, name: &str) -> Option<&[f64]> {
         self.entries
             .iter()
-            .find(|(known, _)| known == name)
+            .find(|(signal, _)| signal == name)
             .map(|(_, samples)| samples.as_ref())
     }
 

@@ -105,7 +105,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn equals_its_definition(
+        fn sliding_extrema_equal_their_definition(
             values in prop::collection::vec(-10.0..10.0f64, 0..80),
             width in 0usize..100,
             outputs in 0usize..100,

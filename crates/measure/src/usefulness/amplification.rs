@@ -54,14 +54,13 @@ impl SpeedAmplification {
                     .fold(0.0, f64::max),
             );
         }
-        let ratio = |of: f64, to: f64| (to >= MIN_DEVIATION_MPS).then_some(of / to);
         let pairs = deviations_mps.iter().zip(deviations_mps.iter().skip(1));
         let of_each = pairs
-            .map(|(&ahead_mps, &own_mps)| ratio(own_mps, ahead_mps))
+            .map(|(&ahead_mps, &own_mps)| amplification(own_mps, ahead_mps))
             .collect();
         Some(Self {
             of_each,
-            overall: ratio(*deviations_mps.last()?, *deviations_mps.first()?)?,
+            overall: amplification(*deviations_mps.last()?, *deviations_mps.first()?)?,
         })
     }
 
@@ -70,6 +69,11 @@ impl SpeedAmplification {
     pub fn has_amplification(&self) -> bool {
         self.of_each.iter().flatten().any(|&ratio| ratio > 1.0)
     }
+}
+
+/// Returns the ratio of two deviations; `None` if that of the leader is too small.
+fn amplification(own_mps: f64, ahead_mps: f64) -> Option<f64> {
+    (ahead_mps >= MIN_DEVIATION_MPS).then_some(own_mps / ahead_mps)
 }
 
 #[cfg(test)]

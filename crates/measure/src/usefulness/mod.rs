@@ -89,13 +89,16 @@ impl FollowingMeasures {
     fn from_steps(steps: &[DriveStep]) -> Option<Self> {
         let ahead = || steps.iter().filter_map(|step| Some((step, step.ahead?)));
         let last = ahead().next_back()?.1;
-        let driven_m = |speed_mps: f64, a: f64, step: &DriveStep| {
-            (speed_mps + 0.5 * a * step.duration_s).max(0.0) * step.duration_s
-        };
-        let (mut own_m, mut ahead_m) = (0.0, 0.0);
+        let mut own_m = 0.0;
+        let mut ahead_m = 0.0;
         for (step, ahead) in ahead() {
-            own_m += driven_m(step.speed_mps, step.acceleration_mps2, step);
-            ahead_m += driven_m(ahead.front_speed_mps, ahead.front_acceleration_mps2, step);
+            let duration_s = step.duration_s;
+            own_m += distance_m(step.speed_mps, step.acceleration_mps2, duration_s);
+            ahead_m += distance_m(
+                ahead.front_speed_mps,
+                ahead.front_acceleration_mps2,
+                duration_s,
+            );
         }
         let moving = ahead().filter(|(step, _)| step.speed_mps > MIN_MOVING_SPEED_MPS);
         let gaps = moving.filter_map(|(step, ahead)| {
@@ -115,12 +118,19 @@ impl FollowingMeasures {
     }
 }
 
+fn distance_m(speed_mps: f64, acceleration_mps2: f64, duration_s: f64) -> f64 {
+    (speed_mps + 0.5 * acceleration_mps2 * duration_s).max(0.0) * duration_s
+}
+
 /// Returns the mean of values weighted by their durations; `None` for a duration of 0.
 fn time_weighted_mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let (sum, held_s) = values.fold((0.0, 0.0), |(sum, all_s), (value, held_s)| {
-        (sum + value * held_s, all_s + held_s)
-    });
-    (held_s > 0.0).then_some(sum / held_s)
+    let mut sum = 0.0;
+    let mut total_s = 0.0;
+    for (value, duration_s) in values {
+        sum += value * duration_s;
+        total_s += duration_s;
+    }
+    (total_s > 0.0).then_some(sum / total_s)
 }
 
 /// Returns the root mean square of jerk, in m/s³: the change of acceleration between steps that start a window apart,
@@ -218,7 +228,7 @@ mod tests {
 
     /// The reference driver never brakes unnecessarily by its own measure, even with sensors and in an emergency.
     #[test]
-    fn the_reference_driver_brakes_with_cause() {
+    fn the_reference_driver_never_brakes_unnecessarily() {
         for index in 0..20 {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
             let run = Run::new(

@@ -105,10 +105,10 @@ impl UnnecessaryBraking {
         impacts: &[Impact],
         index: usize,
     ) -> Option<Self> {
-        let exceeds_limit = |brake: &BrakeInstant| {
+        let steps = drive_steps(trace, impacts, index)?;
+        Some(Self::from_steps_where(steps, |brake| {
             brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2
-        };
-        drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, exceeds_limit))
+        }))
     }
 
     /// Measures the braking of a drive.
@@ -152,7 +152,8 @@ impl UnnecessaryBraking {
         steps: impl Iterator<Item = DriveStep>,
         is_unnecessary: impl Fn(&BrakeInstant) -> bool,
     ) -> Self {
-        let (mut sum, mut open) = (Self::default(), None::<OpenBraking>);
+        let mut sum = Self::default();
+        let mut open = None::<OpenBraking>;
         for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_unnecessary(brake)) {
             let until_s = step.time_s + step.duration_s;
             match &mut open {

@@ -33,21 +33,21 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
 struct ByteReader<'a>(&'a [u8]);
 
 impl<'a> ByteReader<'a> {
-    fn from_offset(bytes: &'a [u8], place: u64) -> Result<Self, NetworkError> {
-        let place = usize::try_from(place).unwrap_or(usize::MAX);
+    fn from_offset(bytes: &'a [u8], offset: u64) -> Result<Self, NetworkError> {
+        let offset = usize::try_from(offset).unwrap_or(usize::MAX);
         bytes
-            .get(place..)
+            .get(offset..)
             .map(Self)
             .ok_or_else(|| damaged("it points beyond its end"))
     }
 
     fn take(&mut self, count: usize) -> Result<&'a [u8], NetworkError> {
-        let (taken, rest) = self
+        let (part, rest) = self
             .0
             .split_at_checked(count)
             .ok_or_else(|| damaged("it is cut off"))?;
         self.0 = rest;
-        Ok(taken)
+        Ok(part)
     }
 
     fn read_uint(&mut self, bytes: usize) -> Result<u64, NetworkError> {
@@ -77,11 +77,9 @@ impl<'a> Archive<'a> {
         let end = end.ok_or_else(|| damaged("it has no end record: the file may be cut off"))?;
         let mut record = ByteReader(&bytes[end..]);
         record.take(10)?;
-        let (mut count, _size, mut start) = (
-            record.read_uint(2)?,
-            record.read_uint(4)?,
-            record.read_uint(4)?,
-        );
+        let mut count = record.read_uint(2)?;
+        let _size = record.read_uint(4)?;
+        let mut start = record.read_uint(4)?;
         // The zip64 end record, whose locator is right before the end record.
         if let Some(pointer) = end.checked_sub(20)
             && bytes[pointer..].starts_with(b"PK\x06\x07")
@@ -90,11 +88,9 @@ impl<'a> Archive<'a> {
             let mut record = ByteReader::from_offset(bytes, locator.read_uint(8)?)?;
             record.expect_signature(b"PK\x06\x06")?;
             record.take(28)?;
-            (count, _, start) = (
-                record.read_uint(8)?,
-                record.read_uint(8)?,
-                record.read_uint(8)?,
-            );
+            count = record.read_uint(8)?;
+            let _size = record.read_uint(8)?;
+            start = record.read_uint(8)?;
         }
         let mut directory = ByteReader::from_offset(bytes, start)?;
         let count = usize::try_from(count).unwrap_or(usize::MAX);
@@ -114,23 +110,23 @@ impl<'a> Archive<'a> {
     }
 
     pub(super) fn only_member_with_suffix(&self, ending: &str) -> Result<&str, NetworkError> {
-        let mut found = self
+        let mut members = self
             .members
             .iter()
             .filter(|member| member.name.ends_with(ending));
-        match (found.next(), found.next()) {
-            (Some(one), None) => Ok(&one.name),
+        match (members.next(), members.next()) {
+            (Some(member), None) => Ok(&member.name),
             (None, _) => Err(damaged(format!("it has no member `{ending}`"))),
             (Some(_), Some(_)) => Err(damaged(format!("it has several members `{ending}`"))),
         }
     }
 
     pub(super) fn member(&self, name: &str) -> Result<&'a [u8], NetworkError> {
-        let mut found = self.members.iter().filter(|member| member.name == name);
-        let member = found
+        let mut members = self.members.iter().filter(|member| member.name == name);
+        let member = members
             .next()
             .ok_or_else(|| damaged(format!("it has no member `{name}`")))?;
-        if found.next().is_some() {
+        if members.next().is_some() {
             return Err(damaged(format!("it has several members `{name}`")));
         }
         if member.method != 0 || member.is_encrypted {
@@ -159,10 +155,12 @@ impl ArchiveMember {
     fn read(directory: &mut ByteReader<'_>) -> Result<Self, NetworkError> {
         directory.expect_signature(b"PK\x01\x02")?;
         directory.take(4)?;
-        let (flags, method) = (directory.read_uint(2)?, directory.read_uint(2)? as u16);
+        let flags = directory.read_uint(2)?;
+        let method = directory.read_uint(2)? as u16;
         directory.take(4)?;
         let crc = directory.read_uint(4)? as u32;
-        let (stored, mut size) = (directory.read_uint(4)?, directory.read_uint(4)?);
+        let stored_size = directory.read_uint(4)?;
+        let mut size = directory.read_uint(4)?;
         let lengths = [
             directory.read_uint(2)?,
             directory.read_uint(2)?,
@@ -175,7 +173,8 @@ impl ArchiveMember {
         let mut extras = ByteReader(directory.take(lengths[1])?);
         directory.take(lengths[2])?;
         while extras.0.len() >= 4 {
-            let (kind, length) = (extras.read_uint(2)?, extras.read_uint(2)? as usize);
+            let kind = extras.read_uint(2)?;
+            let length = extras.read_uint(2)? as usize;
             let mut extra = ByteReader(extras.take(length)?);
             // Zip64 extra field: values that do not fit into four bytes, in this order.
             if kind == 1 {
@@ -183,7 +182,7 @@ impl ArchiveMember {
                 if size == ZIP64_MARKER {
                     size = extra.read_uint(8)?;
                 }
-                if stored == ZIP64_MARKER {
+                if stored_size == ZIP64_MARKER {
                     extra.read_uint(8)?;
                 }
                 if header == ZIP64_MARKER {
@@ -208,7 +207,8 @@ fn crc32(bytes: &[u8]) -> u32 {
         let mut table = [0_u32; 256];
         let mut index = 0;
         while index < 256 {
-            let (mut value, mut bit) = (index as u32, 0);
+            let mut value = index as u32;
+            let mut bit = 0;
             while bit < 8 {
                 value = if value & 1 == 1 {
                     value >> 1 ^ 0xedb8_8320

@@ -25,13 +25,13 @@ impl FoundStatistics {
         if network.saved_model().is_none() {
             return Self::default();
         }
-        let found = VecNormalizeStats::find_for_model(path);
-        let normalisation = match found.as_deref().map(VecNormalizeStats::load) {
+        let statistics = VecNormalizeStats::find_for_model(path);
+        let normalisation = match statistics.as_deref().map(VecNormalizeStats::load) {
             Some(VecNormalizeStats::Observations(normalisation)) => Some(normalisation),
             _ => None,
         };
         Self {
-            path: found,
+            path: statistics,
             normalisation,
         }
     }
@@ -219,7 +219,7 @@ fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
         "numbers"
     };
     let ranges = match bounds.split_first() {
-        Some((first, rest)) if rest.iter().all(|other| other == first) => format_range(first),
+        Some((first, rest)) if rest.iter().all(|range| range == first) => format_range(first),
         _ => bounds
             .iter()
             .map(format_range)

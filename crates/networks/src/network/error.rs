@@ -1,7 +1,7 @@
 //! Errors of imported networks.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{MAX_BYTES, MAX_PARAMETERS};
 
@@ -74,17 +74,25 @@ pub enum NetworkError {
 }
 
 /// Makes text of a file safe for a message: one line, without control characters, at most 200 characters.
-pub(super) fn sanitized(said: &str) -> String {
-    said.chars()
+pub(super) fn sanitized(text: &str) -> String {
+    text.chars()
         .take(200)
         .flat_map(char::escape_debug)
         .collect()
 }
 
 impl NetworkError {
-    pub(super) fn damaged(form: &'static str, problem: impl Into<String>) -> Self {
+    /// Adds the path of the file.
+    pub(super) fn in_file(self, path: &Path) -> Self {
+        Self::InFile {
+            path: path.to_owned(),
+            reason: Box::new(self),
+        }
+    }
+
+    pub(super) fn damaged(format: &'static str, problem: impl Into<String>) -> Self {
         Self::Damaged {
-            format: form,
+            format,
             problem: problem.into(),
         }
     }

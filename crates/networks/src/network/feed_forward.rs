@@ -55,7 +55,8 @@ impl FeedForward {
             return Err(NetworkError::Unsupported(problem));
         }
         let mut widths = vec![inputs];
-        let (mut width, mut parameters) = (inputs, 0_usize);
+        let mut width = inputs;
+        let mut parameters = 0_usize;
         for (index, step) in steps.iter().enumerate() {
             width = check_step(step, width).map_err(|problem| NetworkError::Step {
                 step: index,
@@ -69,11 +70,11 @@ impl FeedForward {
         if parameters > MAX_PARAMETERS {
             return Err(NetworkError::TooManyParameters);
         }
-        let acting = pack_steps(&steps, &widths);
+        let packed = pack_steps(&steps, &widths);
         Ok(Self {
             widths,
             steps,
-            packed: acting,
+            packed,
         })
     }
 
@@ -123,16 +124,17 @@ impl FeedForward {
             .iter()
             .rposition(|step| matches!(step, NetworkStep::Linear(_)))
             .map_or(0, |last| last + 1);
-        let bounds_of = |index| {
-            self.steps.iter().skip(after_last).fold(
-                [f64::NEG_INFINITY, f64::INFINITY],
-                |bounds, step| match step {
-                    NetworkStep::Elementwise(each) => each.range(index, bounds),
-                    NetworkStep::Linear(_) => bounds,
-                },
-            )
-        };
-        (0..self.outputs()).map(bounds_of).collect()
+        (0..self.outputs())
+            .map(|index| {
+                self.steps.iter().skip(after_last).fold(
+                    [f64::NEG_INFINITY, f64::INFINITY],
+                    |bounds, step| match step {
+                        NetworkStep::Elementwise(function) => function.range(index, bounds),
+                        NetworkStep::Linear(_) => bounds,
+                    },
+                )
+            })
+            .collect()
     }
 
     /// Returns the range of each answer for inputs within their limits, without rounding.
@@ -142,36 +144,42 @@ impl FeedForward {
     pub fn answer_ranges(&self, inputs: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, NetworkError> {
         // Half of the range is reserved for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
-        let fits = |range: &[f64; 2]| range.iter().all(|bound| bound.abs() <= highest);
         let mut ranges = inputs.to_vec();
         ranges.resize(self.inputs(), [0.0, 0.0]);
-        if !ranges.iter().all(fits) {
+        if !are_within(&ranges, highest) {
             return Err(NetworkError::Overflow { step: 0 });
         }
-        for (step, of) in self.steps.iter().enumerate() {
-            let next = match of {
+        for (index, step) in self.steps.iter().enumerate() {
+            let next = match step {
                 NetworkStep::Linear(linear) => linear.ranges(&ranges, highest),
-                NetworkStep::Elementwise(each) => Some(
+                NetworkStep::Elementwise(function) => Some(
                     ranges
                         .iter()
                         .enumerate()
-                        .map(|(index, range)| each.range(index, *range))
+                        .map(|(index, range)| function.range(index, *range))
                         .collect(),
                 ),
             };
             ranges = next
-                .filter(|next| next.iter().all(fits))
-                .ok_or(NetworkError::Overflow { step })?;
+                .filter(|next| are_within(next, highest))
+                .ok_or(NetworkError::Overflow { step: index })?;
         }
         Ok(ranges)
     }
 }
 
+fn are_within(ranges: &[[f64; 2]], highest: f64) -> bool {
+    ranges.iter().flatten().all(|bound| bound.abs() <= highest)
+}
+
 impl Linear {
     /// Returns the range of each sum; `None` if a partial sum could exceed `highest`.
     fn ranges(&self, inputs: &[[f64; 2]], highest: f64) -> Option<Vec<[f64; 2]>> {
-        let start = |bias: &f32| [f64::from(*bias), f64::from(*bias), f64::from(bias.abs())];
-        let mut sums: Vec<[f64; 3]> = self.biases.iter().map(start).collect();
+        let mut sums: Vec<[f64; 3]> = self
+            .biases
+            .iter()
+            .map(|bias| [f64::from(*bias), f64::from(*bias), f64::from(bias.abs())])
+            .collect();
         for (input, row) in inputs
             .iter()
             .zip(self.weights.chunks_exact(self.biases.len().max(1)))
@@ -191,58 +199,64 @@ impl Linear {
 
 /// Checks a step with `width` inputs and returns the number of its outputs.
 fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
-    let finite = |numbers: &[f32]| {
-        let all = numbers.iter().all(|number| number.is_finite());
-        if all {
-            Ok(())
-        } else {
-            Err("holds a number that is not finite".to_owned())
-        }
-    };
     match step {
-        NetworkStep::Linear(Linear { weights, biases }) => {
-            let outputs = biases.len();
-            if !(1..=MAX_LAYER_WIDTH).contains(&outputs) {
-                return Err(format!(
-                    "a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {outputs}"
-                ));
-            }
-            if outputs.checked_mul(width) != Some(weights.len()) {
-                return Err(format!(
-                    "{} weights cannot take {width} numbers to {outputs}",
-                    weights.len()
-                ));
-            }
-            finite(weights)?;
-            finite(biases)?;
-            return Ok(outputs);
-        }
-        NetworkStep::Elementwise(each) => {
-            if let Some(found) = each.width().filter(|&found| found != width) {
-                return Err(format!("{found} operands for {width} numbers"));
-            }
-            match each {
-                Elementwise::Add(numbers) | Elementwise::Multiply(numbers) => finite(numbers)?,
-                Elementwise::Divide(numbers) => {
-                    finite(numbers)?;
-                    if numbers.contains(&0.0) {
-                        return Err("divides by 0".to_owned());
-                    }
-                }
-                Elementwise::Clip { low, high }
-                    if low.len() != high.len()
-                        || !low.iter().zip(high).all(|(low, high)| low <= high) =>
-                {
-                    return Err("a lower limit above the upper one".to_owned());
-                }
-                Elementwise::LeakyRelu { slope: number } | Elementwise::Elu { alpha: number } => {
-                    finite(&[*number])?
-                }
-                _ => {}
-            }
+        NetworkStep::Linear(linear) => check_linear(linear, width),
+        NetworkStep::Elementwise(function) => {
+            check_elementwise(function, width)?;
+            Ok(width)
         }
     }
-    Ok(width)
+}
+
+fn check_linear(Linear { weights, biases }: &Linear, width: usize) -> Result<usize, String> {
+    let outputs = biases.len();
+    if !(1..=MAX_LAYER_WIDTH).contains(&outputs) {
+        return Err(format!(
+            "a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {outputs}"
+        ));
+    }
+    if outputs.checked_mul(width) != Some(weights.len()) {
+        return Err(format!(
+            "{} weights cannot take {width} numbers to {outputs}",
+            weights.len()
+        ));
+    }
+    check_finite(weights)?;
+    check_finite(biases)?;
+    Ok(outputs)
+}
+
+fn check_elementwise(function: &Elementwise, width: usize) -> Result<(), String> {
+    if let Some(operands) = function.width().filter(|&operands| operands != width) {
+        return Err(format!("{operands} operands for {width} numbers"));
+    }
+    match function {
+        Elementwise::Add(numbers) | Elementwise::Multiply(numbers) => check_finite(numbers),
+        Elementwise::Divide(numbers) => {
+            check_finite(numbers)?;
+            if numbers.contains(&0.0) {
+                return Err("divides by 0".to_owned());
+            }
+            Ok(())
+        }
+        Elementwise::Clip { low, high }
+            if low.len() != high.len() || !low.iter().zip(high).all(|(low, high)| low <= high) =>
+        {
+            Err("a lower limit above the upper one".to_owned())
+        }
+        Elementwise::LeakyRelu { slope: number } | Elementwise::Elu { alpha: number } => {
+            check_finite(&[*number])
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_finite(numbers: &[f32]) -> Result<(), String> {
+    if numbers.iter().all(|number| number.is_finite()) {
+        Ok(())
+    } else {
+        Err("holds a number that is not finite".to_owned())
+    }
 }
 
 /// Packs the steps, with a ReLU after a product merged into it.
@@ -250,20 +264,22 @@ fn pack_steps(steps: &[NetworkStep], widths: &[usize]) -> PackedNetwork {
     let last = steps
         .iter()
         .rposition(|step| matches!(step, NetworkStep::Linear(_)));
-    let mut acting = PackedNetwork::default();
-    let mut is_done = false;
+    let mut packed = PackedNetwork::default();
+    let mut is_merged = false;
     for (index, (step, &width)) in steps.iter().zip(widths).enumerate() {
         match step {
             NetworkStep::Linear(Linear { weights, biases }) => {
                 let is_last = last == Some(index);
-                is_done = steps.get(index + 1)
+                is_merged = steps.get(index + 1)
                     == Some(&NetworkStep::Elementwise(Elementwise::Relu))
                     && !(is_last && biases.len() == 1);
-                acting.push_product(weights, biases, width, is_last, is_done);
+                packed.push_product(weights, biases, width, is_last, is_merged);
             }
-            NetworkStep::Elementwise(_) if is_done => is_done = false,
-            NetworkStep::Elementwise(each) => acting.push_elementwise(each.clone(), width),
+            NetworkStep::Elementwise(_) if is_merged => is_merged = false,
+            NetworkStep::Elementwise(function) => {
+                packed.push_elementwise(function.clone(), width);
+            }
         }
     }
-    acting
+    packed
 }

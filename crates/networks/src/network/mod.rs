@@ -69,32 +69,29 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`] for a file that cannot be read, is damaged, or contains no supported network.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
-        let in_file = |reason| NetworkError::InFile {
-            path: path.to_owned(),
-            reason: Box::new(reason),
-        };
         let format =
-            NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
-        let unreadable = |source| NetworkError::Read {
-            path: path.to_owned(),
-            source,
-        };
+            NetworkFormat::from_path(path).ok_or_else(|| NetworkError::Extension.in_file(path))?;
         let mut bytes = Vec::new();
         regular_file::open(path)
             .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
-            .map_err(unreadable)?;
-        Self::from_bytes(&bytes, format).map_err(in_file)
+            .map_err(|source| NetworkError::Read {
+                path: path.to_owned(),
+                source,
+            })?;
+        Self::from_bytes(&bytes, format).map_err(|reason| reason.in_file(path))
     }
 
     fn from_bytes(bytes: &[u8], format: NetworkFormat) -> Result<Self, NetworkError> {
         if bytes.len() as u64 > MAX_BYTES {
             return Err(NetworkError::TooLarge);
         }
-        let (network, saved) = match format {
-            NetworkFormat::Onnx => (onnx::read(bytes)?, None),
+        let mut saved_model = None;
+        let network = match format {
+            NetworkFormat::Onnx => onnx::read(bytes)?,
             NetworkFormat::StableBaselines => {
-                let (network, saved) = sb3::read(bytes)?;
-                (network, Some(Arc::new(saved)))
+                let model = sb3::read(bytes)?;
+                saved_model = Some(Arc::new(model.metadata));
+                model.network
             }
         };
         Ok(Self {
@@ -102,7 +99,7 @@ impl NetworkFile {
             sha256: crumple_core::digest::sha256(bytes),
             bytes: bytes.into(),
             format,
-            saved_model: saved,
+            saved_model,
         })
     }
 

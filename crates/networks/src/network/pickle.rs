@@ -166,11 +166,8 @@ impl<'a> Machine<'a> {
                 return self.pop();
             }
             self.step(operation).map_err(|error| match error {
-                NetworkError::Damaged {
-                    format: form,
-                    problem,
-                } => NetworkError::Damaged {
-                    format: form,
+                NetworkError::Damaged { format, problem } => NetworkError::Damaged {
+                    format,
                     problem: format!("{problem} (at byte {at})"),
                 },
                 other => other,
@@ -194,10 +191,8 @@ impl<'a> Machine<'a> {
                 let bytes = self.take_array()?;
                 self.push(Object::Integer(i32::from_le_bytes(bytes).into()))
             }
-            b'K' | b'M' => {
-                let number = self.take_uint(if operation == b'K' { 1 } else { 2 })?;
-                self.push(Object::Integer(number.cast_signed()))
-            }
+            b'K' => self.unsigned(1),
+            b'M' => self.unsigned(2),
             0x8a => self.long(),
             b'G' => {
                 let bytes = self.take_array()?;
@@ -212,82 +207,35 @@ impl<'a> Machine<'a> {
             b'}' => self.push(Object::Dict(Vec::new())),
             b']' => self.push(Object::List(Vec::new())),
             b')' => self.push(Object::Tuple(Vec::new())),
-            b't' | b'l' => {
-                let members = self.pop_to_mark()?;
-                self.push(if operation == b't' {
-                    Object::Tuple(members)
-                } else {
-                    Object::List(members)
-                })
-            }
-            0x85..=0x87 => {
-                let count = usize::from(operation - 0x84);
-                let from = self
-                    .stack
-                    .len()
-                    .checked_sub(count)
-                    .ok_or_else(|| damaged("an empty stack"))?;
-                let members = self.stack.split_off(from);
-                self.push(Object::Tuple(members))
-            }
-            b'c' => {
-                let (module, name) = (self.take_line()?, self.take_line()?);
-                self.push(Object::Global(module, name))
-            }
-            0x93 => {
-                let (name, module) = (self.pop()?, self.pop()?);
-                match (self.values.get(module.0), self.values.get(name.0)) {
-                    (Some(Object::Text(module)), Some(Object::Text(name))) => {
-                        let global = Object::Global(module, name);
-                        self.push(global)
-                    }
-                    _ => Err(damaged("a name that is not text")),
-                }
-            }
-            // Records the call instead of executing it.
-            b'R' | 0x81 => {
-                let (arguments, of) = (self.pop()?, self.pop()?);
-                self.push(Object::Call(Call {
-                    callee: of,
-                    arguments,
-                    state: None,
-                    items: Vec::new(),
-                }))
-            }
-            b'b' => {
-                let state = self.pop()?;
-                let top = self.top()?;
-                match self.values.get_mut(top.0) {
-                    Some(Object::Call(call)) => call.state = Some(state),
-                    _ => return Err(damaged("a state for an object without one")),
-                }
-                Ok(())
-            }
+            b't' => self.collect_to_mark(Object::Tuple),
+            b'l' => self.collect_to_mark(Object::List),
+            0x85..=0x87 => self.tuple(usize::from(operation - 0x84)),
+            b'c' => self.global(),
+            0x93 => self.global_from_stack(),
+            b'R' | 0x81 => self.record_call(),
+            b'b' => self.set_state(),
             b's' => {
-                let (value, key) = (self.pop()?, self.pop()?);
+                let value = self.pop()?;
+                let key = self.pop()?;
                 self.set_items(&[key, value])
             }
             b'u' => {
                 let members = self.pop_to_mark()?;
                 self.set_items(&members)
             }
-            b'a' | b'e' => {
-                let members = if operation == b'a' {
-                    vec![self.pop()?]
-                } else {
-                    self.pop_to_mark()?
-                };
+            b'a' => {
+                let member = self.pop()?;
+                self.append(&[member])
+            }
+            b'e' => {
+                let members = self.pop_to_mark()?;
                 self.append(&members)
             }
-            b'q' | b'r' => {
-                let place = self.take_uint(if operation == b'q' { 1 } else { 4 })?;
-                self.memoize(place as usize)
-            }
+            b'q' => self.memoize_under_argument(1),
+            b'r' => self.memoize_under_argument(4),
             0x94 => self.memoize(self.memo.len()),
-            b'h' | b'j' => {
-                let place = self.take_uint(if operation == b'h' { 1 } else { 4 })?;
-                self.get_memo(place as usize)
-            }
+            b'h' => self.get_memo(1),
+            b'j' => self.get_memo(4),
             b'Q' => {
                 let description = self.pop()?;
                 self.push(Object::PersistentId(description))
@@ -295,6 +243,74 @@ impl<'a> Machine<'a> {
             other => Err(damaged(format!(
                 "the operation {other:#04x}, which is not supported"
             ))),
+        }
+    }
+
+    /// Pushes an unsigned integer of some bytes.
+    fn unsigned(&mut self, bytes: usize) -> Result<(), NetworkError> {
+        let number = self.take_uint(bytes)?;
+        self.push(Object::Integer(number.cast_signed()))
+    }
+
+    /// Pushes a tuple or list of the values after the last mark.
+    fn collect_to_mark(
+        &mut self,
+        collection: fn(Vec<ValueId>) -> Object<'a>,
+    ) -> Result<(), NetworkError> {
+        let members = self.pop_to_mark()?;
+        self.push(collection(members))
+    }
+
+    /// Pushes a tuple of the topmost values.
+    fn tuple(&mut self, count: usize) -> Result<(), NetworkError> {
+        let from = self
+            .stack
+            .len()
+            .checked_sub(count)
+            .ok_or_else(|| damaged("an empty stack"))?;
+        let members = self.stack.split_off(from);
+        self.push(Object::Tuple(members))
+    }
+
+    fn global(&mut self) -> Result<(), NetworkError> {
+        let module = self.take_line()?;
+        let name = self.take_line()?;
+        self.push(Object::Global(module, name))
+    }
+
+    fn global_from_stack(&mut self) -> Result<(), NetworkError> {
+        let name = self.pop()?;
+        let module = self.pop()?;
+        match (self.values.get(module.0), self.values.get(name.0)) {
+            (Some(Object::Text(module)), Some(Object::Text(name))) => {
+                let global = Object::Global(module, name);
+                self.push(global)
+            }
+            _ => Err(damaged("a name that is not text")),
+        }
+    }
+
+    /// Records a call instead of executing it.
+    fn record_call(&mut self) -> Result<(), NetworkError> {
+        let arguments = self.pop()?;
+        let callee = self.pop()?;
+        self.push(Object::Call(Call {
+            callee,
+            arguments,
+            state: None,
+            items: Vec::new(),
+        }))
+    }
+
+    fn set_state(&mut self) -> Result<(), NetworkError> {
+        let state = self.pop()?;
+        let top = self.top()?;
+        match self.values.get_mut(top.0) {
+            Some(Object::Call(call)) => {
+                call.state = Some(state);
+                Ok(())
+            }
+            _ => Err(damaged("a state for an object without one")),
         }
     }
 
@@ -321,12 +337,12 @@ impl<'a> Machine<'a> {
 
     fn take_length_prefixed(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
         let count = usize::try_from(self.take_uint(bytes)?).unwrap_or(usize::MAX);
-        let (taken, rest) = self
+        let (content, rest) = self
             .rest
             .split_at_checked(count)
             .ok_or_else(|| damaged("a part longer than the whole"))?;
         self.rest = rest;
-        Ok(taken)
+        Ok(content)
     }
 
     fn text(&mut self, bytes: usize) -> Result<(), NetworkError> {
@@ -422,19 +438,27 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    fn memoize(&mut self, place: usize) -> Result<(), NetworkError> {
+    /// Remembers the topmost value under the number that follows, of some bytes.
+    fn memoize_under_argument(&mut self, bytes: usize) -> Result<(), NetworkError> {
+        let key = self.take_uint(bytes)?;
+        self.memoize(key as usize)
+    }
+
+    fn memoize(&mut self, key: usize) -> Result<(), NetworkError> {
         let top = self.top()?;
         if self.memo.len() >= MAX_VALUES {
             return Err(damaged(format!("more than {MAX_VALUES} values")));
         }
-        self.memo.insert(place, top);
+        self.memo.insert(key, top);
         Ok(())
     }
 
-    fn get_memo(&mut self, place: usize) -> Result<(), NetworkError> {
+    /// Pushes the value that is remembered under the number that follows, of some bytes.
+    fn get_memo(&mut self, bytes: usize) -> Result<(), NetworkError> {
+        let key = self.take_uint(bytes)? as usize;
         let value = *self
             .memo
-            .get(&place)
+            .get(&key)
             .ok_or_else(|| damaged("a value that was not remembered"))?;
         // The stack grows without new values.
         if self.stack.len() >= MAX_VALUES {

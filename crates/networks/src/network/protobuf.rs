@@ -70,7 +70,7 @@ impl<'a> WireValue<'a> {
                     into.push(rest.varint()?.cast_signed());
                 }
             }
-            one => into.push(one.integer()?),
+            value => into.push(value.integer()?),
         }
         let fits = into.len() <= MAX_INTEGERS;
         if fits {
@@ -86,7 +86,7 @@ impl<'a> WireValue<'a> {
     pub(super) fn floats(self, into: &mut Vec<f32>) -> Result<(), NetworkError> {
         match self {
             Self::Bytes(packed) => unpack(packed, into, f32::from_le_bytes),
-            one => one.float().map(|one| into.push(one)),
+            value => value.float().map(|number| into.push(number)),
         }
     }
 
@@ -163,9 +163,9 @@ impl<'a> Message<'a> {
 
     fn varint(&mut self) -> Result<u64, NetworkError> {
         let mut number = 0_u64;
-        for place in 0..10 {
+        for index in 0..10 {
             let [byte] = self.take()?;
-            number |= u64::from(byte & 0x7f).unbounded_shl(7 * place);
+            number |= u64::from(byte & 0x7f).unbounded_shl(7 * index);
             if byte & 0x80 == 0 {
                 return Ok(number);
             }

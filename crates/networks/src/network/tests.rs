@@ -45,7 +45,7 @@ fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -
         .collect();
     let attributes: Vec<u8> = attributes
         .iter()
-        .flat_map(|one| bytes_field(5, one))
+        .flat_map(|attribute| bytes_field(5, attribute))
         .collect();
     let name = operator.to_lowercase();
     [
@@ -76,10 +76,10 @@ fn value_info(name: &str, shape: &[u8]) -> Vec<u8> {
 
 /// Encodes a model that computes `y` from `x`.
 fn model(opset: u8, shape: &[u8], nodes: &[Vec<u8>], constants: &[Vec<u8>]) -> Vec<u8> {
-    let nodes: Vec<u8> = nodes.iter().flat_map(|one| bytes_field(1, one)).collect();
+    let nodes: Vec<u8> = nodes.iter().flat_map(|node| bytes_field(1, node)).collect();
     let constants: Vec<u8> = constants
         .iter()
-        .flat_map(|one| bytes_field(5, one))
+        .flat_map(|constant| bytes_field(5, constant))
         .collect();
     let graph = [
         nodes,
@@ -164,7 +164,7 @@ fn a_convolution_over_the_whole_input_is_a_product() {
 }
 
 #[test]
-fn a_constant_is_spread_as_numpy_does_or_refused() {
+fn a_constant_is_broadcast_as_in_numpy_or_refused() {
     let add = |constant_shape: &[u8], count: usize| {
         let numbers: Vec<f32> = (1..=count).map(|number| number as f32).collect();
         let nodes = [node("Add", &["c", "x"], "y", &[])];
@@ -197,24 +197,24 @@ fn a_constant_is_spread_as_numpy_does_or_refused() {
 #[test]
 fn unsupported_operators_are_refused_by_operator_and_node() {
     let w = || constant("w", &[2, 2], &[1.0; 4]);
-    let one = |operator: &str, inputs: &[&str]| {
+    let single_node = |operator: &str, inputs: &[&str]| {
         model(13, &[2], &[node(operator, inputs, "y", &[])], &[w()])
     };
     assert_eq!(
-        refusal(&one("Softmax", &["x"])),
+        refusal(&single_node("Softmax", &["x"])),
         "node `softmax` (Softmax): this operator is not supported"
     );
-    let text = refusal(&one("Mul", &["x", "x"]));
+    let text = refusal(&single_node("Mul", &["x", "x"]));
     assert_eq!(
         text,
         "node `mul` (Mul): it does not use `x` exactly once, so the graph is not a simple chain"
     );
-    let text = refusal(&one("MatMul", &["x", "z"]));
+    let text = refusal(&single_node("MatMul", &["x", "z"]));
     assert_eq!(
         text,
         "node `matmul` (MatMul): its input `z` is not a constant, so the graph is not a simple chain"
     );
-    let text = refusal(&one("Div", &["w", "x"]));
+    let text = refusal(&single_node("Div", &["w", "x"]));
     assert_eq!(text, "node `div` (Div): this operator is not supported");
     let skip = [
         node("Relu", &["x"], "a", &[]),
@@ -280,7 +280,7 @@ fn a_cast_between_real_numbers_changes_nothing() {
 }
 
 #[test]
-fn numbers_that_cannot_be_calculated_with_are_refused() {
+fn numbers_that_are_not_finite_overflow_or_divide_by_zero_are_refused() {
     let with = |numbers: [f32; 4]| {
         let nodes = [node("MatMul", &["x", "w"], "y", &[])];
         NetworkFile::from_onnx(&model(
@@ -315,7 +315,7 @@ fn numbers_that_cannot_be_calculated_with_are_refused() {
 #[test]
 fn answers_lie_in_their_ranges() {
     use proptest::prelude::*;
-    let each = [
+    let functions = [
         Elementwise::Relu,
         Elementwise::LeakyRelu { slope: 0.2 },
         Elementwise::LeakyRelu { slope: -0.5 },
@@ -333,7 +333,7 @@ fn answers_lie_in_their_ranges() {
     ];
     let numbers = |count| prop::collection::vec(-2.0..2.0_f32, count);
     let question = (
-        0..each.len(),
+        0..functions.len(),
         numbers(6),
         numbers(3),
         numbers(2),
@@ -341,7 +341,8 @@ fn answers_lie_in_their_ranges() {
         0.0..1.0_f32,
     );
     proptest!(crumple_cases::with_cases(256), |((pick, weights, biases, low, width, share) in question)| {
-        let steps = vec![NetworkStep::Linear(Linear { weights, biases }), NetworkStep::Elementwise(each[pick].clone())];
+        let function = NetworkStep::Elementwise(functions[pick].clone());
+        let steps = vec![NetworkStep::Linear(Linear { weights, biases }), function];
         let network = FeedForward::new(2, steps).unwrap();
         let limits: Vec<[f64; 2]> =
             low.iter().zip(&width).map(|(&low, width)| [f64::from(low), f64::from(low + width.abs())]).collect();

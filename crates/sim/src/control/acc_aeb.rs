@@ -66,14 +66,15 @@ impl BuiltIn for AccAeb {
 
 impl Controller for AccAeb {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.aeb.demands_braking(seen) {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        if self.aeb.demands_braking(observation) {
             return Ok(-self.aeb.max_brake_mps2);
         }
         let acc = &self.settings;
-        let v = seen.speed_mps;
-        let cruise = set_speed::max_accel_mps2(acc.set_speed_mps, acc.speed_gain_per_s, seen);
-        let follow = seen.ahead.map_or(f64::INFINITY, |ahead| {
+        let v = observation.speed_mps;
+        let cruise =
+            set_speed::max_accel_mps2(acc.set_speed_mps, acc.speed_gain_per_s, observation);
+        let follow = observation.ahead.map_or(f64::INFINITY, |ahead| {
             let spacing_error_m = ahead.gap_m - acc.standstill_gap_m - acc.time_headway_s * v;
             acc.gap_gain_per_s2 * spacing_error_m + acc.speed_gain_per_s * (ahead.speed_mps - v)
         });

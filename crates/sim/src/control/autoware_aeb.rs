@@ -74,13 +74,13 @@ impl BuiltIn for AutowareAeb {
 
 impl Controller for AutowareAeb {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let fires = seen.speed_mps >= MIN_SPEED_MPS
-            && seen.ahead.is_some_and(|ahead| {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let fires = observation.speed_mps >= MIN_SPEED_MPS
+            && observation.ahead.is_some_and(|ahead| {
                 ahead.gap_m
                     < self
                         .settings
-                        .rss_distance_m(seen.speed_mps, ahead.speed_mps)
+                        .rss_distance_m(observation.speed_mps, ahead.speed_mps)
             });
         self.steps_left = if fires {
             self.hold_steps.saturating_add(1)
@@ -114,10 +114,10 @@ mod tests {
                 command_behind(&mut driver, 15.0, by_hand_m - 0.01, ahead_mps, 0.0),
                 -3.0
             );
-            let held = (0..300)
+            let braking_steps = (0..300)
                 .filter(|_| command_behind(&mut driver, 15.0, 500.0, 15.0, 0.0) < 0.0)
                 .count();
-            assert_eq!(held, 200, "kept for 2 s");
+            assert_eq!(braking_steps, 200, "kept for 2 s");
         }
         assert_eq!(
             command_behind(&mut start(), 0.05, 0.1, 0.0, 0.0),

@@ -39,8 +39,8 @@ impl BuiltIn for Baseline {
 
 impl Controller for Baseline {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        self.braking |= self.aeb.demands_braking(seen);
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        self.braking |= self.aeb.demands_braking(observation);
         Ok(if self.braking {
             -self.aeb.max_brake_mps2
         } else {
@@ -72,8 +72,8 @@ impl BuiltIn for BaselineUnlatched {
 
 impl Controller for BaselineUnlatched {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(if self.aeb.demands_braking(seen) {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(if self.aeb.demands_braking(observation) {
             -self.aeb.max_brake_mps2
         } else {
             0.0
@@ -100,11 +100,11 @@ impl Aeb {
     ///
     /// Computed as gap - θ (v - v_ahead) < 0. For gaps >= 0 this equals TTC < θ, also if the gap grows.
     #[inline]
-    pub(super) fn demands_braking(&self, seen: &Observation) -> bool {
-        seen.ahead.is_some_and(
+    pub(super) fn demands_braking(&self, observation: &Observation) -> bool {
+        observation.ahead.is_some_and(
             |Neighbour {
                  gap_m, speed_mps, ..
-             }| gap_m - self.ttc_s * (seen.speed_mps - speed_mps) < 0.0,
+             }| gap_m - self.ttc_s * (observation.speed_mps - speed_mps) < 0.0,
         )
     }
 }
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_unlatched_variant_lets_go() {
+    fn the_unlatched_variant_releases_the_brake() {
         let mut baseline = BaselineUnlatched::start(&AebSettings::default(), &EGO, 0);
         assert_eq!(command_behind(&mut baseline, 20.0, 13.99, 10.0, 0.0), -7.5);
         assert_eq!(command_behind(&mut baseline, 5.0, 50.0, 10.0, 0.0), 0.0);

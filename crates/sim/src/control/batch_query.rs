@@ -11,7 +11,7 @@ use crate::observation::Observation;
 /// fails, each controller queries by itself, so that each run ends as it would have ended alone.
 pub trait BatchQuery: Any {
     /// Stores the observation if a decision is due, and counts the step. Returns true if a decision is due.
-    fn sample(&mut self, seen: &Observation) -> bool;
+    fn sample(&mut self, observation: &Observation) -> bool;
 
     /// Queries for the stored observation.
     ///
@@ -50,9 +50,9 @@ impl dyn BatchQuery {
 /// [`ControllerFailure`] of the query.
 pub fn decide_by_query(
     controller: &mut impl BatchQuery,
-    seen: &Observation,
+    observation: &Observation,
 ) -> Result<f64, ControllerFailure> {
-    if controller.sample(seen) {
+    if controller.sample(observation) {
         controller.query()?;
     }
     Ok(controller.command_mps2())
@@ -61,23 +61,23 @@ pub fn decide_by_query(
 /// Decides for many controllers, with one query for each group of adjacent controllers that can share it.
 pub(super) fn decide_batch(
     all: &mut [Box<dyn Controller>],
-    mut see: impl FnMut(usize) -> Observation,
+    mut observe: impl FnMut(usize) -> Observation,
     commands_mps2: &mut [f64],
     failed: &mut Vec<(usize, ControllerFailure)>,
 ) {
     let mut due: Vec<(usize, &mut dyn BatchQuery)> = Vec::new();
-    let places = all.iter_mut().zip(&mut *commands_mps2).enumerate();
-    for (place, (controller, command_mps2)) in places {
-        let seen = see(place);
+    let controllers = all.iter_mut().zip(&mut *commands_mps2).enumerate();
+    for (index, (controller, command_mps2)) in controllers {
+        let observation = observe(index);
         // Not `if let ... else`: the borrow of the first branch would last through the second.
         if controller.as_batch_query().is_none() {
-            match controller.decide(&seen) {
+            match controller.decide(&observation) {
                 Ok(answer_mps2) => *command_mps2 = answer_mps2,
-                Err(failure) => failed.push((place, failure)),
+                Err(failure) => failed.push((index, failure)),
             }
         } else if let Some(query) = controller.as_batch_query() {
-            if query.sample(&seen) {
-                due.push((place, query));
+            if query.sample(&observation) {
+                due.push((index, query));
             } else {
                 *command_mps2 = query.command_mps2();
             }
@@ -101,15 +101,17 @@ fn answer_group(
         }
         _ => None,
     };
-    for (index, (place, query)) in group.iter_mut().enumerate() {
-        let answer_mps2 = answers_mps2.as_ref().and_then(|answers| answers.get(index));
+    for (member, (index, query)) in group.iter_mut().enumerate() {
+        let answer_mps2 = answers_mps2
+            .as_ref()
+            .and_then(|answers| answers.get(member));
         let decided = match answer_mps2 {
             Some(&answer_mps2) => query.set_command(answer_mps2),
             None => query.query(),
         };
         match decided {
-            Ok(()) => commands_mps2[*place] = query.command_mps2(),
-            Err(failure) => failed.push((*place, failure)),
+            Ok(()) => commands_mps2[*index] = query.command_mps2(),
+            Err(failure) => failed.push((*index, failure)),
         }
     }
 }

@@ -87,11 +87,11 @@ macro_rules! define {
 
         impl Controller for AnyController {
             #[inline]
-            fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+            fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
                 match self {
-                    $(Self::$rule(controller) => controller.decide(seen),)*
-                    Self::Policy(controller) => controller.decide(seen),
-                    Self::Other(controller) => controller.decide(seen),
+                    $(Self::$rule(controller) => controller.decide(observation),)*
+                    Self::Policy(controller) => controller.decide(observation),
+                    Self::Other(controller) => controller.decide(observation),
                 }
             }
 
@@ -123,11 +123,11 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-fn describe_known_settings(known: &[SettingField]) -> String {
-    match known {
+fn describe_known_settings(fields: &[SettingField]) -> String {
+    match fields {
         [] => "it has none".to_owned(),
         [first, ..] => {
-            let names: Vec<_> = known.iter().map(|field| field.name).collect();
+            let names: Vec<_> = fields.iter().map(|field| field.name).collect();
             format!(
                 "there are {}, each with a number, as in `{}={}`",
                 names.join(", "),
@@ -171,16 +171,18 @@ impl BuiltInController {
     ) -> Result<Self, InvalidSetting> {
         let controller = self.name();
         let fields = self.fields();
-        let known: Vec<_> = fields
+        let names_and_ranges: Vec<_> = fields
             .iter()
             .map(|field| (field.name, field.range))
             .collect();
-        let unknown = |found| InvalidSetting::Unknown {
-            found,
-            owner: controller,
-            known: describe_known_settings(fields),
-        };
-        for (index, value) in parse_settings(texts, controller, &known, unknown)? {
+        let settings = parse_settings(texts, controller, &names_and_ranges, |found| {
+            InvalidSetting::Unknown {
+                found,
+                owner: controller,
+                known: describe_known_settings(fields),
+            }
+        })?;
+        for (index, value) in settings {
             if let Some(setting) = self.get_mut(index) {
                 *setting = value;
             }
@@ -257,12 +259,14 @@ impl BuiltInController {
     /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
     #[must_use]
     pub fn sha256(&self) -> String {
+        if let Some(policy) = self.policy() {
+            return policy.digest();
+        }
         let values: Vec<_> = self
             .values()
             .map(|(_, value)| (value + 0.0).to_bits().to_string())
             .collect();
-        let rule = || sha256(format!("rule {} {}", self.name(), values.join(" ")));
-        self.policy().map_or_else(rule, |policy| policy.digest())
+        sha256(format!("rule {} {}", self.name(), values.join(" ")))
     }
 }
 

@@ -138,9 +138,9 @@ impl CompetentHuman {
 
 impl Controller for CompetentHuman {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let risk = match &seen.ahead {
-            Some(ahead) => self.steps_until_release(seen.speed_mps, ahead),
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let risk = match &observation.ahead {
+            Some(ahead) => self.steps_until_release(observation.speed_mps, ahead),
             None => {
                 self.leader = None;
                 None
@@ -229,10 +229,11 @@ mod tests {
     /// A cut-in is a risk at a time to collision of 2 s. A cut-out within 2 s is one if it reveals a slower vehicle.
     #[test]
     fn a_new_leader_is_a_risk_as_the_regulation_defines() {
-        let reacts = |seen: &[Observation]| {
+        let reacts = |observations: &[Observation]| {
             let mut driver = start(&CompetentHumanSettings::default());
-            seen.iter()
-                .map(|seen| driver.decide(seen).unwrap())
+            observations
+                .iter()
+                .map(|observation| driver.decide(observation).unwrap())
                 .any(|command| command < 0.0)
         };
         let steady = |gap_m: f64| leader_observation(20.0, gap_m, 20.0, 0.0);

@@ -45,8 +45,8 @@ impl BuiltIn for ConstantBrake {
 
 impl Controller for ConstantBrake {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_braking = seen
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let is_braking = observation
             .ahead
             .is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
         Ok(
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brakes_five_steps_after_it_sees_braking() {
+    fn brakes_five_steps_after_the_leader_brakes() {
         let mut controller = ConstantBrake::start(&ConstantBrakeSettings::default(), &EGO, 0);
         assert_eq!(
             command_behind(&mut controller, 25.0, 16.0, 25.0, -1.0),

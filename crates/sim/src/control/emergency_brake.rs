@@ -37,8 +37,8 @@ impl BuiltIn for EmergencyBrake {
 
 impl Controller for EmergencyBrake {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(-self.brake.demand_mps2(seen).unwrap_or(0.0))
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(-self.brake.demand_mps2(observation).unwrap_or(0.0))
     }
 }
 
@@ -63,14 +63,14 @@ impl HeldBrake {
 
     /// Returns the demanded braking, in m/s², positive; `None` while the brake is released.
     #[inline]
-    pub(super) fn demand_mps2(&mut self, seen: &Observation) -> Option<f64> {
+    pub(super) fn demand_mps2(&mut self, observation: &Observation) -> Option<f64> {
         if self.never_fires {
             return None;
         }
-        let is_closing = seen
+        let is_closing = observation
             .ahead
-            .is_some_and(|ahead| seen.speed_mps > ahead.speed_mps);
-        self.is_braking = self.aeb.demands_braking(seen) || self.is_braking && is_closing;
+            .is_some_and(|ahead| observation.speed_mps > ahead.speed_mps);
+        self.is_braking = self.aeb.demands_braking(observation) || self.is_braking && is_closing;
         self.is_braking.then_some(self.brake_mps2)
     }
 }
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brakes_at_its_level_until_it_no_longer_closes_in() {
+    fn brakes_at_its_level_until_the_gap_stops_closing() {
         let settings = EmergencyBrakeSettings {
             ttc_s: 2.0,
             brake_mps2: 4.0,

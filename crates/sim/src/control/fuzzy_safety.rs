@@ -54,15 +54,15 @@ impl FuzzySafetySettings {
             ahead_brake_mps2,
             ..
         } = *self;
-        let needed_m = |brake_mps2: f64| {
-            speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
-                - ahead.speed_mps * ahead.speed_mps / (2.0 * ahead_brake_mps2)
-        };
-        let safe_m = needed_m(comfortable_brake_mps2) + self.margin_m;
+        let [comfortable_m, hardest_m] =
+            [comfortable_brake_mps2, hardest_brake_mps2].map(|brake_mps2| {
+                speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
+                    - ahead.speed_mps * ahead.speed_mps / (2.0 * ahead_brake_mps2)
+            });
         membership(
             ahead.gap_m - self.standstill_m,
-            safe_m,
-            needed_m(hardest_brake_mps2),
+            comfortable_m + self.margin_m,
+            hardest_m,
         )
     }
 
@@ -93,23 +93,22 @@ impl FuzzySafetySettings {
             return membership(gap_m, needed_m, needed_m);
         }
         let until_m = 0.5 * (closing_mps + then_mps) * reaction_s;
-        let needed_m = |brake_mps2: f64| until_m + then_mps * then_mps / (2.0 * brake_mps2);
-        membership(
-            gap_m,
-            needed_m(comfortable_brake_mps2),
-            needed_m(hardest_brake_mps2),
-        )
+        let [comfortable_m, hardest_m] = [comfortable_brake_mps2, hardest_brake_mps2]
+            .map(|brake_mps2| until_m + then_mps * then_mps / (2.0 * brake_mps2));
+        membership(gap_m, comfortable_m, hardest_m)
     }
 
     /// Returns the deceleration that the metrics demand, in m/s², positive; 0 if both are 0.
-    fn demanded_brake_mps2(&self, seen: &Observation) -> f64 {
-        let Some(ahead) = seen.ahead else { return 0.0 };
-        let critical = self.critical(seen.speed_mps, seen.acceleration_mps2, &ahead);
+    fn demanded_brake_mps2(&self, observation: &Observation) -> f64 {
+        let Some(ahead) = observation.ahead else {
+            return 0.0;
+        };
+        let critical = self.critical(observation.speed_mps, observation.acceleration_mps2, &ahead);
         let asked_mps2 = if critical > 0.0 {
             self.comfortable_brake_mps2
                 + critical * (self.hardest_brake_mps2 - self.comfortable_brake_mps2)
         } else {
-            self.proactive(seen.speed_mps, &ahead) * self.comfortable_brake_mps2
+            self.proactive(observation.speed_mps, &ahead) * self.comfortable_brake_mps2
         };
         asked_mps2.min(self.limit_mps2)
     }
@@ -145,8 +144,8 @@ impl BuiltIn for FuzzySafety {
 
 impl Controller for FuzzySafety {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let asked_mps2 = self.settings.demanded_brake_mps2(seen);
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let asked_mps2 = self.settings.demanded_brake_mps2(observation);
         let reacts = self.reaction_timer.tick(asked_mps2 > 0.0) >= Some(self.reaction_steps);
         // `0.0 -` avoids a command of -0.
         Ok(if reacts {
@@ -251,9 +250,9 @@ mod tests {
             let (mut own, mut front, mut command, mut hardest) = (v, v, 0.0, 0.0_f64);
             let mut driver = FuzzySafety::start(&settings, &EGO, 0);
             for _ in 0..3500 {
-                let mut seen = leader_observation(own, gap_m, front, -brake_mps2);
-                seen.acceleration_mps2 = command;
-                command = driver.decide(&seen).unwrap();
+                let mut observation = leader_observation(own, gap_m, front, -brake_mps2);
+                observation.acceleration_mps2 = command;
+                command = driver.decide(&observation).unwrap();
                 hardest = hardest.max(-command);
                 let (next_own, next_front) = (
                     (own + command * 0.01).max(0.0),

@@ -200,14 +200,14 @@ impl HumanState {
 
 impl Controller for Human {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let driver = &mut *self.0;
-        let model = driver.model(seen.speed_mps, seen.ahead.as_ref());
-        let emergency_mps2 = driver.aeb.demand_mps2(seen);
+        let model = driver.model(observation.speed_mps, observation.ahead.as_ref());
+        let emergency_mps2 = driver.aeb.demand_mps2(observation);
         if driver.looks_ahead() {
-            let ahead = seen
+            let ahead = observation
                 .ahead
-                .map(|ahead| [ahead.gap_m, driver.perceive(seen.speed_mps, &ahead)]);
+                .map(|ahead| [ahead.gap_m, driver.perceive(observation.speed_mps, &ahead)]);
             if ahead.is_none() {
                 driver.steps_to_brake = None;
             }
@@ -217,7 +217,7 @@ impl Controller for Human {
                 COASTING_MPS2
             };
             driver.held_mps2 = model
-                .acceleration_mps2(seen.speed_mps, ahead)
+                .acceleration_mps2(observation.speed_mps, ahead)
                 .max(-strongest_mps2);
         }
         Ok(emergency_mps2.map_or(driver.held_mps2, |brake_mps2| {
@@ -307,8 +307,8 @@ mod tests {
         let drivers: Vec<_> = (0..4000)
             .map(|seed| Human::start(&HumanSettings::default(), &EGO, seed))
             .collect();
-        let sorted = |of: fn(&Human) -> f64| {
-            let mut all: Vec<f64> = drivers.iter().map(of).collect();
+        let sorted = |quantity: fn(&Human) -> f64| {
+            let mut all: Vec<f64> = drivers.iter().map(quantity).collect();
             all.sort_by(f64::total_cmp);
             all
         };

@@ -17,8 +17,8 @@ impl BuiltIn for Idm {
 
 impl Controller for Idm {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.desired_acceleration_mps2(seen))
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.desired_acceleration_mps2(observation))
     }
 }
 

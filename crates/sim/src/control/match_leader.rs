@@ -9,8 +9,10 @@ pub struct MatchLeader;
 
 impl Controller for MatchLeader {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(seen.ahead.map_or(0.0, |ahead| ahead.acceleration_mps2))
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(observation
+            .ahead
+            .map_or(0.0, |ahead| ahead.acceleration_mps2))
     }
 }
 

@@ -169,7 +169,7 @@ pub trait Controller: Send {
     ///
     /// # Errors
     /// [`ControllerFailure`] if there is no answer; the run ends there.
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure>;
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure>;
 
     /// Tells the controller that another acceleration than its answer is commanded in this step, in m/s², because a
     /// shield replaces it, or because the controller is only consulted (training, replay of a recording). A controller
@@ -195,24 +195,24 @@ pub trait Controller: Send {
     #[inline]
     fn decide_batch(
         all: &mut [Self],
-        mut see: impl FnMut(usize) -> Observation,
+        mut observe: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) where
         Self: Sized,
     {
-        for (place, (command_mps2, controller)) in commands_mps2.iter_mut().zip(all).enumerate() {
-            match controller.decide(&see(place)) {
+        for (index, (command_mps2, controller)) in commands_mps2.iter_mut().zip(all).enumerate() {
+            match controller.decide(&observe(index)) {
                 Ok(answer_mps2) => *command_mps2 = answer_mps2,
-                Err(failure) => failed.push((place, failure)),
+                Err(failure) => failed.push((index, failure)),
             }
         }
     }
 }
 
 impl Controller for Box<dyn Controller> {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        (**self).decide(seen)
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        (**self).decide(observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
@@ -229,11 +229,11 @@ impl Controller for Box<dyn Controller> {
 
     fn decide_batch(
         all: &mut [Self],
-        see: impl FnMut(usize) -> Observation,
+        observe: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        batch_query::decide_batch(all, see, commands_mps2, failed);
+        batch_query::decide_batch(all, observe, commands_mps2, failed);
     }
 }
 
@@ -305,15 +305,16 @@ pub(crate) mod tests {
             .unwrap()
     }
 
-    /// Returns the stopping distance from `speed_mps` of a driver that observes `seen` at each speed.
+    /// Returns the stopping distance from `speed_mps` of a driver; `observe` returns its observation at each speed.
     pub(crate) fn stopping_distance_m(
         mut driver: impl Controller,
         speed_mps: f64,
-        seen: impl Fn(f64) -> Observation,
+        observe: impl Fn(f64) -> Observation,
     ) -> f64 {
-        let (mut way_m, mut speed_mps) = (0.0, speed_mps);
+        let mut way_m = 0.0;
+        let mut speed_mps = speed_mps;
         loop {
-            let a = driver.decide(&seen(speed_mps)).unwrap();
+            let a = driver.decide(&observe(speed_mps)).unwrap();
             let next_mps = speed_mps + a * EGO.step_s;
             if next_mps <= 0.0 {
                 return way_m - speed_mps * speed_mps / (2.0 * a);
@@ -345,7 +346,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn words_and_files_stand_for_one_specification() {
+    fn a_controller_has_one_identity_in_arguments_and_files() {
         for mut spec in BuiltInController::all() {
             let plain = (spec.identity(), spec.to_arg());
             assert_eq!(plain.1, spec.name());
@@ -368,7 +369,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn settings_that_are_not_there_or_out_of_range_are_refused_by_name() {
+    fn unknown_settings_and_values_out_of_range_are_refused_by_name() {
         let problem = |words: &str| {
             BuiltInController::parse(words)
                 .unwrap()

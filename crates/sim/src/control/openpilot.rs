@@ -74,11 +74,11 @@ impl BuiltIn for Openpilot {
 
 impl Controller for Openpilot {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let limits = &self.settings;
-        let v = seen.speed_mps;
-        let cruise = set_speed::max_accel_mps2(limits.set_speed_mps, SPEED_GAIN_PER_S, seen);
-        let follow = seen.ahead.map_or(f64::INFINITY, |ahead| {
+        let v = observation.speed_mps;
+        let cruise = set_speed::max_accel_mps2(limits.set_speed_mps, SPEED_GAIN_PER_S, observation);
+        let follow = observation.ahead.map_or(f64::INFINITY, |ahead| {
             let spare_m = ahead.gap_m - limits.desired_distance_m(v, ahead.speed_mps);
             // Spreads the deviation over the time gap, as a follow distance of t_follow seconds allows.
             let spread_s = limits.follow_s.max(0.1);

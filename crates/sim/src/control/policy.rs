@@ -23,24 +23,23 @@ impl PolicyDriver {
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
-        let (past, held, space) = Default::default();
         Self {
             policy,
             decision_timer: interval,
-            frame_stack: past,
-            held_action: held,
-            workspace: space,
+            frame_stack: FrameStack::default(),
+            held_action: HeldAction::default(),
+            workspace: Workspace::default(),
         }
     }
 }
 
 impl Controller for PolicyDriver {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         if self.decision_timer.tick() {
             let last_answer_mps2 = self.held_action.last_answer_mps2();
             let row = self
                 .policy
-                .observe(seen, last_answer_mps2, &mut self.frame_stack);
+                .observe(observation, last_answer_mps2, &mut self.frame_stack);
             self.held_action
                 .set(self.policy.choose(row, &mut self.workspace));
         }
@@ -56,13 +55,14 @@ impl Controller for PolicyDriver {
     /// Decides for all drivers that are due, with one matrix product per group of equal policies.
     fn decide_batch(
         all: &mut [Self],
-        mut see: impl FnMut(usize) -> Observation,
+        mut observe: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         _failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        let all_seen: Vec<Observation> = (0..all.len()).map(&mut see).collect();
-        let (mut due, mut rows) = (Vec::new(), Vec::new());
-        for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
+        let observations: Vec<Observation> = (0..all.len()).map(&mut observe).collect();
+        let mut due = Vec::new();
+        let mut rows = Vec::new();
+        for (index, (driver, observation)) in all.iter_mut().zip(&observations).enumerate() {
             if driver.decision_timer.tick() {
                 let last_answer_mps2 = driver.held_action.last_answer_mps2();
                 let row =

@@ -49,15 +49,15 @@ impl BuiltIn for R157Simple {
 impl R157Simple {
     /// True if the leader brakes, or is too near for delayed braking: gap - margin < Δv τ + Δv²/(2 b).
     #[inline]
-    fn is_in_danger(&self, seen: &Observation) -> bool {
+    fn is_in_danger(&self, observation: &Observation) -> bool {
         let R157SimpleSettings {
             reaction_s,
             brake_mps2,
             seen_brake_mps2,
             margin_m,
         } = self.settings;
-        seen.ahead.is_some_and(|ahead| {
-            let closing_mps = (seen.speed_mps - ahead.speed_mps).max(0.0);
+        observation.ahead.is_some_and(|ahead| {
+            let closing_mps = (observation.speed_mps - ahead.speed_mps).max(0.0);
             let needed_m =
                 closing_mps * reaction_s + closing_mps * closing_mps / (2.0 * brake_mps2);
             ahead.acceleration_mps2 < -seen_brake_mps2
@@ -68,8 +68,8 @@ impl R157Simple {
 
 impl Controller for R157Simple {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_in_danger = self.is_in_danger(seen);
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let is_in_danger = self.is_in_danger(observation);
         let brakes = self.reaction_timer.tick(is_in_danger) >= Some(self.delay_steps);
         Ok(if brakes {
             -self.settings.brake_mps2

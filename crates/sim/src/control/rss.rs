@@ -65,14 +65,11 @@ impl BuiltIn for Rss {
 
 impl Controller for Rss {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_safe = |ahead: crate::observation::Neighbour| {
-            ahead.gap_m
-                >= self
-                    .settings
-                    .safe_distance_m(seen.speed_mps, ahead.speed_mps)
-        };
-        if seen.ahead.is_none_or(is_safe) {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let settings = &self.settings;
+        if observation.ahead.is_none_or(|ahead| {
+            ahead.gap_m >= settings.safe_distance_m(observation.speed_mps, ahead.speed_mps)
+        }) {
             self.unsafe_for_steps = 0;
             return Ok(0.0);
         }
@@ -122,7 +119,7 @@ mod tests {
 
     /// From the safe distance it does not collide with a leader that brakes within the assumed limit.
     #[test]
-    fn keeps_off_from_its_safe_distance() {
+    fn avoids_a_collision_from_the_safe_distance() {
         let settings = RssSettings::default();
         for (v, ahead) in [(14.0_f64, 14.0_f64), (36.1, 20.0), (8.0, 12.0)] {
             let (mut gap_m, mut own, mut front) = (settings.safe_distance_m(v, ahead), v, ahead);

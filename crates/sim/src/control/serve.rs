@@ -31,7 +31,10 @@ pub enum ServingError {
 /// use crumple_sim::control::{ServingError, serve, stateless};
 ///
 /// fn main() -> Result<(), ServingError> {
-///     serve("my-controller", &*stateless(|seen| seen.ahead.map_or(0.0, |ahead| ahead.speed_mps - seen.speed_mps)))
+///     let match_speed = stateless(|observation| {
+///         observation.ahead.map_or(0.0, |ahead| ahead.speed_mps - observation.speed_mps)
+///     });
+///     serve("my-controller", &*match_speed)
 /// }
 /// ```
 ///
@@ -47,42 +50,84 @@ fn serve_lines(
     queries: impl BufRead,
     answers: &mut impl Write,
 ) -> Result<(), ServingError> {
-    let mut vehicle = Value::Null;
-    let mut step_s = Value::Null;
-    let mut names = Vec::new();
-    let mut controller: Option<Box<dyn Controller>> = None;
+    let mut session = Session {
+        vehicle: Value::Null,
+        step_s: Value::Null,
+        inputs: Vec::new(),
+        controller: None,
+    };
     for line in queries.lines() {
         let line = line?;
-        let wrong = || ServingError::Message(line.clone());
-        let mut query: Value = serde_json::from_str(&line).map_err(|_| wrong())?;
-        let id = query["id"].take();
-        let answer = if let Some(hello) = query.get_mut("hello") {
-            (vehicle, step_s) = (hello["vehicle"].take(), hello["step_s"].take());
-            names = serde_json::from_value(hello["inputs"].take()).map_err(|_| wrong())?;
-            let hello =
-                json!({"crumple": 1, "name": name, "deterministic": true, "inputs": names.len()});
-            with_interval(hello, source.interval_s())
-        } else if let Some(seed) = query["reset"]["seed"].as_u64() {
-            let number = |field: &str| vehicle[field].as_f64().ok_or_else(wrong);
-            let ego = Ego {
-                vehicle: vehicle["index"].as_u64().ok_or_else(wrong)? as usize,
-                max_brake_mps2: number("max_brake_mps2")?,
-                max_accel_mps2: number("max_accel_mps2")?,
-                length_m: number("length_m")?,
-                step_s: step_s.as_f64().ok_or_else(wrong)?,
-            };
-            controller = Some(source.start(&ego, seed)?);
-            json!({"id": id, "ready": true})
-        } else {
-            let see: Vec<f64> = serde_json::from_value(query["see"].take()).map_err(|_| wrong())?;
-            let seen = observation(&names, &see).ok_or_else(wrong)?;
-            let command_mps2 = controller.as_mut().ok_or_else(wrong)?.decide(&seen)?;
-            json!({"id": id, "acceleration_mps2": command_mps2})
+        let answer = match serde_json::from_str(&line) {
+            Ok(query) => session.answer(name, source, query)?,
+            Err(_) => None,
         };
+        let answer = answer.ok_or(ServingError::Message(line))?;
         writeln!(answers, "{answer}")?;
         answers.flush()?;
     }
     Ok(())
+}
+
+/// State between two messages of crumple.
+struct Session {
+    vehicle: Value,
+    step_s: Value,
+    /// Names of the inputs.
+    inputs: Vec<String>,
+    controller: Option<Box<dyn Controller>>,
+}
+
+impl Session {
+    /// Returns the answer to a message; `None` if it is not a message of the protocol.
+    fn answer(
+        &mut self,
+        name: &str,
+        source: &dyn ControllerSource,
+        mut query: Value,
+    ) -> Result<Option<Value>, ControllerFailure> {
+        let id = take(&mut query, "id");
+        if let Some(hello) = query.get_mut("hello") {
+            self.vehicle = take(hello, "vehicle");
+            self.step_s = take(hello, "step_s");
+            let Ok(inputs) = serde_json::from_value(take(hello, "inputs")) else {
+                return Ok(None);
+            };
+            self.inputs = inputs;
+            let count = self.inputs.len();
+            let hello = json!({"crumple": 1, "name": name, "deterministic": true, "inputs": count});
+            return Ok(Some(with_interval(hello, source.interval_s())));
+        }
+        if let Some(seed) = query["reset"]["seed"].as_u64() {
+            let Some(ego) = self.ego() else {
+                return Ok(None);
+            };
+            self.controller = Some(source.start(&ego, seed)?);
+            return Ok(Some(json!({"id": id, "ready": true})));
+        }
+        let observation = serde_json::from_value::<Vec<f64>>(take(&mut query, "see"))
+            .ok()
+            .and_then(|values| {
+                let names = &self.inputs;
+                Inputs { names, values }.observation()
+            });
+        let Some((observation, controller)) = observation.zip(self.controller.as_mut()) else {
+            return Ok(None);
+        };
+        let command_mps2 = controller.decide(&observation)?;
+        Ok(Some(json!({"id": id, "acceleration_mps2": command_mps2})))
+    }
+
+    /// Returns the vehicle of the controller, as the first message describes it.
+    fn ego(&self) -> Option<Ego> {
+        Some(Ego {
+            vehicle: self.vehicle["index"].as_u64()? as usize,
+            max_brake_mps2: self.vehicle["max_brake_mps2"].as_f64()?,
+            max_accel_mps2: self.vehicle["max_accel_mps2"].as_f64()?,
+            length_m: self.vehicle["length_m"].as_f64()?,
+            step_s: self.step_s.as_f64()?,
+        })
+    }
 }
 
 fn with_interval(mut hello: Value, interval_s: Option<f64>) -> Value {
@@ -92,36 +137,44 @@ fn with_interval(mut hello: Value, interval_s: Option<f64>) -> Value {
     hello
 }
 
-/// Returns the observation of the default inputs; `None` if one is missing.
-fn observation(names: &[String], see: &[f64]) -> Option<Observation> {
-    let quantity = |name: &str| {
-        see.get(names.iter().position(|known| known == name)?)
-            .copied()
-    };
-    let speed_mps = quantity("speed_mps")?;
-    let neighbour = |side: &str| {
-        Some(Neighbour {
-            gap_m: quantity(&format!("gap_{side}_m"))?,
-            speed_mps: speed_mps + quantity(&format!("relative_speed_{side}_mps"))?,
-            acceleration_mps2: quantity(&format!("acceleration_{side}_mps2"))?,
+/// Removes and returns a field of a message; null if it is missing.
+fn take(message: &mut Value, field: &str) -> Value {
+    message.get_mut(field).map(Value::take).unwrap_or_default()
+}
+
+/// Inputs of a decision.
+struct Inputs<'a> {
+    names: &'a [String],
+    values: Vec<f64>,
+}
+
+impl Inputs<'_> {
+    fn get(&self, name: &str) -> Option<f64> {
+        let index = self.names.iter().position(|input| input == name)?;
+        self.values.get(index).copied()
+    }
+
+    /// Returns the observation of the default inputs; `None` if one is missing.
+    fn observation(&self) -> Option<Observation> {
+        Some(Observation {
+            speed_mps: self.get("speed_mps")?,
+            acceleration_mps2: self.get("acceleration_mps2")?,
+            ahead: self.neighbour("ahead")?,
+            behind: self.neighbour("behind")?,
         })
-    };
-    let [ahead, behind] =
-        ["ahead", "behind"].map(|side| (quantity(&format!("is_{side}")), neighbour(side)));
-    Some(Observation {
-        speed_mps,
-        acceleration_mps2: quantity("acceleration_mps2")?,
-        ahead: if ahead.0? == 0.0 {
-            None
-        } else {
-            Some(ahead.1?)
-        },
-        behind: if behind.0? == 0.0 {
-            None
-        } else {
-            Some(behind.1?)
-        },
-    })
+    }
+
+    /// Returns the neighbour on one side, `Some(None)` if there is none; `None` if an input is missing.
+    fn neighbour(&self, side: &str) -> Option<Option<Neighbour>> {
+        if self.get(&format!("is_{side}"))? == 0.0 {
+            return Some(None);
+        }
+        Some(Some(Neighbour {
+            gap_m: self.get(&format!("gap_{side}_m"))?,
+            speed_mps: self.get("speed_mps")? + self.get(&format!("relative_speed_{side}_mps"))?,
+            acceleration_mps2: self.get(&format!("acceleration_{side}_mps2"))?,
+        }))
+    }
 }
 
 #[cfg(test)]
@@ -135,9 +188,9 @@ mod tests {
         "is_ahead","is_behind"],"history":1}}"#;
 
     fn answers(queries: &[&str]) -> Result<Vec<String>, ServingError> {
-        let controller = stateless(|seen| {
-            let ahead = seen.ahead.map_or(-1.0, |ahead| ahead.speed_mps);
-            ahead + 100.0 * seen.behind.map_or(-1.0, |behind| behind.gap_m)
+        let controller = stateless(|observation| {
+            let ahead = observation.ahead.map_or(-1.0, |ahead| ahead.speed_mps);
+            ahead + 100.0 * observation.behind.map_or(-1.0, |behind| behind.gap_m)
         });
         let hello = HELLO.replace('\n', "");
         let lines: String = std::iter::once(&*hello)
@@ -174,6 +227,8 @@ mod tests {
         for wrong in [
             "",
             "{}",
+            "5",
+            r#"{"hello":5}"#,
             r#"{"id":1,"reset":{}}"#,
             r#"{"id":1,"time_s":0,"see":[1.0]}"#,
         ] {

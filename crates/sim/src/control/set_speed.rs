@@ -20,12 +20,18 @@ pub(super) fn is_set(set_speed_mps: f64) -> bool {
 /// With a set speed u it is k (u - v), which brakes above u. Without one it never brakes: it is k (w + c - v), at least
 /// 0, behind a leader at w, with c = [`CATCH_UP_MPS`], and 0 without a leader: the vehicle holds its speed.
 #[inline]
-pub(super) fn max_accel_mps2(set_speed_mps: f64, gain_per_s: f64, seen: &Observation) -> f64 {
+pub(super) fn max_accel_mps2(
+    set_speed_mps: f64,
+    gain_per_s: f64,
+    observation: &Observation,
+) -> f64 {
     if is_set(set_speed_mps) {
-        return gain_per_s * (set_speed_mps - seen.speed_mps);
+        return gain_per_s * (set_speed_mps - observation.speed_mps);
     }
-    let Some(ahead) = seen.ahead else { return 0.0 };
-    let closes_gap_mps2 = gain_per_s * (ahead.speed_mps + CATCH_UP_MPS - seen.speed_mps);
+    let Some(ahead) = observation.ahead else {
+        return 0.0;
+    };
+    let closes_gap_mps2 = gain_per_s * (ahead.speed_mps + CATCH_UP_MPS - observation.speed_mps);
     if closes_gap_mps2 > 0.0 {
         closes_gap_mps2
     } else {
@@ -83,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_is_that_of_the_set_speed_or_of_the_leader() {
+    fn acceleration_is_limited_by_the_set_speed_or_the_speed_of_the_leader() {
         let behind = |speed_mps, ahead_mps| leader_observation(speed_mps, 50.0, ahead_mps, 0.0);
         let alone = Observation {
             ahead: None,
@@ -113,7 +119,7 @@ mod tests {
 
     /// From a standing start, and behind a leader that becomes faster.
     #[test]
-    fn both_controllers_follow_a_leader_that_accelerates() {
+    fn acc_aeb_and_openpilot_follow_an_accelerating_leader() {
         let green = RecordedSpeeds {
             time_s: vec![0.0, 10.0, 30.0],
             speed_mps: vec![0.0, 15.0, 15.0],

@@ -96,8 +96,8 @@ pub enum RequiredNeighbours {
 /// }
 ///
 /// impl Controller for Gain {
-///     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-///         Ok(seen.ahead.map_or(0.0, |ahead| self.0 * (ahead.speed_mps - seen.speed_mps)))
+///     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+///         Ok(observation.ahead.map_or(0.0, |ahead| self.0 * (ahead.speed_mps - observation.speed_mps)))
 ///     }
 /// }
 /// assert_eq!(Gain(1.0).interval_s(), None);
@@ -220,8 +220,8 @@ pub trait ControllerSource: Any + Send + Sync {
         if self.holds_answers() {
             return Ok(controller);
         }
-        let held = ZeroOrderHold::new(controller, self.interval_s(), vehicle.ego.step_s);
-        Ok(Box::new(held.with_batching(vehicle.source)))
+        let hold = ZeroOrderHold::new(controller, self.interval_s(), vehicle.ego.step_s);
+        Ok(Box::new(hold.with_batching(vehicle.source)))
     }
 }
 
@@ -319,7 +319,7 @@ pub trait BatchController: Send + Sync {
     /// [`ControllerFailure`] if there are no answers; each controller is then queried by itself.
     fn decide_batch(
         &self,
-        seen: &[Observation],
+        observations: &[Observation],
         answers_mps2: &mut [f64],
     ) -> Result<(), ControllerFailure>;
 }

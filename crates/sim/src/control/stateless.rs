@@ -16,7 +16,10 @@ pub struct StatelessController<F>(F);
 /// use crumple_sim::scenario::built_in_scenario;
 /// use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 ///
-/// let brake = stateless(|seen| if seen.ahead.is_some_and(|ahead| ahead.gap_m < 30.0) { -7.5 } else { 0.0 });
+/// let brake = stateless(|observation| match observation.ahead {
+///     Some(ahead) if ahead.gap_m < 30.0 => -7.5,
+///     _ => 0.0,
+/// });
 /// let run = Run::new(&built_in_scenario("paper-1").unwrap(), RunOptions::new(brake)).unwrap();
 /// assert!(simulate(&run, RecordingLevel::Summary).outcome.failed_controller().is_none());
 /// ```
@@ -40,7 +43,7 @@ impl<F: Fn(&Observation) -> f64 + Clone + Send + Sync + 'static> ControllerSourc
 }
 
 impl<F: Fn(&Observation) -> f64 + Send> Controller for StatelessController<F> {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.0(seen))
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.0(observation))
     }
 }

@@ -44,16 +44,16 @@ impl ZeroOrderHold {
 }
 
 impl BatchQuery for ZeroOrderHold {
-    fn sample(&mut self, seen: &Observation) -> bool {
-        self.observation = self.decision_timer.tick().then_some(*seen);
+    fn sample(&mut self, observation: &Observation) -> bool {
+        self.observation = self.decision_timer.tick().then_some(*observation);
         self.observation.is_some()
     }
 
     fn query(&mut self) -> Result<(), ControllerFailure> {
-        let Some(seen) = self.observation else {
+        let Some(observation) = self.observation else {
             return Ok(());
         };
-        let answer_mps2 = self.controller.decide(&seen)?;
+        let answer_mps2 = self.controller.decide(&observation)?;
         self.set_command(answer_mps2)
     }
 
@@ -72,12 +72,12 @@ impl BatchQuery for ZeroOrderHold {
 
     fn query_batch(&self, members: &[&dyn BatchQuery]) -> Option<Vec<f64>> {
         let batch = self.batch_source.as_ref()?.batch_controller()?;
-        let seen = members
+        let observations = members
             .iter()
             .map(|member| member.downcast_ref::<Self>()?.observation)
             .collect::<Option<Vec<_>>>()?;
-        let mut query_batch = vec![0.0; seen.len()];
-        batch.decide_batch(&seen, &mut query_batch).ok()?;
+        let mut query_batch = vec![0.0; observations.len()];
+        batch.decide_batch(&observations, &mut query_batch).ok()?;
         query_batch
             .iter()
             .all(|answer_mps2| answer_mps2.is_finite())
@@ -99,8 +99,8 @@ impl BatchQuery for ZeroOrderHold {
 }
 
 impl Controller for ZeroOrderHold {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        decide_by_query(self, seen)
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        decide_by_query(self, observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
@@ -131,9 +131,9 @@ mod tests {
     }
 
     #[test]
-    fn decides_once_an_interval_and_fails_at_an_answer_that_is_no_number() {
-        let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
-        let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
+    fn decides_once_an_interval_and_fails_at_a_nan_answer() {
+        let mut hold = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
+        let answers = [0; 7].map(|_| hold.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
         assert_eq!(
             answers,
@@ -151,31 +151,34 @@ mod tests {
         max_batch_size: Arc<AtomicUsize>,
     }
     impl MinGapController {
-        fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
-            let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.min_gap_m);
+        fn answer_mps2(&self, observation: &Observation) -> Result<f64, ControllerFailure> {
+            let ahead = observation
+                .ahead
+                .filter(|ahead| ahead.gap_m >= self.min_gap_m);
             let ahead = ahead.ok_or(ControllerFailure::Died {
                 message: "too close".to_owned(),
             })?;
-            Ok(ahead.speed_mps - seen.speed_mps)
+            Ok(ahead.speed_mps - observation.speed_mps)
         }
     }
     impl Controller for MinGapController {
-        fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-            self.answer_mps2(seen)
+        fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+            self.answer_mps2(observation)
         }
     }
     impl BatchController for MinGapController {
         fn decide_batch(
             &self,
-            seen: &[Observation],
+            observations: &[Observation],
             answers_mps2: &mut [f64],
         ) -> Result<(), ControllerFailure> {
-            self.max_batch_size.fetch_max(seen.len(), Ordering::Relaxed);
+            self.max_batch_size
+                .fetch_max(observations.len(), Ordering::Relaxed);
             answers_mps2
                 .iter_mut()
-                .zip(seen)
-                .try_for_each(|(answer_mps2, seen)| {
-                    *answer_mps2 = self.answer_mps2(seen)?;
+                .zip(observations)
+                .try_for_each(|(answer_mps2, observation)| {
+                    *answer_mps2 = self.answer_mps2(observation)?;
                     Ok(())
                 })
         }
@@ -196,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_that_share_questions_end_as_they_would_alone() {
+    fn runs_that_share_a_batch_have_the_results_of_single_runs() {
         let draws: Vec<_> = (0..60)
             .map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap())
             .collect();

@@ -82,8 +82,8 @@ impl Actuator {
             Some(sluggish) => {
                 sluggish.pending_mps2.push_back(command_mps2);
                 let due_mps2 = sluggish.pending_mps2.pop_front().unwrap_or(command_mps2);
-                let wanted = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
-                let change = sluggish.response_fraction * (wanted - sluggish.response_mps2);
+                let target_mps2 = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
+                let change = sluggish.response_fraction * (target_mps2 - sluggish.response_mps2);
                 sluggish.response_mps2 +=
                     change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
                 match &mut sluggish.multi_body {
@@ -125,11 +125,13 @@ impl Disturbance {
     /// Creates the noise of vehicle `index`; `None` for a vehicle without noise.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
-        let (seed, shares) = (scenario.spec().seed, scenario.noise_shares());
-        let noise =
-            || NoiseStream::from_shares(seed, shares, Purpose::AccelerationNoise, index as u64);
         (deviation_mps2 > 0.0).then(|| Self {
-            noise: noise(),
+            noise: NoiseStream::from_shares(
+                scenario.spec().seed,
+                scenario.noise_shares(),
+                Purpose::AccelerationNoise,
+                index as u64,
+            ),
             deviation_mps2,
         })
     }
@@ -170,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_add_up() {
+    fn reaction_and_actuator_delays_add_up() {
         let mut actuator = actuator(|v| (v.reaction_delay_s, v.actuator_delay_s) = (0.02, 0.01));
         let responses =
             [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command, 10.0));

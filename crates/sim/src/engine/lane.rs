@@ -1,6 +1,6 @@
 //! Lane membership of vehicles, and planned lane changes.
 
-use super::motion::{Motion, first_zero};
+use super::motion::{Motion, first_zero, gap_and_rates};
 use super::trace::Track;
 use crate::scenario::{LaneChange, VehicleSpec};
 
@@ -38,6 +38,14 @@ pub(super) struct Bodies<'a> {
     pub(super) length_m: &'a [f64],
 }
 
+impl Bodies<'_> {
+    /// True if two vehicles do not overlap, `in_s` seconds from now.
+    fn are_apart(&self, front: usize, rear: usize, in_s: f64) -> bool {
+        self.motion[front].after(in_s).position_m - self.length_m[front]
+            > self.motion[rear].after(in_s).position_m
+    }
+}
+
 /// A part of a step without lane changes.
 pub(super) struct LaneInterval {
     /// Start, in seconds since the start of the step.
@@ -59,32 +67,29 @@ impl LaneState {
             return Self::with_all(vehicles.len());
         }
         let inside = vehicles.iter().map(|spec| spec.enters.is_none());
-        let in_lane_s = |inside: bool| {
-            if inside {
-                Track::THROUGHOUT_S
-            } else {
-                [f64::INFINITY; 2]
-            }
-        };
-        let planned = vehicles.iter().enumerate().flat_map(|(vehicle, spec)| {
-            let of = |enters: bool, when: Option<LaneChange>| {
-                when.map(|when| PlannedLaneChange {
-                    vehicle,
-                    is_entry: enters,
-                    trigger: when,
-                    was_gap_larger: None,
-                })
-            };
-            [of(false, spec.leaves), of(true, spec.enters)]
+        let planned_changes = vehicles.iter().enumerate().flat_map(|(vehicle, spec)| {
+            [(false, spec.leaves), (true, spec.enters)]
                 .into_iter()
-                .flatten()
+                .filter_map(move |(is_entry, trigger)| {
+                    Some(PlannedLaneChange {
+                        vehicle,
+                        is_entry,
+                        trigger: trigger?,
+                        was_gap_larger: None,
+                    })
+                })
         });
-        let mut planned: Vec<PlannedLaneChange> = planned.collect();
+        let mut planned: Vec<PlannedLaneChange> = planned_changes.collect();
         // Exits come before simultaneous entries, for which they make room. Otherwise the order is front to rear.
         planned.sort_by_key(|planned| planned.is_entry);
         let changes = LaneChangeState {
             is_inside: inside.clone().collect(),
-            in_lane_s: inside.map(in_lane_s).collect(),
+            in_lane_s: inside
+                .map(|is_inside| match is_inside {
+                    true => Track::THROUGHOUT_S,
+                    false => [f64::INFINITY; 2],
+                })
+                .collect(),
             planned,
         };
         Self {
@@ -155,22 +160,24 @@ impl LaneState {
         now_s: f64,
         within_s: f64,
     ) -> Vec<LaneInterval> {
-        let (mut lane, mut from_s, mut stints) = (self.clone(), 0.0, Vec::new());
-        while let Some((to_s, places)) = lane.next_changes(bodies, now_s, from_s, within_s) {
-            stints.push(LaneInterval {
+        let mut lane = self.clone();
+        let mut from_s = 0.0;
+        let mut intervals = Vec::new();
+        while let Some((to_s, changes)) = lane.next_changes(bodies, now_s, from_s, within_s) {
+            intervals.push(LaneInterval {
                 from_s,
                 to_s,
                 lane: lane.clone(),
             });
-            lane.apply_changes(&places, bodies, now_s, to_s);
+            lane.apply_changes(&changes, bodies, now_s, to_s);
             from_s = to_s;
         }
-        stints.push(LaneInterval {
+        intervals.push(LaneInterval {
             from_s,
             to_s: within_s,
             lane,
         });
-        stints
+        intervals
     }
 
     pub(super) fn after(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Self {
@@ -211,110 +218,89 @@ impl LaneState {
         span_s: [f64; 2],
     ) -> Option<(f64, Vec<usize>)> {
         let mut first: Option<(f64, Vec<usize>)> = None;
-        for place in 0..self
+        for index in 0..self
             .changes
             .as_ref()
             .map_or(0, |changes| changes.planned.len())
         {
-            let when = self.changes.as_ref()?.planned.get(place)?.trigger;
-            if matches!(when, LaneChange::At(_)) != by_clock {
+            let trigger = self.changes.as_ref()?.planned.get(index)?.trigger;
+            if matches!(trigger, LaneChange::At(_)) != by_clock {
                 continue;
             }
-            let Some(in_s) = self.change_time_s(place, bodies, now_s, span_s) else {
+            let Some(in_s) = self.change_time_s(index, bodies, now_s, span_s) else {
                 continue;
             };
             match &mut first {
-                Some((first_s, places)) if in_s == *first_s => places.push(place),
+                Some((first_s, indices)) if in_s == *first_s => indices.push(index),
                 Some((first_s, _)) if in_s > *first_s => {}
-                _ => first = Some((in_s, vec![place])),
+                _ => first = Some((in_s, vec![index])),
             }
         }
         first
     }
 
-    /// Returns the time of a planned change, between `from_s` and `to_s` seconds from now.
+    /// Returns the time of planned change `index`, between `from_s` and `to_s` seconds from now.
     fn change_time_s(
         &mut self,
-        place: usize,
+        index: usize,
         bodies: Bodies<'_>,
         now_s: f64,
         span_s: [f64; 2],
     ) -> Option<f64> {
         let [from_s, to_s] = span_s;
-        let PlannedLaneChange {
-            vehicle,
-            is_entry: enters,
-            trigger: when,
-            was_gap_larger: was_larger,
-        } = *self.changes.as_ref()?.planned.get(place)?;
-        if enters == self.contains(vehicle) {
+        let change = *self.changes.as_ref()?.planned.get(index)?;
+        if change.is_entry == self.contains(change.vehicle) {
             return None;
         }
-        if let LaneChange::At(time_s) = when {
-            let in_s = time_s - now_s;
-            return (in_s <= to_s + TIME_TOLERANCE_S).then(|| in_s.clamp(from_s, to_s));
-        }
-        let (front, rear) = match enters {
-            true => (vehicle, self.nearest_behind(vehicle)?),
-            false => (self.nearest_ahead(vehicle)?, vehicle),
-        };
-        let (ahead, behind) = (
-            bodies.motion[front].after(from_s),
-            bodies.motion[rear].after(from_s),
-        );
-        let length_m = bodies.length_m[front];
-        let gap = |front: Motion, rear: Motion| {
-            let gap_m = front.position_m - length_m - rear.position_m;
-            [
-                gap_m,
-                front.speed_mps - rear.speed_mps,
-                front.acceleration_mps2 - rear.acceleration_mps2,
-            ]
-        };
-        let found_s = match when {
-            LaneChange::At(_) => None,
-            LaneChange::Gap(waited_m) => {
-                let beyond_m = gap(ahead, behind)[0] - waited_m;
-                let larger = was_larger.unwrap_or(beyond_m > 0.0);
-                self.changes
-                    .as_mut()?
-                    .planned
-                    .get_mut(place)?
-                    .was_gap_larger = Some(larger);
-                let sign = if larger { 1.0 } else { -1.0 };
-                let size = |front, rear| {
-                    let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
-                    [sign * (gap_m - waited_m), sign * rate_mps, sign * rate_mps2]
-                };
-                first_zero(ahead, behind, size, to_s - from_s)
+        let trigger_m = match change.trigger {
+            LaneChange::At(time_s) => {
+                let in_s = time_s - now_s;
+                return (in_s <= to_s + TIME_TOLERANCE_S).then(|| in_s.clamp(from_s, to_s));
             }
-            LaneChange::TimeToCollision(waited_s) if gap(ahead, behind)[0] > 0.0 => {
-                let size = |front, rear| {
-                    let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
-                    [
-                        gap_m + waited_s * rate_mps,
-                        rate_mps + waited_s * rate_mps2,
-                        rate_mps2,
-                    ]
-                };
-                first_zero(ahead, behind, size, to_s - from_s)
-            }
+            LaneChange::Gap(trigger_m) => Some(trigger_m),
             LaneChange::TimeToCollision(_) => None,
         };
+        let pair = self.pair_at(change, bodies, from_s)?;
+        let mut was_gap_larger = change.was_gap_larger;
+        if let Some(trigger_m) = trigger_m {
+            let is_larger = was_gap_larger.unwrap_or(pair.gap_m() - trigger_m > 0.0);
+            was_gap_larger = Some(is_larger);
+            let planned = &mut self.changes.as_mut()?.planned;
+            planned.get_mut(index)?.was_gap_larger = was_gap_larger;
+        }
+        let found_s = pair.trigger_time_s(change.trigger, was_gap_larger, to_s - from_s);
         found_s.map(|in_s| (from_s + in_s).min(to_s))
     }
 
+    /// Returns the two vehicles whose gap triggers a change, as they are `in_s` seconds from now.
+    fn pair_at(
+        &self,
+        change: PlannedLaneChange,
+        bodies: Bodies<'_>,
+        in_s: f64,
+    ) -> Option<MovingPair> {
+        let [front, rear] = match change.is_entry {
+            true => [change.vehicle, self.nearest_behind(change.vehicle)?],
+            false => [self.nearest_ahead(change.vehicle)?, change.vehicle],
+        };
+        Some(MovingPair {
+            front: bodies.motion[front].after(in_s),
+            rear: bodies.motion[rear].after(in_s),
+            front_length_m: bodies.length_m[front],
+        })
+    }
+
     /// Applies planned changes at increasing indices. A vehicle without room to enter stays outside.
-    fn apply_changes(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
+    fn apply_changes(&mut self, indices: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
         let Some(changes) = &mut self.changes else {
             return;
         };
-        let due: Vec<PlannedLaneChange> = places
+        let due: Vec<PlannedLaneChange> = indices
             .iter()
-            .filter_map(|&place| changes.planned.get(place).copied())
+            .filter_map(|&index| changes.planned.get(index).copied())
             .collect();
-        for place in places.iter().rev() {
-            changes.planned.remove(*place);
+        for index in indices.iter().rev() {
+            changes.planned.remove(*index);
         }
         for PlannedLaneChange {
             vehicle,
@@ -340,15 +326,71 @@ impl LaneState {
 
     /// True if a vehicle overlaps neither neighbour in the lane, `in_s` seconds from now.
     fn has_room(&self, vehicle: usize, bodies: Bodies<'_>, in_s: f64) -> bool {
-        let position_m = |vehicle: usize| bodies.motion[vehicle].after(in_s).position_m;
-        let is_clear = |front: usize, rear: usize| {
-            position_m(front) - bodies.length_m[front] > position_m(rear)
-        };
         self.nearest_ahead(vehicle)
-            .is_none_or(|front| is_clear(front, vehicle))
+            .is_none_or(|front| bodies.are_apart(front, vehicle, in_s))
             && self
                 .nearest_behind(vehicle)
-                .is_none_or(|rear| is_clear(vehicle, rear))
+                .is_none_or(|rear| bodies.are_apart(vehicle, rear, in_s))
+    }
+}
+
+/// Motion of two vehicles whose gap triggers a lane change.
+struct MovingPair {
+    front: Motion,
+    rear: Motion,
+    front_length_m: f64,
+}
+
+impl MovingPair {
+    fn gap_m(&self) -> f64 {
+        gap_and_rates(self.front, self.rear, self.front_length_m)[0]
+    }
+
+    /// Returns the time within `dt_s` at which the gap reaches a trigger, or the TTC falls to it, if it does.
+    ///
+    /// A gap is reached from above if `was_gap_larger`, otherwise from below.
+    fn trigger_time_s(
+        &self,
+        trigger: LaneChange,
+        was_gap_larger: Option<bool>,
+        dt_s: f64,
+    ) -> Option<f64> {
+        match trigger {
+            LaneChange::Gap(trigger_m) => {
+                let sign = match was_gap_larger? {
+                    true => 1.0,
+                    false => -1.0,
+                };
+                self.first_zero(dt_s, |[gap_m, rate_mps, rate_mps2]| {
+                    [
+                        sign * (gap_m - trigger_m),
+                        sign * rate_mps,
+                        sign * rate_mps2,
+                    ]
+                })
+            }
+            LaneChange::TimeToCollision(trigger_s) if self.gap_m() > 0.0 => {
+                self.first_zero(dt_s, |[gap_m, rate_mps, rate_mps2]| {
+                    [
+                        gap_m + trigger_s * rate_mps,
+                        rate_mps + trigger_s * rate_mps2,
+                        rate_mps2,
+                    ]
+                })
+            }
+            LaneChange::At(_) | LaneChange::TimeToCollision(_) => None,
+        }
+    }
+
+    /// Returns the first time within `dt_s` at which a quantity is zero or less. `quantity` computes it and its two
+    /// derivatives from those of the gap.
+    fn first_zero(&self, dt_s: f64, quantity: impl Fn([f64; 3]) -> [f64; 3]) -> Option<f64> {
+        first_zero(
+            self.front,
+            self.rear,
+            |front, rear| quantity(gap_and_rates(front, rear, self.front_length_m)),
+            dt_s,
+        )
     }
 }
 

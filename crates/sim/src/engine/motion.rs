@@ -96,15 +96,23 @@ pub(crate) fn first_contact(
     front_length_m: f64,
     dt_s: f64,
 ) -> Option<f64> {
-    let gap = |front: Motion, rear: Motion| {
-        let gap_m = front.position_m - front_length_m - rear.position_m;
-        [
-            gap_m,
-            front.speed_mps - rear.speed_mps,
-            front.acceleration_mps2 - rear.acceleration_mps2,
-        ]
-    };
-    first_zero(front, rear, gap, dt_s)
+    first_zero(
+        front,
+        rear,
+        |front, rear| gap_and_rates(front, rear, front_length_m),
+        dt_s,
+    )
+}
+
+/// Returns the gap between two vehicles in metres, its rate in m/s and its second derivative in m/s².
+#[inline]
+pub(super) fn gap_and_rates(front: Motion, rear: Motion, front_length_m: f64) -> [f64; 3] {
+    let gap_m = front.position_m - front_length_m - rear.position_m;
+    [
+        gap_m,
+        front.speed_mps - rear.speed_mps,
+        front.acceleration_mps2 - rear.acceleration_mps2,
+    ]
 }
 
 /// Returns the first instant in `[0, dt_s]` at which a quantity of two vehicles is zero or less, if any.
@@ -169,25 +177,25 @@ fn gap_at_equal_speed_m(
     front_length_m: f64,
     dt_s: f64,
 ) -> Option<f64> {
-    let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
-    let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
     // The closing speed is piecewise linear and continuous: the gap is smallest where it changes sign.
-    for [from_s, to_s] in split_at_stops(front, rear, dt_s) {
-        let (before, after) = (closing_at(from_s), closing_at(to_s));
+    for span_s in split_at_stops(front, rear, dt_s) {
+        let [before, after] =
+            span_s.map(|at_s| rear.after(at_s).speed_mps - front.after(at_s).speed_mps);
         if before > 0.0 && after <= 0.0 {
+            let [from_s, to_s] = span_s;
             let turn_s = from_s + (to_s - from_s) * before / (before - after);
-            return Some(gap_at(turn_s));
+            let front_m = front.after(turn_s).position_m;
+            return Some(front_m - front_length_m - rear.after(turn_s).position_m);
         }
     }
     None
 }
 
 fn split_at_stops(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
-    let (a, b) = (
-        front.stopping_time_s().min(dt),
-        rear.stopping_time_s().min(dt),
-    );
-    let (first, second) = (a.min(b), a.max(b));
+    let front_s = front.stopping_time_s().min(dt);
+    let rear_s = rear.stopping_time_s().min(dt);
+    let first = front_s.min(rear_s);
+    let second = front_s.max(rear_s);
     [[0.0, first], [first, second], [second, dt]]
 }
 
@@ -236,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_near_miss_inside_a_step_is_seen() {
+    fn the_smallest_gap_inside_a_step_is_found() {
         // The gap 1 - 2t + 2t² has its minimum 0.5 at t = 0.5.
         let (front, rear) = (motion(3.0, 10.0, 0.0), motion(0.0, 12.0, -4.0));
         assert!((closest_gap_m(front, rear, 2.0, 1.0) - 0.5).abs() < 1e-12);
@@ -268,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn two_that_stop_in_one_step_were_closest_when_they_were_equally_fast() {
+    fn vehicles_that_stop_in_one_step_are_closest_at_equal_speed() {
         // Rear: 3 m/s braking at 8; front: 2 m/s braking at 4. Equal speeds after 0.25 s: 1 + 0.5 * (2 - 3) * 0.25.
         let (front, rear) = (motion(3.0, 2.0, -4.0), motion(0.0, 3.0, -8.0));
         let closest_m = closest_gap_m(front, rear, 2.0, 1.0);
@@ -276,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn calm_steps_are_waved_through() {
+    fn steps_without_a_possible_collision_need_no_contact_check() {
         let (far_m, dt_s) = (50.0, 0.01);
         assert!(
             !needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s),
@@ -323,7 +331,7 @@ mod tests {
         }
 
         #[test]
-        fn screening_never_hides_a_contact((front, rear, dt) in any_pair()) {
+        fn screening_never_misses_a_collision((front, rear, dt) in any_pair()) {
             let gap = front.position_m - 2.0 - rear.position_m;
             let (f, r) = (front.after(dt), rear.after(dt));
             let closing = [rear.speed_mps - front.speed_mps, r.speed_mps - f.speed_mps];

@@ -64,10 +64,10 @@ pub struct FailedControllerRuns {
 }
 
 impl FailedControllerRuns {
-    /// Adds one run, after the known ones.
-    pub fn add(known: &mut Option<Self>, failed: &FailedController) {
+    /// Adds one run, after those of the total.
+    pub fn add(total: &mut Option<Self>, failed: &FailedController) {
         Self::merge(
-            known,
+            total,
             Some(Self {
                 runs: 1,
                 because: failed.reason(),
@@ -75,19 +75,22 @@ impl FailedControllerRuns {
         );
     }
 
-    /// Adds runs that come after the known ones.
-    pub fn merge(known: &mut Option<Self>, later: Option<Self>) {
-        match (known.as_mut(), later) {
-            (Some(known), Some(later)) => known.runs = known.runs.saturating_add(later.runs),
-            (None, later) => *known = later,
+    /// Adds runs that come after those of the total.
+    pub fn merge(total: &mut Option<Self>, later: Option<Self>) {
+        match (total.as_mut(), later) {
+            (Some(total), Some(later)) => total.runs = total.runs.saturating_add(later.runs),
+            (None, later) => *total = later,
             (Some(_), None) => {}
         }
     }
 
-    /// Describes the failed runs; `of` is the number of all runs.
+    /// Describes the failed runs among `all_runs`.
     #[must_use]
-    pub fn describe(&self, of: u64) -> String {
-        format!("gave no answer in {} of {of}: {}", self.runs, self.because)
+    pub fn describe(&self, all_runs: u64) -> String {
+        format!(
+            "gave no answer in {} of {all_runs}: {}",
+            self.runs, self.because
+        )
     }
 }
 

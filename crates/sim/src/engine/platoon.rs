@@ -66,11 +66,12 @@ impl PlatoonState {
             return dt_s;
         }
         let mut done_s = 0.0;
-        let mut stints = self.lane_intervals(from_s, dt_s);
-        while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s)
+        let mut intervals = self.lane_intervals(from_s, dt_s);
+        while let Some((in_s, [front, rear])) =
+            self.next_contact(intervals.as_deref(), dt_s - done_s)
         {
-            let until = self.lane_intervals(from_s + done_s, in_s);
-            self.advance_and_track_gaps(until, in_s);
+            let before_impact = self.lane_intervals(from_s + done_s, in_s);
+            self.advance_and_track_gaps(before_impact, in_s);
             done_s += in_s;
             let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
@@ -88,9 +89,9 @@ impl PlatoonState {
                 self.lane.cancel_changes(vehicle);
             }
             self.share_acceleration();
-            stints = self.lane_intervals(from_s + done_s, dt_s - done_s);
+            intervals = self.lane_intervals(from_s + done_s, dt_s - done_s);
         }
-        self.advance_and_track_gaps(stints, dt_s - done_s);
+        self.advance_and_track_gaps(intervals, dt_s - done_s);
         dt_s
     }
 
@@ -119,24 +120,23 @@ impl PlatoonState {
             .windows(2)
             .zip(ends.windows(2))
             .zip(&self.length_m);
-        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m
+        for ((gap_m, &is_locked), ((now, end), length_m)) in gaps_m
             .iter_mut()
             .zip(&self.locked_to_front)
             .skip(1)
             .zip(pairs)
         {
-            let ([front, rear], [front_end, rear_end]) = (now, end) else {
-                continue;
-            };
+            let [front, rear] = now else { continue };
+            let [front_end, rear_end] = end else { continue };
             match contact_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
-                Some(end_m) if !sticks => *gap_m = end_m,
+                Some(end_m) if !is_locked => *gap_m = end_m,
                 _ => return false,
             }
         }
-        for (least_m, gap_m) in self.min_gap_m.iter_mut().zip(gaps_m) {
+        for (min_gap_m, gap_m) in self.min_gap_m.iter_mut().zip(gaps_m) {
             // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
-            if gap_m < *least_m {
-                *least_m = gap_m;
+            if gap_m < *min_gap_m {
+                *min_gap_m = gap_m;
             }
         }
         self.motion.copy_from_slice(ends);
@@ -158,12 +158,12 @@ impl PlatoonState {
     /// Returns the earliest, foremost collision within `within_s` seconds: time, front and rear vehicle.
     fn next_contact(
         &self,
-        stints: Option<&[LaneInterval]>,
+        intervals: Option<&[LaneInterval]>,
         within_s: f64,
     ) -> Option<(f64, [usize; 2])> {
-        match stints {
+        match intervals {
             None => self.first_contact_between(&self.lane, [0.0, within_s]),
-            Some(stints) => stints.iter().find_map(|interval| {
+            Some(intervals) => intervals.iter().find_map(|interval| {
                 self.first_contact_between(&interval.lane, [interval.from_s, interval.to_s])
             }),
         }
@@ -214,20 +214,20 @@ impl PlatoonState {
         }
     }
 
-    fn advance_and_track_gaps(&mut self, stints: Option<Vec<LaneInterval>>, dt_s: f64) {
-        match stints {
+    fn advance_and_track_gaps(&mut self, intervals: Option<Vec<LaneInterval>>, dt_s: f64) {
+        match intervals {
             None => self.advance_without_lane_changes(dt_s),
-            Some(mut stints) => {
-                for (place, interval) in stints.iter().enumerate() {
+            Some(mut intervals) => {
+                for (index, interval) in intervals.iter().enumerate() {
                     // A vehicle that enters and leaves at one instant was never in the lane.
-                    if interval.from_s < interval.to_s || place + 1 == stints.len() {
+                    if interval.from_s < interval.to_s || index + 1 == intervals.len() {
                         self.track_closest_gaps(&interval.lane, [interval.from_s, interval.to_s]);
                     }
                 }
                 self.motion
                     .iter_mut()
                     .for_each(|motion| *motion = motion.after(dt_s));
-                if let Some(last) = stints.pop() {
+                if let Some(last) = intervals.pop() {
                     self.lane = last.lane;
                 }
             }
@@ -276,11 +276,10 @@ impl PlatoonState {
             let Some(front) = lane.ahead(rear).filter(|_| !self.locked_to_front[rear]) else {
                 continue;
             };
-            let (ahead, behind) = (
-                self.motion_after(front, from_s),
-                self.motion_after(rear, from_s),
-            );
-            let (length_m, within_s) = (self.length_m[front], to_s - from_s);
+            let ahead = self.motion_after(front, from_s);
+            let behind = self.motion_after(rear, from_s);
+            let length_m = self.length_m[front];
+            let within_s = to_s - from_s;
             let ends = [ahead.after(within_s), behind.after(within_s)];
             let at_first_m = ahead.position_m - length_m - behind.position_m;
             let closest_m =
@@ -289,7 +288,8 @@ impl PlatoonState {
         }
     }
 
-    fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
+    /// Returns the first and the last vehicle that move together with two colliding ones.
+    fn locked_group(&self, front: usize, rear: usize) -> [usize; 2] {
         let mut first_involved = front;
         while let Some(ahead) = self
             .lane
@@ -306,6 +306,11 @@ impl PlatoonState {
         {
             last_involved = behind;
         }
+        [first_involved, last_involved]
+    }
+
+    fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
+        let [first_involved, last_involved] = self.locked_group(front, rear);
         let beside = (first_involved..=last_involved)
             .filter(|&vehicle| !self.lane.contains(vehicle))
             .collect();
@@ -315,8 +320,8 @@ impl PlatoonState {
         let momentum: f64 = involved()
             .map(|i| self.mass_kg[i] * self.motion[i].speed_mps)
             .sum();
-        let (front_speed_mps, rear_speed_mps) =
-            (self.motion[front].speed_mps, self.motion[rear].speed_mps);
+        let front_speed_mps = self.motion[front].speed_mps;
+        let rear_speed_mps = self.motion[rear].speed_mps;
         let contact = Contact {
             time_s,
             front_vehicle: front,

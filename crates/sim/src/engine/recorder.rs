@@ -63,6 +63,18 @@ pub(super) fn summarize_vehicle(
     }
 }
 
+impl VehicleExtremes {
+    /// Lowers the minimum TTC to that of a gap and its closing speed.
+    #[inline]
+    pub(super) fn update_min_ttc(&mut self, gap_m: f64, closing_mps: f64) {
+        let ttc_s = ttc_s(gap_m, closing_mps);
+        // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
+        if ttc_s < self.min_ttc_s {
+            self.min_ttc_s = ttc_s;
+        }
+    }
+}
+
 pub(super) fn assemble_result(
     impacts: Vec<Impact>,
     vehicles: Vec<VehicleSummary>,
@@ -70,12 +82,11 @@ pub(super) fn assemble_result(
     trace: Option<Trace>,
     failed: Option<FailedController>,
 ) -> SimulationResult {
-    let collided = || {
-        impacts.first().map_or(Outcome::NoCollision, |impact| {
-            Outcome::Collision(impact.contact)
-        })
+    let outcome = match (failed, impacts.first()) {
+        (Some(failed), _) => Outcome::ControllerFailed(failed),
+        (None, Some(impact)) => Outcome::Collision(impact.contact),
+        (None, None) => Outcome::NoCollision,
     };
-    let outcome = failed.map_or_else(collided, Outcome::ControllerFailed);
     SimulationResult {
         outcome,
         impacts,
@@ -101,21 +112,18 @@ impl Trace {
         platoon: &PlatoonState,
         samples: usize,
     ) -> Option<Self> {
-        let track = |(&length_m, &mass_kg): (&f64, &f64)| Track {
-            length_m,
-            mass_kg,
-            position_m: Vec::with_capacity(samples),
-            speed_mps: Vec::with_capacity(samples),
-            acceleration_mps2: Vec::with_capacity(samples),
-            in_lane_s: Track::THROUGHOUT_S,
-        };
+        let vehicles = platoon.length_m.iter().zip(&platoon.mass_kg);
         (keep == RecordingLevel::Trace).then(|| Self {
             time_s: Vec::with_capacity(samples),
-            vehicles: platoon
-                .length_m
-                .iter()
-                .zip(&platoon.mass_kg)
-                .map(track)
+            vehicles: vehicles
+                .map(|(&length_m, &mass_kg)| Track {
+                    length_m,
+                    mass_kg,
+                    position_m: Vec::with_capacity(samples),
+                    speed_mps: Vec::with_capacity(samples),
+                    acceleration_mps2: Vec::with_capacity(samples),
+                    in_lane_s: Track::THROUGHOUT_S,
+                })
                 .collect(),
         })
     }

@@ -215,13 +215,12 @@ impl Run {
             }
         };
         let dt_s = step_s / substeps as f64;
-        let (steps, after_contact) = (scenario.steps(), options.after_contact);
         let time_grid = TimeGrid {
             step_s,
             dt_s,
             substeps,
-            steps,
-            after_contact,
+            steps: scenario.steps(),
+            after_contact: options.after_contact,
         };
         let run = Self {
             scenario: scenario.clone(),
@@ -229,12 +228,12 @@ impl Run {
             time_grid,
             tuning: OnceLock::new(),
         };
-        let found = run.vehicle_samples();
-        if found > MAX_VEHICLE_STEPS {
+        let samples = run.vehicle_samples();
+        if samples > MAX_VEHICLE_STEPS {
             return Err(RunError::TooFine {
                 dt_s,
                 limit: MAX_VEHICLE_STEPS,
-                found,
+                found: samples,
             });
         }
         for vehicle in 0..scenario.vehicles().len() {
@@ -269,24 +268,28 @@ impl Run {
             whole_multiple(interval_s, step_s)
                 .ok_or(RunError::DecisionInterval { interval_s, step_s })?;
         }
-        let needs = source.required_neighbours();
+        self.check_neighbours(index, source.required_neighbours())
+    }
+
+    /// Refuses a controller of vehicle `index` if a neighbour that it needs is missing.
+    fn check_neighbours(&self, index: usize, required: RequiredNeighbours) -> Result<(), RunError> {
+        let vehicles = self.scenario.vehicles();
+        let needs_ahead = required != RequiredNeighbours::Nothing;
+        let needs_behind = required == RequiredNeighbours::AheadAndBehind;
         // A vehicle that enters or leaves is not always a neighbour.
-        let (ahead, behind) = (&vehicles[..index], &vehicles[index + 1..]);
-        if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
-            return Err(RunError::MissingNeighbour {
-                vehicle: index,
-                missing: "ahead of",
-            });
-        }
-        if needs == RequiredNeighbours::AheadAndBehind
-            && !behind.iter().any(VehicleSpec::keeps_lane)
-        {
-            return Err(RunError::MissingNeighbour {
-                vehicle: index,
-                missing: "behind",
-            });
-        }
-        Ok(())
+        let has_ahead = vehicles[..index].iter().any(VehicleSpec::keeps_lane);
+        let has_behind = vehicles[index + 1..].iter().any(VehicleSpec::keeps_lane);
+        let missing = if needs_ahead && !has_ahead {
+            "ahead of"
+        } else if needs_behind && !has_behind {
+            "behind"
+        } else {
+            return Ok(());
+        };
+        Err(RunError::MissingNeighbour {
+            vehicle: index,
+            missing,
+        })
     }
 
     /// Returns the scenario.
@@ -418,14 +421,13 @@ impl Run {
             vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            let (shares, truth) = (self.scenario.noise_shares(), true_state(platoon, index));
             EgoEstimator::with_noise_shares(
                 spec.seed,
-                shares,
+                self.scenario.noise_shares(),
                 index,
                 &spec.sensors,
                 self.tuning(),
-                &truth,
+                &true_state(platoon, index),
             )
         })
     }
@@ -469,15 +471,6 @@ pub(super) enum VehicleController<P> {
 /// Returns the true state of vehicle `index` and its neighbours.
 pub(super) fn true_state(platoon: &PlatoonState, index: usize) -> TrueState {
     let own = platoon.motion[index];
-    let neighbour = |other: usize, [front, rear]: [usize; 2]| {
-        let motion = platoon.motion[other];
-        let gap_m = platoon.gap_between_m(front, rear);
-        Neighbour {
-            gap_m,
-            speed_mps: motion.speed_mps,
-            acceleration_mps2: motion.acceleration_mps2,
-        }
-    };
     TrueState {
         position_m: own.position_m,
         observation: Observation {
@@ -486,11 +479,22 @@ pub(super) fn true_state(platoon: &PlatoonState, index: usize) -> TrueState {
             ahead: platoon
                 .lane
                 .ahead(index)
-                .map(|front| neighbour(front, [front, index])),
+                .map(|front| neighbour(platoon, front, [front, index])),
             behind: platoon
                 .lane
                 .behind(index)
-                .map(|rear| neighbour(rear, [index, rear])),
+                .map(|rear| neighbour(platoon, rear, [index, rear])),
         },
+    }
+}
+
+/// Returns the state of vehicle `index`, which is one of the pair `[front, rear]`, as its partner observes it.
+#[inline]
+fn neighbour(platoon: &PlatoonState, index: usize, [front, rear]: [usize; 2]) -> Neighbour {
+    let motion = platoon.motion[index];
+    Neighbour {
+        gap_m: platoon.gap_between_m(front, rear),
+        speed_mps: motion.speed_mps,
+        acceleration_mps2: motion.acceleration_mps2,
     }
 }

@@ -35,14 +35,16 @@ pub(super) fn interventions(
     vehicle: usize,
     step_s: f64,
 ) -> Vec<Intervention> {
-    let intervention = |done: &Override| Intervention {
-        vehicle,
-        from_s: done.first_step as f64 * step_s,
-        to_s: (done.last_step + 1) as f64 * step_s,
-        outside_kernel: done.outside_kernel,
-        rear_conflict: done.rear_conflict,
-    };
-    overrides.iter().map(intervention).collect()
+    overrides
+        .iter()
+        .map(|done| Intervention {
+            vehicle,
+            from_s: done.first_step as f64 * step_s,
+            to_s: (done.last_step + 1) as f64 * step_s,
+            outside_kernel: done.outside_kernel,
+            rear_conflict: done.rear_conflict,
+        })
+        .collect()
 }
 
 impl ShieldAssumptions for Run {
@@ -51,132 +53,168 @@ impl ShieldAssumptions for Run {
         index: usize,
         settings: &ShieldSettings,
     ) -> Result<ShieldParams, ShieldRefusal> {
+        self.check_can_shield(index)?;
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let own = &vehicles[index];
-        let step_s = spec.step_s;
-        let whole_steps = |time_s: f64| (time_s / step_s).round();
-        let (brake_mps2, noise_mps2) = (
-            self.scenario().usable_brake_mps2(index),
-            noise_bound_mps2(own),
-        );
-        if !self.scenario().keeps_lanes() {
-            return Err(ShieldRefusal::LaneChanges);
-        }
-        if !self.scenario().has_only_point_masses() {
-            return Err(ShieldRefusal::Plant);
-        }
         let response = own.response();
-        if response.is_only_simulated {
-            return Err(ShieldRefusal::JerkLimit);
-        }
-        if noise_mps2 >= brake_mps2 {
-            return Err(ShieldRefusal::Noise { brake_mps2 });
-        }
-        let ahead = index.checked_sub(1).and_then(|front| vehicles.get(front));
-        let dry_mps2 = settings
-            .ahead_brake_mps2
-            .or(ahead.map(VehicleSpec::max_brake_mps2))
-            .unwrap_or(brake_mps2);
-        let ahead_brake_mps2 =
-            dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2);
-        let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| {
-            ahead.max_accel_mps2() + noise_bound_mps2(ahead)
-        });
-        let accel_mps2 = own.max_accel_mps2();
-        if spec.sensors.faults.is_any() && self.options().estimator == EstimatorKind::Kalman {
-            return Err(ShieldRefusal::SensorFaults);
-        }
-        let errors = match (settings.errors, self.options().estimator) {
-            (Some(errors), _) => errors,
-            (None, EstimatorKind::Truth) => ErrorBounds::default(),
-            (None, EstimatorKind::Kalman) if spec.sensors.dropout > 0.0 => {
-                return Err(ShieldRefusal::Dropout);
-            }
-            (None, EstimatorKind::Kalman) => {
-                let spans_mps2 = [
-                    brake_mps2 + accel_mps2 + 2.0 * noise_mps2,
-                    ahead_brake_mps2 + ahead_accel_mps2,
-                ];
-                let [gap_m, speed_mps, ahead_speed_mps] =
-                    self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
-                ErrorBounds {
-                    gap_m,
-                    speed_mps,
-                    ahead_speed_mps,
-                }
-            }
-        };
-        let delay_steps = (whole_steps(response.delay_s) as usize).min(self.scenario().steps());
-        let mut frame = ShieldParams {
+        let step_s = spec.step_s;
+        let brake_mps2 = self.scenario().usable_brake_mps2(index);
+        let ahead = self.leader_limits(index, settings, brake_mps2);
+        let delay_steps = whole_steps(response.delay_s, step_s) as usize;
+        let mut params = ShieldParams {
             step_s,
             brake_mps2,
-            accel_mps2,
-            noise_mps2,
-            ahead_brake_mps2,
-            delay_steps,
+            accel_mps2: own.max_accel_mps2(),
+            noise_mps2: noise_bound_mps2(own),
+            ahead_brake_mps2: ahead.brake_mps2,
+            delay_steps: delay_steps.min(self.scenario().steps()),
             response_fraction: if response.lag_s > 0.0 {
                 -(-step_s / response.lag_s).exp_m1()
             } else {
                 1.0
             },
-            errors,
+            errors: self.estimation_errors(index, settings, ahead)?,
             behind: vehicles.get(index + 1).map(|behind| RearVehicleParams {
                 brake_mps2: self.scenario().usable_brake_mps2(index + 1),
-                reaction_s: whole_steps(behind.response().delay_s) * step_s,
+                reaction_s: whole_steps(behind.response().delay_s, step_s) * step_s,
             }),
             margin_m: MIN_MARGIN_M,
         };
         // Without a leader the margin has no effect.
         if let Some(front) = index.checked_sub(1) {
-            let travel = self.motion_bounds(front, &frame);
-            frame.margin_m = travel.margin_m(&frame);
-            if frame.margin_m > MAX_MARGIN_M || frame.margin_m.is_nan() {
-                let (half_m, position_m) = (0.5 * frame.margin_m, travel.position_m);
-                return Err(ShieldRefusal::Rounding {
-                    rounding_m: half_m,
-                    position_m,
-                    max_margin_m: MAX_MARGIN_M,
-                });
-            }
+            params.margin_m = self.rounding_margin_m(front, &params)?;
         }
-        Ok(frame)
+        Ok(params)
     }
 }
 
+/// Largest braking and acceleration that a shield assumes of the leader, in m/s²; both positive, with noise.
+#[derive(Clone, Copy)]
+struct LeaderLimits {
+    brake_mps2: f64,
+    accel_mps2: f64,
+}
+
 impl Run {
+    /// Checks that the kernel models this run for a shield of vehicle `index`.
+    fn check_can_shield(&self, index: usize) -> Result<(), ShieldRefusal> {
+        let scenario = self.scenario();
+        let own = &scenario.vehicles()[index];
+        let brake_mps2 = scenario.usable_brake_mps2(index);
+        if !scenario.keeps_lanes() {
+            return Err(ShieldRefusal::LaneChanges);
+        }
+        if !scenario.has_only_point_masses() {
+            return Err(ShieldRefusal::Plant);
+        }
+        if own.response().is_only_simulated {
+            return Err(ShieldRefusal::JerkLimit);
+        }
+        if noise_bound_mps2(own) >= brake_mps2 {
+            return Err(ShieldRefusal::Noise { brake_mps2 });
+        }
+        let sensors = &scenario.spec().sensors;
+        if sensors.faults.is_any() && self.options().estimator == EstimatorKind::Kalman {
+            return Err(ShieldRefusal::SensorFaults);
+        }
+        Ok(())
+    }
+
+    /// Returns the assumptions about the leader of vehicle `index`. Without leader or setting it brakes like the ego
+    /// vehicle.
+    fn leader_limits(
+        &self,
+        index: usize,
+        settings: &ShieldSettings,
+        own_brake_mps2: f64,
+    ) -> LeaderLimits {
+        let spec = self.scenario().spec();
+        let ahead = index
+            .checked_sub(1)
+            .and_then(|front| self.scenario().vehicles().get(front));
+        let dry_mps2 = settings
+            .ahead_brake_mps2
+            .or(ahead.map(VehicleSpec::max_brake_mps2))
+            .unwrap_or(own_brake_mps2);
+        LeaderLimits {
+            brake_mps2: dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2),
+            accel_mps2: ahead.map_or(0.0, |ahead| {
+                ahead.max_accel_mps2() + noise_bound_mps2(ahead)
+            }),
+        }
+    }
+
+    /// Returns the errors of the observation of vehicle `index`: those of the settings, or bounds for the estimator.
+    fn estimation_errors(
+        &self,
+        index: usize,
+        settings: &ShieldSettings,
+        ahead: LeaderLimits,
+    ) -> Result<ErrorBounds, ShieldRefusal> {
+        match (settings.errors, self.options().estimator) {
+            (Some(errors), _) => Ok(errors),
+            (None, EstimatorKind::Truth) => Ok(ErrorBounds::default()),
+            (None, EstimatorKind::Kalman) if self.scenario().spec().sensors.dropout > 0.0 => {
+                Err(ShieldRefusal::Dropout)
+            }
+            (None, EstimatorKind::Kalman) => {
+                let own = &self.scenario().vehicles()[index];
+                let spans_mps2 = [
+                    self.scenario().usable_brake_mps2(index)
+                        + own.max_accel_mps2()
+                        + 2.0 * noise_bound_mps2(own),
+                    ahead.brake_mps2 + ahead.accel_mps2,
+                ];
+                let [gap_m, speed_mps, ahead_speed_mps] =
+                    self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
+                Ok(ErrorBounds {
+                    gap_m,
+                    speed_mps,
+                    ahead_speed_mps,
+                })
+            }
+        }
+    }
+
+    /// Returns the margin that covers rounding errors of vehicle `front` and its follower, in metres.
+    fn rounding_margin_m(&self, front: usize, params: &ShieldParams) -> Result<f64, ShieldRefusal> {
+        let bounds = self.motion_bounds(front, params);
+        let margin_m = bounds.margin_m(params);
+        if margin_m > MAX_MARGIN_M || margin_m.is_nan() {
+            return Err(ShieldRefusal::Rounding {
+                rounding_m: 0.5 * margin_m,
+                position_m: bounds.position_m,
+                max_margin_m: MAX_MARGIN_M,
+            });
+        }
+        Ok(margin_m)
+    }
+
     /// Returns bounds of the motion of vehicle `front` and its follower in this run, without collisions.
     ///
     /// No vehicle overtakes, so the first vehicle bounds all positions. For a vehicle (speed v, brake b) in the kernel
     /// with its leader (speed w, brake c), the difference of their stopping distances v²/2b - w²/2c is at most the gap,
     /// and the gap is at most the length of the road that the run can cover. This bounds v.
-    fn motion_bounds(&self, front: usize, frame: &ShieldParams) -> MotionBounds {
-        let spec = self.scenario().spec();
+    fn motion_bounds(&self, front: usize, params: &ShieldParams) -> MotionBounds {
+        let duration_s = self.scenario().spec().duration_s;
         let vehicles = self.scenario().vehicles();
-        let fastest_mps = |vehicle: &VehicleSpec| {
-            let accel_mps2 = match &vehicle.driver {
-                // To follow a recording, a vehicle may use any acceleration within its limits.
-                Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
-                    profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
-                }
-                _ => vehicle.max_accel_mps2(),
-            };
-            vehicle.speed_mps + (accel_mps2 + noise_bound_mps2(vehicle)) * spec.duration_s
-        };
-        let (first, ahead, own) = (&vehicles[0], &vehicles[front], &vehicles[front + 1]);
+        let first = &vehicles[0];
+        let ahead = &vehicles[front];
+        let own = &vehicles[front + 1];
         // Distance of a step, and the length of a vehicle.
-        let spare_m = (100.0 + 60.0 * frame.step_s) * frame.step_s + ahead.length_m();
-        let farthest_m = first.position_m + fastest_mps(first) * spec.duration_s + spare_m;
-        let ahead_mps = fastest_mps(ahead);
+        let spare_m = (100.0 + 60.0 * params.step_s) * params.step_s + ahead.length_m();
+        let farthest_m = first.position_m + max_speed_mps(first, duration_s) * duration_s + spare_m;
+        let ahead_mps = max_speed_mps(ahead, duration_s);
         let ViabilityKernel {
             own_brake_mps2,
             ahead_brake_mps2,
-        } = frame.kernel();
+        } = params.kernel();
         let road_m = farthest_m - own.position_m;
         let in_kernel_mps = (2.0 * own_brake_mps2 * road_m
             + own_brake_mps2 / ahead_brake_mps2 * ahead_mps * ahead_mps)
             .sqrt();
-        let own_mps = fastest_mps(own).min(in_kernel_mps);
+        let own_mps = max_speed_mps(own, duration_s).min(in_kernel_mps);
         MotionBounds {
             position_m: farthest_m.abs().max((own.position_m - spare_m).abs()),
             speed_mps: own_mps.max(ahead_mps),
@@ -189,6 +227,23 @@ impl Run {
 
 fn noise_bound_mps2(vehicle: &VehicleSpec) -> f64 {
     NOISE_SIGMAS * vehicle.acceleration_noise_mps2
+}
+
+/// Rounds a time to a number of steps.
+fn whole_steps(time_s: f64, step_s: f64) -> f64 {
+    (time_s / step_s).round()
+}
+
+/// Returns a bound of the speed of a vehicle within `duration_s`, in m/s.
+fn max_speed_mps(vehicle: &VehicleSpec, duration_s: f64) -> f64 {
+    let accel_mps2 = match &vehicle.driver {
+        // To follow a recording, a vehicle may use any acceleration within its limits.
+        Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
+            profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
+        }
+        _ => vehicle.max_accel_mps2(),
+    };
+    vehicle.speed_mps + (accel_mps2 + noise_bound_mps2(vehicle)) * duration_s
 }
 
 #[cfg(test)]

@@ -7,13 +7,12 @@ use std::ops::ControlFlow;
 use self::short_line::FallbackReason;
 use super::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use super::platoon::PlatoonState;
-use super::recorder::{
-    VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle, ttc_s,
-};
+use super::recorder::{VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle};
 use super::run::{TimeGrid, VehicleController, true_state};
 use super::shielding::interventions;
 use super::{
-    AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace,
+    AfterContact, FailedController, Impact, Intervention, Motion, RecordingLevel, Run,
+    SimulationResult, Trace,
 };
 use crate::control::{Controller, ControllerFailure};
 use crate::estimate::EgoEstimator;
@@ -58,15 +57,15 @@ impl Stepper {
         let loops: Vec<VehicleLoop> = (0..platoon.motion.len())
             .map(|index| VehicleLoop::new(run, index, &platoon))
             .collect();
-        let mut tallies = vec![VehicleExtremes::INITIAL; loops.len()];
-        update_min_ttc(&mut tallies, &platoon);
+        let mut extremes = vec![VehicleExtremes::INITIAL; loops.len()];
+        update_min_ttc(&mut extremes, &platoon);
         Self {
             time_grid: run.time_grid,
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             next_acceleration_mps2: vec![0.0; loops.len()],
             platoon,
             loops,
-            extremes: tallies,
+            extremes,
             impacts: Vec::new(),
             failed: None,
             step: 0,
@@ -172,19 +171,18 @@ impl Stepper {
     ) {
         let last = self.step.saturating_add(steps);
         while self.step < last && !self.ended {
-            let (command, after) = (&mut command, &mut after);
-            let pause = match self.loops.len() {
-                2 => self.drive_short_line::<2>(index, last, command, after),
-                3 => self.drive_short_line::<3>(index, last, command, after),
-                4 => self.drive_short_line::<4>(index, last, command, after),
+            let reason = match self.loops.len() {
+                2 => self.drive_short_line::<2>(index, last, &mut command, &mut after),
+                3 => self.drive_short_line::<3>(index, last, &mut command, &mut after),
+                4 => self.drive_short_line::<4>(index, last, &mut command, &mut after),
                 _ => FallbackReason::CommandsPending,
             };
-            match pause {
+            match reason {
                 FallbackReason::Finished => return,
                 FallbackReason::CommandsReady => {}
                 FallbackReason::CommandsPending => {
-                    if let Some(seen) = self.observe(index) {
-                        self.command(index, command(&seen));
+                    if let Some(observation) = self.observe(index) {
+                        self.command(index, command(&observation));
                     }
                     self.decide();
                 }
@@ -263,7 +261,7 @@ impl Stepper {
     fn advance_substep(&mut self, from_s: f64) {
         let Self {
             platoon,
-            extremes: tallies,
+            extremes,
             trace,
             impacts,
             ..
@@ -271,8 +269,9 @@ impl Stepper {
         if let Some(trace) = trace {
             trace.push_sample(from_s, platoon.motion.iter().copied());
         }
-        for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
-            tally.max_brake_mps2 = raise_max_brake(tally.max_brake_mps2, motion.acceleration_mps2);
+        for (extremes, motion) in extremes.iter_mut().zip(&platoon.motion) {
+            extremes.max_brake_mps2 =
+                raise_max_brake(extremes.max_brake_mps2, motion.acceleration_mps2);
         }
         let TimeGrid {
             dt_s,
@@ -280,13 +279,28 @@ impl Stepper {
             ..
         } = self.time_grid;
         let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
-        update_min_ttc(tallies, platoon);
+        update_min_ttc(extremes, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
                 trace.push_sample(from_s + done_s, platoon.motion.iter().copied());
             }
             self.ended = true;
         }
+    }
+
+    /// Returns the interventions of all shields, front to rear.
+    fn interventions(&self) -> Vec<Intervention> {
+        let step_s = self.time_grid.step_s;
+        self.loops
+            .iter()
+            .enumerate()
+            .flat_map(|(index, vehicle)| match &vehicle.driver {
+                VehicleController::Controller(controller) => {
+                    interventions(controller.overrides(), index, step_s)
+                }
+                VehicleController::Profile(_) => Vec::new(),
+            })
+            .collect()
     }
 
     /// Returns the result of the run.
@@ -300,18 +314,7 @@ impl Stepper {
                 self.platoon.motion.iter().copied(),
             );
         }
-        let step_s = self.time_grid.step_s;
-        let interventions =
-            self.loops
-                .iter()
-                .enumerate()
-                .flat_map(|(index, vehicle)| match &vehicle.driver {
-                    VehicleController::Controller(controller) => {
-                        interventions(controller.overrides(), index, step_s)
-                    }
-                    VehicleController::Profile(_) => Vec::new(),
-                });
-        let interventions = interventions.collect();
+        let interventions = self.interventions();
         if let Some(trace) = &mut self.trace {
             for (vehicle, track) in trace.vehicles.iter_mut().enumerate() {
                 track.in_lane_s = self.platoon.lane.in_lane_s(vehicle);
@@ -324,8 +327,8 @@ impl Stepper {
             .zip(self.extremes)
             .zip(&self.platoon.motion);
         let vehicles = vehicles
-            .map(|((&min_gap_m, tally), motion)| {
-                summarize_vehicle(min_gap_m, tally, motion.speed_mps)
+            .map(|((&min_gap_m, extremes), motion)| {
+                summarize_vehicle(min_gap_m, extremes, motion.speed_mps)
             })
             .collect();
         assemble_result(
@@ -338,31 +341,23 @@ impl Stepper {
     }
 }
 
-fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
-    let see = |tally: &mut VehicleExtremes, gap_m: f64, closing_mps: f64| {
-        let ttc_s = ttc_s(gap_m, closing_mps);
-        // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
-        if ttc_s < tally.min_ttc_s {
-            tally.min_ttc_s = ttc_s;
-        }
-    };
+fn update_min_ttc(extremes: &mut [VehicleExtremes], platoon: &PlatoonState) {
     if platoon.lane.is_constant() {
         // In most runs the leader is the previous vehicle in the list.
         let pairs = platoon.motion.windows(2).zip(&platoon.length_m);
-        for (tally, (pair, length_m)) in tallies.iter_mut().skip(1).zip(pairs) {
+        for (extremes, (pair, length_m)) in extremes.iter_mut().skip(1).zip(pairs) {
             let [front, rear] = pair else { continue };
-            see(
-                tally,
+            extremes.update_min_ttc(
                 front.position_m - length_m - rear.position_m,
                 rear.speed_mps - front.speed_mps,
             );
         }
         return;
     }
-    for (rear, tally) in tallies.iter_mut().enumerate() {
+    for (rear, extremes) in extremes.iter_mut().enumerate() {
         if let Some(front) = platoon.lane.ahead(rear) {
             let closing_mps = platoon.motion[rear].speed_mps - platoon.motion[front].speed_mps;
-            see(tally, platoon.gap_between_m(front, rear), closing_mps);
+            extremes.update_min_ttc(platoon.gap_between_m(front, rear), closing_mps);
         }
     }
 }
@@ -403,11 +398,11 @@ impl VehicleLoop {
     }
 
     fn observe(&mut self, platoon: &PlatoonState, index: usize) -> Observation {
-        if let Some(seen) = self.observation {
-            return seen;
+        if let Some(observation) = self.observation {
+            return observation;
         }
         let truth = true_state(platoon, index);
-        let seen = match &mut self.estimator {
+        let observation = match &mut self.estimator {
             Some(estimator) => {
                 let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
                 if neighbours != self.tracked_neighbours {
@@ -420,7 +415,7 @@ impl VehicleLoop {
             }
             None => truth.observation,
         };
-        *self.observation.insert(seen)
+        *self.observation.insert(observation)
     }
 
     fn decide(
@@ -433,18 +428,18 @@ impl VehicleLoop {
         if self.estimator.is_some() {
             self.observe(platoon, index);
         }
-        let seen = self.observation.take();
+        let observation = self.observation.take();
         let speed_mps = platoon.motion[index].speed_mps;
         if self.consulted.is_some() {
-            self.consult_driver(seen, &true_state(platoon, index).observation)?;
+            self.consult_driver(observation, &true_state(platoon, index).observation)?;
         }
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
             (None, VehicleController::Profile(profile)) => {
                 profile.acceleration_mps2(from_s, to_s, speed_mps)
             }
-            (None, VehicleController::Controller(controller)) => match seen {
-                Some(seen) => controller.decide(&seen)?,
+            (None, VehicleController::Controller(controller)) => match observation {
+                Some(observation) => controller.decide(&observation)?,
                 None => controller.decide(&true_state(platoon, index).observation)?,
             },
         };

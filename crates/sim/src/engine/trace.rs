@@ -60,6 +60,10 @@ impl Track {
         })
     }
 
+    fn is_in_lane_throughout(&self, [from_s, to_s]: [f64; 2]) -> bool {
+        self.in_lane_s[0] <= from_s && to_s <= self.in_lane_s[1]
+    }
+
     /// Returns the motion at a time in seconds, computed from the last sample at or before it; `None` before the first
     /// sample.
     fn motion_at(&self, times_s: &[f64], time_s: f64) -> Option<Motion> {
@@ -89,14 +93,7 @@ impl Trace {
         let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else {
             return Vec::new();
         };
-        let mut changes_s: Vec<f64> = ahead
-            .iter()
-            .chain([rear])
-            .flat_map(|track| track.in_lane_s)
-            .collect();
-        changes_s.extend(Track::THROUGHOUT_S);
-        changes_s.sort_by(f64::total_cmp);
-        changes_s.dedup();
+        let changes_s = lane_change_times_s(ahead.iter().chain([rear]));
         // A vehicle that leaves at the start was never in the lane.
         let before_s = self
             .time_s
@@ -108,30 +105,25 @@ impl Trace {
             .zip(changes_s.iter().skip(1))
             .filter(|(_, to_s)| **to_s > before_s)
         {
-            let is_there =
-                |track: &&Track| track.in_lane_s[0] <= from_s && to_s <= track.in_lane_s[1];
+            let span_s = [from_s, to_s];
             let Some(front_vehicle) = ahead
                 .iter()
-                .rposition(|track| is_there(&track))
-                .filter(|_| is_there(&rear))
+                .rposition(|track| track.is_in_lane_throughout(span_s))
+                .filter(|_| rear.is_in_lane_throughout(span_s))
             else {
                 continue;
             };
-            let goes_on = |last: &&mut VehiclePair<'_>| {
-                last.front_vehicle == front_vehicle && last.span_s[1] == from_s
-            };
-            match pairs.last_mut().filter(goes_on) {
-                Some(last) => last.span_s[1] = to_s,
-                None => {
-                    let front = &ahead[front_vehicle];
-                    pairs.push(VehiclePair {
-                        time_s: &self.time_s,
-                        front_vehicle,
-                        front,
-                        rear,
-                        span_s: [from_s, to_s],
-                    });
+            match pairs.last_mut() {
+                Some(last) if last.front_vehicle == front_vehicle && last.span_s[1] == from_s => {
+                    last.span_s[1] = to_s;
                 }
+                _ => pairs.push(VehiclePair {
+                    time_s: &self.time_s,
+                    front_vehicle,
+                    front: &ahead[front_vehicle],
+                    rear,
+                    span_s,
+                }),
             }
         }
         pairs
@@ -161,6 +153,15 @@ impl Trace {
                 .find(|front| front.is_in_lane(time_s))
         })
     }
+}
+
+/// Returns the distinct times of entries and exits, in order; the first and the last are infinite.
+fn lane_change_times_s<'t>(tracks: impl Iterator<Item = &'t Track>) -> Vec<f64> {
+    let mut changes_s: Vec<f64> = tracks.flat_map(|track| track.in_lane_s).collect();
+    changes_s.extend(Track::THROUGHOUT_S);
+    changes_s.sort_by(f64::total_cmp);
+    changes_s.dedup();
+    changes_s
 }
 
 /// Two successive vehicles of a trace, while no vehicle is between them.

@@ -33,16 +33,8 @@ impl EgoTuning {
     /// acceleration over the step; this omits a position error below a h²/8.
     pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
-        let worst = |tuning: &Tuning, span_mps2: f64| {
-            let [distance, rate, _] = tuning.steady_deviations();
-            let [distance_s2, rate_s] = tuning.manoeuvre_errors();
-            [
-                0.5 * span_mps2 * distance_s2 + deviations * distance,
-                0.5 * span_mps2 * rate_s + deviations * rate,
-            ]
-        };
-        let [_, speed_mps] = worst(&self.position, 0.0);
-        let [gap_m, rate_mps] = worst(&self.gap, ahead_mps2);
+        let [_, speed_mps] = worst_distance_and_rate(&self.position, 0.0, deviations);
+        let [gap_m, rate_mps] = worst_distance_and_rate(&self.gap, ahead_mps2, deviations);
         let stop_mps = (own_mps2 + ahead_mps2) * self.gap.step_s();
         [
             gap_m + stop_mps * self.gap.step_s(),
@@ -62,6 +54,16 @@ impl EgoTuning {
     pub fn gap(&self) -> &Tuning {
         &self.gap
     }
+}
+
+/// Returns error bounds of a filter: distance (m) and rate (m/s), if the acceleration varies by `span_mps2`.
+fn worst_distance_and_rate(tuning: &Tuning, span_mps2: f64, deviations: f64) -> [f64; 2] {
+    let [distance, rate, _] = tuning.steady_deviations();
+    let [distance_s2, rate_s] = tuning.manoeuvre_errors();
+    [
+        0.5 * span_mps2 * distance_s2 + deviations * distance,
+        0.5 * span_mps2 * rate_s + deviations * rate,
+    ]
 }
 
 /// True state of a vehicle and its neighbours at one instant.
@@ -173,12 +175,12 @@ impl EgoEstimator {
             .zip(changed)
             .filter(|(_, changed)| *changed)
         {
-            *filter = neighbour.map(|other| {
+            *filter = neighbour.map(|neighbour| {
                 steady_filter(
                     &mut self.initial_errors,
                     &self.tuning.gap,
-                    other.gap_m,
-                    sign * (other.speed_mps - own.speed_mps),
+                    neighbour.gap_m,
+                    sign * (neighbour.speed_mps - own.speed_mps),
                 )
             });
         }
@@ -218,49 +220,47 @@ impl EgoEstimator {
             true_observation.speed_mps,
             true_observation.acceleration_mps2,
         );
-        let (sensor, filter) = &mut self.position;
         let own = measure(
-            (sensor, filter),
+            (&mut self.position.0, &mut self.position.1),
             &tuning.position,
             truth.position_m,
             (&change, 1.0),
             None,
         );
-        let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {
-            gap_m: gap.distance_m,
-            speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
-            acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
-        };
         let [ahead_faults, behind_faults] = match self.faults.as_deref() {
             Some([ahead, behind]) => [Some(ahead), Some(behind)],
             None => [None; 2],
         };
-        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>),
-                            other: Option<Neighbour>,
-                            sign,
-                            faults| {
-            let (filter, other) = filter.as_mut().zip(other)?;
-            Some(measure(
-                (sensor, filter),
-                &tuning.gap,
-                other.gap_m,
-                (&change, sign),
-                faults,
-            ))
-        };
-        let ahead = estimate_gap(&mut self.ahead, true_observation.ahead, -1.0, ahead_faults);
-        let behind = estimate_gap(
+        let ahead = measure_gap(
+            &mut self.ahead,
+            &tuning.gap,
+            true_observation.ahead,
+            (&change, -1.0),
+            ahead_faults,
+        );
+        let behind = measure_gap(
             &mut self.behind,
+            &tuning.gap,
             true_observation.behind,
-            1.0,
+            (&change, 1.0),
             behind_faults,
         );
         Observation {
             speed_mps: own.rate_mps.max(0.0),
             acceleration_mps2: own.acceleration_mps2,
-            ahead: ahead.map(|gap| neighbour(gap, 1.0)),
-            behind: behind.map(|gap| neighbour(gap, -1.0)),
+            ahead: ahead.map(|gap| neighbour_from(&own, &gap, 1.0)),
+            behind: behind.map(|gap| neighbour_from(&own, &gap, -1.0)),
         }
+    }
+}
+
+/// Returns the estimated state of a neighbour; `sign` is 1 ahead and -1 behind.
+#[inline]
+fn neighbour_from(own: &DistanceEstimate, gap: &DistanceEstimate, sign: f64) -> Neighbour {
+    Neighbour {
+        gap_m: gap.distance_m,
+        speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
+        acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
     }
 }
 
@@ -273,6 +273,20 @@ fn steady_filter(
 ) -> Filter {
     let normals = [0; 3].map(|_| errors.normal());
     Filter::new_steady(tuning, distance_m, rate_mps, normals)
+}
+
+/// Measures and estimates the gap to a neighbour, if there is one.
+#[inline]
+fn measure_gap(
+    (sensor, filter): &mut (Sensor, Option<Filter>),
+    tuning: &Tuning,
+    neighbour: Option<Neighbour>,
+    change: (&KnownChange, f64),
+    faults: Option<&GapFaults>,
+) -> Option<DistanceEstimate> {
+    let filter = filter.as_mut()?;
+    let gap_m = neighbour?.gap_m;
+    Some(measure((sensor, filter), tuning, gap_m, change, faults))
 }
 
 #[inline]

@@ -90,7 +90,8 @@ impl Tuning {
         let h = self.step_s;
         let mut filter = Filter::new_steady(self, 0.0, 0.0, [0.0; 3]);
         filter.update(self, Some(0.0));
-        let (mut distance_m, mut worst) = (0.5 * h * h, [0.0; 2]);
+        let mut distance_m = 0.5 * h * h;
+        let mut worst = [0.0; 2];
         loop {
             let estimate = filter.update(self, Some(distance_m));
             let errors = [distance_m - estimate.distance_m, h - estimate.rate_mps].map(f64::abs);
@@ -147,7 +148,8 @@ fn steady_covariance(
         let Some(inverse) = (Matrix3::IDENTITY + g * h).inverse() else {
             break;
         };
-        let (next_a, next_g) = (a * inverse * a, g + a * inverse * g * a.transpose());
+        let next_a = a * inverse * a;
+        let next_g = g + a * inverse * g * a.transpose();
         let next_h = h + a.transpose() * h * inverse * a;
         let settled = next_h == h;
         (a, g, h) = (next_a, next_g, (next_h + next_h.transpose()) * 0.5);

@@ -46,35 +46,38 @@ impl GapFaults {
         step_s: f64,
     ) -> Option<Box<[Self; 2]>> {
         let faults = &sensors.faults;
-        let steps = |time_s: f64| (time_s / step_s).round() as usize;
         let sides = [
             (Purpose::GapAheadOutage, faults.ghost),
             (Purpose::GapBehindOutage, None),
         ];
-        let one = |(purpose, ghost): (Purpose, Option<GhostObject>)| Self {
+        faults.is_any().then(|| {
+            Box::new(sides.map(|(purpose, ghost)| {
+                let outages = random::stream(seed, purpose, vehicle as u64);
+                Self::for_sensor(faults, ghost, outages, step_s)
+            }))
+        })
+    }
+
+    fn for_sensor(
+        faults: &SensorFaults,
+        ghost: Option<GhostObject>,
+        outages: Stream,
+        step_s: f64,
+    ) -> Self {
+        Self {
             step_s,
             bias_m: faults.gap_bias_m,
             resolution_m: faults.gap_resolution_m,
             range_m: faults.range_m.unwrap_or(f64::INFINITY),
-            latency_steps: steps(faults.latency_s),
-            detection_steps: steps(faults.detection_delay_s),
+            latency_steps: whole_steps(faults.latency_s, step_s),
+            detection_steps: whole_steps(faults.detection_delay_s, step_s),
             // Vehicles in range at the start are detected already.
             steps_in_range: usize::MAX,
             past_gaps_m: VecDeque::new(),
             tracked: None,
-            ghost: ghost.map(|ghost| Ghost {
-                steps: steps(ghost.onset_s)..steps(ghost.onset_s) + steps(ghost.duration_s),
-                step: 0,
-                position_m: 0.0,
-                object: ghost,
-            }),
-            outages: Outages::new(
-                random::stream(seed, purpose, vehicle as u64),
-                faults,
-                step_s,
-            ),
-        };
-        faults.is_any().then(|| Box::new(sides.map(one)))
+            ghost: ghost.map(|ghost| Ghost::new(ghost, step_s)),
+            outages: Outages::new(outages, faults, step_s),
+        }
     }
 
     /// Notes that another vehicle is the neighbour from now on.
@@ -98,34 +101,44 @@ impl GapFaults {
             .ghost
             .as_mut()
             .and_then(|ghost| ghost.advance(own.position_m, self.step_s));
-        let in_range = neighbour.filter(|other| other.gap_m <= self.range_m);
+        let in_range = neighbour.filter(|neighbour| neighbour.gap_m <= self.range_m);
         let detected = in_range.filter(|_| self.steps_in_range >= self.detection_steps);
         self.steps_in_range = in_range.map_or(0, |_| self.steps_in_range.saturating_add(1));
         let target = match (detected, ghost) {
-            (Some(other), Some(ghost)) if other.gap_m <= ghost.gap_m => {
-                Some((other, Target::Vehicle))
+            (Some(vehicle), Some(ghost)) if vehicle.gap_m <= ghost.gap_m => {
+                Some((vehicle, Target::Vehicle))
             }
             (_, Some(ghost)) => Some((ghost, Target::Ghost)),
-            (Some(other), None) => Some((other, Target::Vehicle)),
+            (Some(vehicle), None) => Some((vehicle, Target::Vehicle)),
             (None, None) => None,
         };
         let kind = target.map(|(_, kind)| kind);
         let is_new = kind != self.tracked;
         self.tracked = kind;
-        *neighbour = target.map(|(mut other, _)| {
+        *neighbour = target.map(|(target, _)| {
             if is_new {
                 // Assumes constant speeds before.
-                let step_m = sign * (other.speed_mps - own.observation.speed_mps) * self.step_s;
-                let past = (1..=self.latency_steps).rev();
-                self.past_gaps_m = past
-                    .map(|steps| other.gap_m - steps as f64 * step_m)
-                    .collect();
+                let step_m = sign * (target.speed_mps - own.observation.speed_mps) * self.step_s;
+                self.restart_past_gaps(target.gap_m, step_m);
             }
-            self.past_gaps_m.push_back(other.gap_m);
-            other.gap_m = self.past_gaps_m.pop_front().unwrap_or(other.gap_m) + self.bias_m;
-            other
+            Neighbour {
+                gap_m: self.delayed_gap_m(target.gap_m) + self.bias_m,
+                ..target
+            }
         });
         is_new
+    }
+
+    /// Sets the past gaps of a new target, whose gap grew by `step_m` per step.
+    fn restart_past_gaps(&mut self, gap_m: f64, step_m: f64) {
+        let past = (1..=self.latency_steps).rev();
+        self.past_gaps_m = past.map(|steps| gap_m - steps as f64 * step_m).collect();
+    }
+
+    /// Records a gap, and returns that before the latency.
+    fn delayed_gap_m(&mut self, gap_m: f64) -> f64 {
+        self.past_gaps_m.push_back(gap_m);
+        self.past_gaps_m.pop_front().unwrap_or(gap_m)
     }
 
     /// Applies outages and resolution to a measurement.
@@ -151,7 +164,21 @@ struct Ghost {
     position_m: f64,
 }
 
+fn whole_steps(time_s: f64, step_s: f64) -> usize {
+    (time_s / step_s).round() as usize
+}
+
 impl Ghost {
+    fn new(object: GhostObject, step_s: f64) -> Self {
+        let onset = whole_steps(object.onset_s, step_s);
+        Self {
+            steps: onset..onset + whole_steps(object.duration_s, step_s),
+            step: 0,
+            position_m: 0.0,
+            object,
+        }
+    }
+
     /// Returns the ghost of this step, unless it is not reported, and moves it by a step.
     fn advance(&mut self, own_position_m: f64, step_s: f64) -> Option<Neighbour> {
         let GhostObject {
@@ -187,7 +214,8 @@ struct Outages {
 
 impl Outages {
     fn new(mut stream: Stream, faults: &SensorFaults, step_s: f64) -> Option<Self> {
-        let (rate_per_s, length_s) = (faults.outage_rate_per_s, faults.outage_length_s);
+        let rate_per_s = faults.outage_rate_per_s;
+        let length_s = faults.outage_length_s;
         let lost_share = rate_per_s * length_s / (1.0 + rate_per_s * length_s);
         (lost_share > 0.0).then(|| {
             let mixing = -(-(rate_per_s + 1.0 / length_s) * step_s).exp_m1();

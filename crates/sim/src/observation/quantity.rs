@@ -139,7 +139,12 @@ impl ObservedQuantity {
     /// Returns the value of the quantity in an observation; `absent` replaces that of a missing neighbour.
     #[must_use]
     #[inline]
-    pub fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
+    pub fn value(
+        self,
+        observation: &Observation,
+        last_answer_mps2: f64,
+        absent: Option<f64>,
+    ) -> f64 {
         use ObservedQuantity as Q;
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }
@@ -151,28 +156,28 @@ impl ObservedQuantity {
                 MAX_TTC_S
             }
         }
-        let own_mps = seen.speed_mps;
+        let own_mps = observation.speed_mps;
         let neighbour = match self {
             Q::SpeedMps => return own_mps,
-            Q::AccelerationMps2 => return seen.acceleration_mps2,
+            Q::AccelerationMps2 => return observation.acceleration_mps2,
             Q::LastAnswerMps2 => return last_answer_mps2,
-            Q::IsAhead => return f64::from(u8::from(seen.ahead.is_some())),
-            Q::IsBehind => return f64::from(u8::from(seen.behind.is_some())),
+            Q::IsAhead => return f64::from(u8::from(observation.ahead.is_some())),
+            Q::IsBehind => return f64::from(u8::from(observation.behind.is_some())),
             Q::GapAheadM
             | Q::SpeedAheadMps
             | Q::RelativeSpeedAheadMps
             | Q::AccelerationAheadMps2
             | Q::TimeGapAheadS
-            | Q::TimeToCollisionAheadS => seen.ahead,
+            | Q::TimeToCollisionAheadS => observation.ahead,
             Q::GapBehindM
             | Q::SpeedBehindMps
             | Q::RelativeSpeedBehindMps
             | Q::AccelerationBehindMps2
             | Q::TimeGapBehindS
-            | Q::TimeToCollisionBehindS => seen.behind,
+            | Q::TimeToCollisionBehindS => observation.behind,
         };
-        let there = match (neighbour, absent) {
-            (Some(there), _) => there,
+        let neighbour = match (neighbour, absent) {
+            (Some(neighbour), _) => neighbour,
             (None, Some(absent)) => return absent,
             (None, None) => Neighbour {
                 gap_m: EMPTY_GAP_M,
@@ -181,14 +186,14 @@ impl ObservedQuantity {
             },
         };
         match self {
-            Q::SpeedAheadMps | Q::SpeedBehindMps => there.speed_mps,
-            Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => there.speed_mps - own_mps,
-            Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 => there.acceleration_mps2,
-            Q::TimeGapAheadS => time_gap_s(there.gap_m, own_mps),
-            Q::TimeGapBehindS => time_gap_s(there.gap_m, there.speed_mps),
-            Q::TimeToCollisionAheadS => ttc_s(there.gap_m, own_mps - there.speed_mps),
-            Q::TimeToCollisionBehindS => ttc_s(there.gap_m, there.speed_mps - own_mps),
-            _ => there.gap_m,
+            Q::SpeedAheadMps | Q::SpeedBehindMps => neighbour.speed_mps,
+            Q::RelativeSpeedAheadMps | Q::RelativeSpeedBehindMps => neighbour.speed_mps - own_mps,
+            Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 => neighbour.acceleration_mps2,
+            Q::TimeGapAheadS => time_gap_s(neighbour.gap_m, own_mps),
+            Q::TimeGapBehindS => time_gap_s(neighbour.gap_m, neighbour.speed_mps),
+            Q::TimeToCollisionAheadS => ttc_s(neighbour.gap_m, own_mps - neighbour.speed_mps),
+            Q::TimeToCollisionBehindS => ttc_s(neighbour.gap_m, neighbour.speed_mps - own_mps),
+            _ => neighbour.gap_m,
         }
     }
 }

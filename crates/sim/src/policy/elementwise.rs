@@ -80,30 +80,39 @@ impl Elementwise {
     /// Returns the range of number `index` for an input between `low` and `high`, without rounding.
     #[must_use]
     pub fn range(&self, index: usize, [low, high]: [f64; 2]) -> [f64; 2] {
-        let of = |operands: &[f32]| operands.get(index).copied().map_or(f64::NAN, f64::from);
-        let sorted = |a: f64, b: f64| if a <= b { [a, b] } else { [b, a] };
-        let both = |f: &dyn Fn(f64) -> f64| [f(low), f(high)];
-        let below_zero = |f: &dyn Fn(f64) -> f64| {
-            let [a, b] = [low, high].map(|x| if x < 0.0 { f(x) } else { x });
-            let [a, b] = sorted(a, b);
-            // A negative factor has its extremum at 0.
-            if low < 0.0 && high > 0.0 {
-                [a.min(0.0), b.max(0.0)]
-            } else {
-                [a, b]
-            }
-        };
+        let ends = [low, high];
         match self {
-            Self::Add(operands) => both(&|x| x + of(operands)),
-            Self::Multiply(operands) => sorted(low * of(operands), high * of(operands)),
-            Self::Divide(operands) => sorted(low / of(operands), high / of(operands)),
-            Self::Clip { low, high } => both(&|x| x.max(of(low)).min(of(high))),
-            Self::Relu => both(&|x| x.max(0.0)),
-            Self::LeakyRelu { slope } => below_zero(&|x| f64::from(*slope) * x),
-            Self::Elu { alpha } => below_zero(&|x| f64::from(*alpha) * libm::expm1(x)),
-            Self::Tanh => both(&libm::tanh),
-            Self::Sigmoid => both(&|x| 1.0 / (1.0 + libm::exp(-x))),
+            Self::Add(operands) => ends.map(|x| x + operand(operands, index)),
+            Self::Multiply(operands) => sorted(ends.map(|x| x * operand(operands, index))),
+            Self::Divide(operands) => sorted(ends.map(|x| x / operand(operands, index))),
+            Self::Clip { low, high } => {
+                ends.map(|x| x.max(operand(low, index)).min(operand(high, index)))
+            }
+            Self::Relu => ends.map(|x| x.max(0.0)),
+            Self::LeakyRelu { slope } => range_if_negative(ends, |x| f64::from(*slope) * x),
+            Self::Elu { alpha } => range_if_negative(ends, |x| f64::from(*alpha) * libm::expm1(x)),
+            Self::Tanh => ends.map(libm::tanh),
+            Self::Sigmoid => ends.map(|x| 1.0 / (1.0 + libm::exp(-x))),
         }
+    }
+}
+
+fn operand(operands: &[f32], index: usize) -> f64 {
+    operands.get(index).copied().map_or(f64::NAN, f64::from)
+}
+
+fn sorted([a, b]: [f64; 2]) -> [f64; 2] {
+    if a <= b { [a, b] } else { [b, a] }
+}
+
+/// Returns the range of a function that is `negative` below 0 and the identity above, between two inputs.
+fn range_if_negative(ends: [f64; 2], negative: impl Fn(f64) -> f64) -> [f64; 2] {
+    let [min, max] = sorted(ends.map(|x| if x < 0.0 { negative(x) } else { x }));
+    // A negative factor has its extremum at 0.
+    if ends[0] < 0.0 && ends[1] > 0.0 {
+        [min.min(0.0), max.max(0.0)]
+    } else {
+        [min, max]
     }
 }
 

@@ -1,12 +1,13 @@
 //! The policy file: safetensors with one JSON object in its metadata.
 
+use std::fmt::Display;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
-use super::header::{POLICY_VERSION, PolicyHeader};
+use super::header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader};
 use super::{Network, Policy};
 use crumple_core::format_version::check_version;
 use crumple_core::regular_file;
@@ -75,14 +76,13 @@ impl Policy {
     /// # Errors
     /// [`PolicyError`] for a missing or damaged file, tensors that do not fit the header, or a possible overflow.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
-        let failed = |source| PolicyError::Read {
-            path: path.to_owned(),
-            source,
-        };
         let mut bytes = Vec::new();
         regular_file::open(path)
             .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
-            .map_err(failed)?;
+            .map_err(|source| PolicyError::Read {
+                path: path.to_owned(),
+                source,
+            })?;
         Self::from_bytes(&bytes).map_err(|reason| PolicyError::InFile {
             path: path.to_owned(),
             reason: Box::new(reason),
@@ -98,65 +98,12 @@ impl Policy {
             return Err(PolicyError::TooLarge);
         }
         let (_, container) = SafeTensors::read_metadata(bytes)?;
-        let text = container
-            .metadata()
-            .as_ref()
-            .and_then(|metadata| metadata.get(METADATA_KEY));
-        let text = text
+        let metadata = container.metadata().as_ref();
+        let text = metadata
+            .and_then(|metadata| metadata.get(METADATA_KEY))
             .ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
-        let raw = serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
-        let version = raw.get("version").and_then(serde_json::Value::as_u64);
-        if let Some(version) = version {
-            check_version(version, POLICY_VERSION)
-                .map_err(|unsupported| PolicyError::Header(unsupported.to_string()))?;
-        }
-        if raw.pointer("/action/departs_from").is_some() {
-            let problem = "action.departs_from: residual policies were removed in crumple 0.3.0";
-            return Err(PolicyError::Header(problem.to_owned()));
-        }
-        let header: PolicyHeader =
-            serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
-        check_header(&header)?;
-        let tensors = SafeTensors::deserialize(bytes)?;
-        let sizes = layer_sizes(&header);
-        // Checked before any allocation: a small file cannot claim a large network.
-        let described: usize = sizes
-            .windows(2)
-            .map(|pair| pair.iter().product::<usize>() + pair[1])
-            .sum();
-        if described.saturating_mul(4) > bytes.len() {
-            let problem =
-                format!("describes a network of {described} parameters, more than the file holds");
-            return Err(PolicyError::Header(problem));
-        }
-        let mut network = Network::zeros(&sizes);
-        let layers = network.layers();
-        if let Some(name) = tensors
-            .names()
-            .into_iter()
-            .find(|name| !tensor_names(layers.len()).any(|n| n == **name))
-        {
-            return Err(tensor_error(
-                name,
-                "is not part of the network the header describes".to_owned(),
-            ));
-        }
-        for (index, layer) in layers.enumerate() {
-            let (weights, biases) = (layer.weights(), layer.biases());
-            let parameters = network.parameters_mut();
-            read_tensor(
-                &tensors,
-                &weight_name(index),
-                &[layer.inputs, layer.outputs],
-                &mut parameters[weights],
-            )?;
-            read_tensor(
-                &tensors,
-                &bias_name(index),
-                &[layer.outputs],
-                &mut parameters[biases],
-            )?;
-        }
+        let header = parse_header(text)?;
+        let network = read_network(bytes, &layer_sizes(&header))?;
         Self::from_checked_parts(header, network)
     }
 
@@ -169,19 +116,17 @@ impl Policy {
             serde_json::to_string(&self.header).map_err(|e| PolicyError::Header(e.to_string()))?;
         let mut data = Vec::new();
         for (index, layer) in self.network.layers().enumerate() {
-            let bytes = |range| -> Vec<u8> {
-                let values: &[f32] = &self.network.parameters()[range];
-                values
-                    .iter()
-                    .flat_map(|value| value.to_le_bytes())
-                    .collect()
-            };
+            let parameters = self.network.parameters();
             data.push((
                 weight_name(index),
                 vec![layer.inputs, layer.outputs],
-                bytes(layer.weights()),
+                le_bytes(&parameters[layer.weights()]),
             ));
-            data.push((bias_name(index), vec![layer.outputs], bytes(layer.biases())));
+            data.push((
+                bias_name(index),
+                vec![layer.outputs],
+                le_bytes(&parameters[layer.biases()]),
+            ));
         }
         let views = data
             .iter()
@@ -194,6 +139,74 @@ impl Policy {
             Some([(METADATA_KEY.to_owned(), text)].into()),
         )?)
     }
+}
+
+fn le_bytes(parameters: &[f32]) -> Vec<u8> {
+    parameters
+        .iter()
+        .flat_map(|parameter| parameter.to_le_bytes())
+        .collect()
+}
+
+/// Reads and checks the header of a policy file. Versions and removed features have errors of their own.
+fn parse_header(text: &str) -> Result<PolicyHeader, PolicyError> {
+    let raw = serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
+    let version = raw.get("version").and_then(serde_json::Value::as_u64);
+    if let Some(version) = version {
+        check_version(version, POLICY_VERSION)
+            .map_err(|unsupported| PolicyError::Header(unsupported.to_string()))?;
+    }
+    if raw.pointer("/action/departs_from").is_some() {
+        let problem = "action.departs_from: residual policies were removed in crumple 0.3.0";
+        return Err(PolicyError::Header(problem.to_owned()));
+    }
+    let header: PolicyHeader =
+        serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
+    check_header(&header)?;
+    Ok(header)
+}
+
+/// Reads a network with layers of the given sizes from the bytes of a policy file.
+fn read_network(bytes: &[u8], sizes: &[usize]) -> Result<Network, PolicyError> {
+    let tensors = SafeTensors::deserialize(bytes)?;
+    // Checked before any allocation: a small file cannot claim a large network.
+    let described: usize = sizes
+        .windows(2)
+        .map(|pair| pair.iter().product::<usize>() + pair[1])
+        .sum();
+    if described.saturating_mul(4) > bytes.len() {
+        let problem =
+            format!("describes a network of {described} parameters, more than the file holds");
+        return Err(PolicyError::Header(problem));
+    }
+    let mut network = Network::zeros(sizes);
+    let layers = network.layers();
+    if let Some(name) = tensors
+        .names()
+        .into_iter()
+        .find(|name| !tensor_names(layers.len()).any(|n| n == **name))
+    {
+        return Err(tensor_error(
+            name,
+            "is not part of the network the header describes".to_owned(),
+        ));
+    }
+    for (index, layer) in layers.enumerate() {
+        let parameters = network.parameters_mut();
+        read_tensor(
+            &tensors,
+            &weight_name(index),
+            &[layer.inputs, layer.outputs],
+            &mut parameters[layer.weights()],
+        )?;
+        read_tensor(
+            &tensors,
+            &bias_name(index),
+            &[layer.outputs],
+            &mut parameters[layer.biases()],
+        )?;
+    }
+    Ok(network)
 }
 
 fn weight_name(layer: usize) -> String {
@@ -259,88 +272,88 @@ fn read_tensor(
     }
 }
 
+fn header_error<T>(field: &str, problem: impl Display) -> Result<T, PolicyError> {
+    Err(PolicyError::Header(format!("{field}: {problem}")))
+}
+
 pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
-    let wrong =
-        |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
     if let Err(unsupported) = check_version(header.version, POLICY_VERSION) {
-        return wrong("version", unsupported.to_string());
+        return header_error("version", unsupported);
     }
-    if header.hidden.len() > MAX_LAYERS {
-        return wrong(
-            "hidden",
-            format!(
-                "at most {MAX_LAYERS} layers are allowed, found {}",
-                header.hidden.len()
-            ),
-        );
+    check_hidden_layers(&header.hidden)?;
+    check_scaling(&header.observation)?;
+    for (field, value) in [
+        ("observation.limit", header.observation.limit),
+        ("observation.empty_gap_m", header.observation.empty_gap_m),
+        ("decision_interval_s", header.decision_interval_s),
+    ] {
+        if !(value.is_finite() && value > 0.0) {
+            return header_error(field, format!("must be positive, found {value}"));
+        }
     }
-    if let Some(width) = header
-        .hidden
+    check_action(&header.action)
+}
+
+fn check_hidden_layers(widths: &[usize]) -> Result<(), PolicyError> {
+    if widths.len() > MAX_LAYERS {
+        let layers = widths.len();
+        let problem = format!("at most {MAX_LAYERS} layers are allowed, found {layers}");
+        return header_error("hidden", problem);
+    }
+    let wrong = widths
         .iter()
-        .find(|width| !(1..=MAX_LAYER_WIDTH).contains(*width))
-    {
-        return wrong(
+        .find(|width| !(1..=MAX_LAYER_WIDTH).contains(*width));
+    match wrong {
+        Some(width) => header_error(
             "hidden",
             format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {width}"),
-        );
+        ),
+        None => Ok(()),
     }
-    let observation = &header.observation;
+}
+
+/// Checks extra inputs, offsets, scales and history of an observation.
+fn check_scaling(observation: &ObservationScaling) -> Result<(), PolicyError> {
     let extra = &observation.extra;
     if extra.len() > MAX_EXTRA_INPUTS {
-        return wrong(
-            "observation.extra",
-            format!(
-                "at most {MAX_EXTRA_INPUTS} are allowed, found {}",
-                extra.len()
-            ),
+        let problem = format!(
+            "at most {MAX_EXTRA_INPUTS} are allowed, found {}",
+            extra.len()
         );
+        return header_error("observation.extra", problem);
     }
-    if !observation
-        .offset
-        .iter()
-        .chain(extra.iter().map(|input| &input.offset))
-        .all(|offset| offset.is_finite())
-    {
-        return wrong("observation", "every offset must be finite".to_owned());
+    let extra_offsets = extra.iter().map(|input| &input.offset);
+    let mut offsets = observation.offset.iter().chain(extra_offsets);
+    if !offsets.all(|offset| offset.is_finite()) {
+        return header_error("observation", "every offset must be finite");
     }
-    let mut scales = observation
-        .scale
-        .iter()
-        .chain(extra.iter().map(|input| &input.scale));
+    let extra_scales = extra.iter().map(|input| &input.scale);
+    let mut scales = observation.scale.iter().chain(extra_scales);
     if !scales.all(|scale| scale.is_finite() && *scale > 0.0) {
-        return wrong("observation", "every scale must be positive".to_owned());
+        return header_error("observation", "every scale must be positive");
     }
     for (field, decisions) in [
         ("observation.history", observation.history),
         ("observation.history_every", observation.history_every),
     ] {
         if !(1..=MAX_HISTORY).contains(&decisions) {
-            return wrong(
-                field,
-                format!("must be 1 to {MAX_HISTORY} decisions, found {decisions}"),
-            );
+            let problem = format!("must be 1 to {MAX_HISTORY} decisions, found {decisions}");
+            return header_error(field, problem);
         }
     }
-    for (field, value) in [
-        ("observation.limit", observation.limit),
-        ("observation.empty_gap_m", observation.empty_gap_m),
-        ("decision_interval_s", header.decision_interval_s),
-    ] {
-        if !(value.is_finite() && value > 0.0) {
-            return wrong(field, format!("must be positive, found {value}"));
-        }
+    Ok(())
+}
+
+fn check_action(action: &ActionBounds) -> Result<(), PolicyError> {
+    let low_mps2 = action.low_mps2;
+    let high_mps2 = action.high_mps2;
+    if low_mps2.is_nan() || high_mps2.is_nan() || low_mps2 >= high_mps2 {
+        return header_error("action", "low_mps2 must be below high_mps2");
     }
-    let action = &header.action;
-    if action.low_mps2.is_nan() || action.high_mps2.is_nan() || action.low_mps2 >= action.high_mps2
-    {
-        return wrong("action", "low_mps2 must be below high_mps2".to_owned());
-    }
-    if !(action.low_mps2 - action.high_mps2).is_finite()
-        || !(action.low_mps2 + action.high_mps2).is_finite()
-    {
-        return wrong(
+    if !(low_mps2 - high_mps2).is_finite() || !(low_mps2 + high_mps2).is_finite() {
+        return header_error(
             "action",
-            "the bounds must be finite, and so their sum and difference".to_owned(),
+            "the bounds must be finite, and so their sum and difference",
         );
     }
     Ok(())

@@ -16,10 +16,11 @@ impl FrameStack {
     pub fn push(
         &mut self,
         scaling: &ObservationScaling,
-        seen: &Observation,
+        observation: &Observation,
         last_answer_mps2: f64,
     ) -> &[f32] {
-        let (width, every) = (scaling.width(), scaling.history_every);
+        let width = scaling.width();
+        let every = scaling.history_every;
         let Self { frames, row } = self;
         let is_first = frames.is_empty();
         if is_first {
@@ -28,11 +29,11 @@ impl FrameStack {
             frames.copy_within(width.., 0);
         }
         let before = frames.len() - width;
-        scaling.write_state(seen, last_answer_mps2, &mut frames[before..]);
+        scaling.write_state(observation, last_answer_mps2, &mut frames[before..]);
         if is_first {
             (0..before)
                 .step_by(width)
-                .for_each(|place| frames.copy_within(before.., place));
+                .for_each(|start| frames.copy_within(before.., start));
         }
         if every == 1 {
             return frames;
@@ -63,7 +64,7 @@ mod tests {
             extra,
             ..Default::default()
         };
-        let seen = Observation {
+        let observation = Observation {
             speed_mps: 20.0,
             acceleration_mps2: 0.0,
             ahead: None,
@@ -71,7 +72,7 @@ mod tests {
         };
         let mut past = FrameStack::default();
         let decisions = (1..=20_u8).map(|answer| {
-            let row = past.push(&scaling, &seen, f64::from(answer));
+            let row = past.push(&scaling, &observation, f64::from(answer));
             assert_eq!(row.len(), history * scaling.width());
             row.chunks_exact(scaling.width())
                 .map(|frame| frame[STATE_LEN])
@@ -81,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_is_forgotten_and_before_the_first_all_was_as_it_was_then() {
+    fn the_history_drops_the_oldest_frame_and_begins_with_copies_of_the_first() {
         assert_eq!(
             remembered(3, 1)[..4],
             [
@@ -94,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn every_third_decision_up_to_the_present_one() {
+    fn the_history_contains_every_third_decision_up_to_the_current_one() {
         for (decision, row) in (1..=20_u8).zip(remembered(3, 3)) {
             assert_eq!(
                 row,

@@ -107,42 +107,43 @@ impl ObservationScaling {
     /// Writes the inputs of the current decision, [`width`](Self::width) numbers. NaN counts as 0, infinity as the
     /// limit. `last_answer_mps2` is the controller's last answer.
     #[inline]
-    pub fn write_state(&self, seen: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
+    pub fn write_state(&self, observation: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
         let empty = Neighbour {
             gap_m: self.empty_gap_m,
-            speed_mps: seen.speed_mps,
+            speed_mps: observation.speed_mps,
             acceleration_mps2: 0.0,
         };
-        let (ahead, behind) = (seen.ahead.unwrap_or(empty), seen.behind.unwrap_or(empty));
+        let ahead = observation.ahead.unwrap_or(empty);
+        let behind = observation.behind.unwrap_or(empty);
         let numbers = [
             ahead.gap_m,
             behind.gap_m,
             ahead.speed_mps,
-            seen.speed_mps,
+            observation.speed_mps,
             behind.speed_mps,
             ahead.acceleration_mps2,
-            seen.acceleration_mps2,
+            observation.acceleration_mps2,
             behind.acceleration_mps2,
         ];
-        let scaled = |number: f64, offset: f64, scale: f64| {
-            let scaled = (number - offset) / scale;
-            if scaled.is_nan() {
-                0.0
-            } else {
-                scaled.clamp(-self.limit, self.limit) as f32
-            }
-        };
         let paper = numbers.into_iter().zip(self.offset).zip(self.scale);
         let (first, rest) = state.split_at_mut(STATE_LEN.min(state.len()));
         for (input, ((number, offset), scale)) in first.iter_mut().zip(paper) {
-            *input = scaled(number, offset, scale);
+            *input = self.scale_input(number, offset, scale);
         }
         for (input, extra) in rest.iter_mut().zip(&self.extra) {
-            *input = scaled(
-                extra.quantity.value(seen, last_answer_mps2, None),
-                extra.offset,
-                extra.scale,
-            );
+            let number = extra.quantity.value(observation, last_answer_mps2, None);
+            *input = self.scale_input(number, extra.offset, extra.scale);
+        }
+    }
+
+    /// Returns a number as an input of the network: 0 for NaN, within the limit for infinity.
+    #[inline]
+    fn scale_input(&self, number: f64, offset: f64, scale: f64) -> f32 {
+        let scaled = (number - offset) / scale;
+        if scaled.is_nan() {
+            0.0
+        } else {
+            scaled.clamp(-self.limit, self.limit) as f32
         }
     }
 }

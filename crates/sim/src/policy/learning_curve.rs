@@ -41,31 +41,41 @@ impl LearningCurve {
             .iter()
             .flat_map(|curve| curve.keys().copied())
             .collect();
-        let point = |episode| {
-            let rewards: Vec<f64> = curves
-                .iter()
-                .filter_map(|curve| reward_at(curve, episode))
-                .collect();
-            let n = rewards.len() as f64;
-            let mean_reward = rewards.iter().sum::<f64>() / n;
-            let variance = rewards
-                .iter()
-                .map(|reward| (reward - mean_reward).powi(2))
-                .sum::<f64>()
-                / n;
-            let tenth = |reward: f64| (10.0 * reward).round() / 10.0;
-            CurvePoint {
-                episode,
-                mean_reward: tenth(mean_reward),
-                deviation: tenth(variance.sqrt()),
-            }
-        };
         Self {
             preset: preset.to_owned(),
             seeds: curves.len(),
-            points: episodes.into_iter().map(point).collect(),
+            points: episodes
+                .into_iter()
+                .map(|episode| CurvePoint::new(episode, curves))
+                .collect(),
         }
     }
+}
+
+impl CurvePoint {
+    /// Computes mean and standard deviation over trainings, rounded to tenths.
+    fn new(episode: u64, curves: &[BTreeMap<u64, f64>]) -> Self {
+        let rewards: Vec<f64> = curves
+            .iter()
+            .filter_map(|curve| reward_at(curve, episode))
+            .collect();
+        let n = rewards.len() as f64;
+        let mean_reward = rewards.iter().sum::<f64>() / n;
+        let variance = rewards
+            .iter()
+            .map(|reward| (reward - mean_reward).powi(2))
+            .sum::<f64>()
+            / n;
+        Self {
+            episode,
+            mean_reward: round_to_tenth(mean_reward),
+            deviation: round_to_tenth(variance.sqrt()),
+        }
+    }
+}
+
+fn round_to_tenth(reward: f64) -> f64 {
+    (10.0 * reward).round() / 10.0
 }
 
 /// Returns the reward of the last evaluation up to an episode, or the best reward if the training ended earlier.
@@ -86,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn curves_hold_their_last_value_and_then_their_best() {
+    fn a_finished_training_counts_with_its_best_reward() {
         let curve = BTreeMap::from([(5, 22_500.0), (10, 100.0)]);
         let at = [4, 5, 9, 10, 11].map(|episode| reward_at(&curve, episode));
         assert_eq!(

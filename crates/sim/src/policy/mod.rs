@@ -164,11 +164,11 @@ impl Policy {
     /// history. `last_answer_mps2` is the controller's last answer.
     pub fn observe<'p>(
         &self,
-        seen: &Observation,
+        observation: &Observation,
         last_answer_mps2: f64,
         past: &'p mut FrameStack,
     ) -> &'p [f32] {
-        past.push(&self.header.observation, seen, last_answer_mps2)
+        past.push(&self.header.observation, observation, last_answer_mps2)
     }
 
     /// Returns the action for a row of [inputs](Policy::observe), between -1 and 1.

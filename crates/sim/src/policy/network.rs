@@ -102,15 +102,15 @@ impl Network {
             return Some(0);
         }
         for (index, layer) in self.layers().enumerate() {
-            let size = |value: &f32| f64::from(value.abs());
-            let mut next: Vec<f64> = self.parameters[layer.biases()].iter().map(size).collect();
+            let biases = &self.parameters[layer.biases()];
+            let mut next: Vec<f64> = biases.iter().map(|bias| f64::from(bias.abs())).collect();
             for (bound, row) in bounds
                 .iter()
                 .zip(self.parameters[layer.weights()].chunks_exact(layer.outputs))
             {
                 next.iter_mut()
                     .zip(row)
-                    .for_each(|(sum, weight)| *sum += bound * size(weight));
+                    .for_each(|(sum, weight)| *sum += bound * f64::from(weight.abs()));
             }
             if !next.iter().all(|&bound| bound <= highest) {
                 return Some(index);
@@ -130,10 +130,8 @@ impl Network {
         out: &mut [f32],
         panels: &mut PackedPanels,
     ) {
-        let (weights, biases) = (
-            &self.parameters[layer.weights()],
-            &self.parameters[layer.biases()],
-        );
+        let weights = &self.parameters[layer.weights()];
+        let biases = &self.parameters[layer.biases()];
         if layer.outputs == 1 && !rectified {
             multiply_vector(input, weights, biases[0], out);
         } else {
@@ -214,8 +212,8 @@ impl PackedNetwork {
     }
 
     /// Appends an elementwise operation on `width` values.
-    pub fn push_elementwise(&mut self, each: Elementwise, width: usize) {
-        self.steps.push(PackedStep::Elementwise(each, width));
+    pub fn push_elementwise(&mut self, function: Elementwise, width: usize) {
+        self.steps.push(PackedStep::Elementwise(function, width));
     }
 
     /// Returns the output for `batch` rows of `input`; the bits of a row do not depend on other rows.
@@ -237,8 +235,8 @@ impl PackedNetwork {
                     back.resize(batch, 0.0);
                     multiply_vector(front, weights, *bias, back);
                 }
-                PackedStep::Elementwise(each, width) => {
-                    each.apply(front, *width);
+                PackedStep::Elementwise(function, width) => {
+                    function.apply(front, *width);
                     continue;
                 }
             }

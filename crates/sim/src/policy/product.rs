@@ -327,7 +327,8 @@ fn tile_sums<S: Simd, const R: usize>(
 #[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut partial = [0.0_f32; 16];
-    let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
+    let a_chunks = a.chunks_exact(16);
+    let b_chunks = b.chunks_exact(16);
     for (index, (a, b)) in a_chunks
         .remainder()
         .iter()

@@ -60,31 +60,36 @@ fn any_observation() -> impl Strategy<Value = Observation> {
     )
 }
 
-fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
-    let mut held = HeldAction::default();
-    held.set(policy.choose(
-        policy.observe(seen, 0.0, &mut FrameStack::default()),
+fn first_acceleration_mps2(policy: &Policy, observation: &Observation) -> f64 {
+    let mut action = HeldAction::default();
+    action.set(policy.choose(
+        policy.observe(observation, 0.0, &mut FrameStack::default()),
         &mut Workspace::default(),
     ));
-    held.acceleration_mps2(&policy.header().action)
+    action.acceleration_mps2(&policy.header().action)
 }
 
 proptest! {
     #![proptest_config(crumple_cases::with_cases(64))]
 
     #[test]
-    fn one_state_and_many_get_the_same_bits(
-        seen in proptest::collection::vec(any_observation(), 1..40), history in [1..5_usize, 1..5_usize], seed: u64,
+    fn a_batch_of_states_has_the_answers_of_single_states(
+        observations in proptest::collection::vec(any_observation(), 1..40),
+        history in [1..5_usize, 1..5_usize],
+        seed: u64,
     ) {
         let policy = policy_with_history(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
         let mut past = FrameStack::default();
-        let rows: Vec<_> = seen.iter().map(|seen| policy.observe(seen, 0.0, &mut past).to_vec()).collect();
-        let mut together = vec![0.0; seen.len()];
+        let rows: Vec<_> = observations
+            .iter()
+            .map(|observation| policy.observe(observation, 0.0, &mut past).to_vec())
+            .collect();
+        let mut together = vec![0.0; observations.len()];
         policy.choose_batch(&rows.concat(), &mut space, &mut together);
-        for ((seen, row), together) in seen.iter().zip(&rows).zip(together) {
+        for ((observation, row), together) in observations.iter().zip(&rows).zip(together) {
             prop_assert_eq!(policy.choose(row, &mut space).to_bits(), together.to_bits());
-            prop_assert!((-7.5..=3.0).contains(&first_acceleration_mps2(&policy, seen)));
+            prop_assert!((-7.5..=3.0).contains(&first_acceleration_mps2(&policy, observation)));
         }
     }
 
@@ -109,7 +114,7 @@ proptest! {
 #[test]
 fn the_network_equals_its_definition() {
     let policy = policy(&[5, 3], 0.1, 7);
-    let seen = Observation {
+    let observation = Observation {
         speed_mps: 20.0,
         acceleration_mps2: -1.0,
         ahead: Some(Neighbour {
@@ -139,11 +144,11 @@ fn the_network_equals_its_definition() {
             .collect();
     }
     let expected = -2.25 + 5.25 * h[0].tanh();
-    assert!((first_acceleration_mps2(&policy, &seen) - expected).abs() < 1e-5);
+    assert!((first_acceleration_mps2(&policy, &observation) - expected).abs() < 1e-5);
 }
 
 #[test]
-fn files_read_back_and_have_one_form() {
+fn policy_files_read_back_and_equal_policies_have_equal_bytes() {
     let policy = policy(&[6, 4], 0.1, 2);
     let bytes = policy.to_bytes().unwrap();
     let again = Policy::from_bytes(&bytes).unwrap();
@@ -235,11 +240,11 @@ fn refusals_name_the_reason() {
 }
 
 #[test]
-fn no_number_at_all_means_full_braking() {
+fn a_nan_answer_means_full_braking() {
     let meant = |raw| {
-        let mut held = HeldAction::default();
-        held.set(ActionBounds::squash(raw));
-        held.acceleration_mps2(&ActionBounds::default())
+        let mut action = HeldAction::default();
+        action.set(ActionBounds::squash(raw));
+        action.acceleration_mps2(&ActionBounds::default())
     };
     assert_eq!([f32::NAN, f32::INFINITY].map(meant), [-7.5, 3.0]);
 }
@@ -248,7 +253,9 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn accepted_policies_output_a_number(seen in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize) {
+    fn accepted_policies_output_a_number(
+        observation in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize,
+    ) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
         let layer = network.layers().nth(layer).unwrap();
         let factor = 10.0_f32.powi(exp);
@@ -256,7 +263,7 @@ proptest! {
         match Policy::new(header, network) {
             Ok(valid) => {
                 let mut state = vec![0.0; valid.header.observation.width()];
-                valid.header.observation.write_state(&seen, 0.0, &mut state);
+                valid.header.observation.write_state(&observation, 0.0, &mut state);
                 let raw = valid.packed.forward(&state, 1, &mut Workspace::default())[0];
                 prop_assert!(raw.is_finite());
             }

@@ -64,16 +64,15 @@ impl OpenDriver for NoDriverFiles {
 /// Opens the drivers that a scenario has read already, for copies of it.
 impl OpenDriver for Scenario {
     fn open_driver(&self, path: &Path) -> Result<Arc<dyn ControllerSource>, DriverProblem> {
-        let has_path = |file: &&FileDriver| Path::new(&file.path) == path;
-        let drivers = self
+        let mut drivers = self
             .vehicles()
             .iter()
             .filter_map(|vehicle| match &vehicle.driver {
                 Driver::File(file) => Some(file),
                 _ => None,
             });
-        let known = { drivers }.find(has_path).and_then(FileDriver::controller);
-        match known {
+        let driver = drivers.find(|file| Path::new(&file.path) == path);
+        match driver.and_then(FileDriver::controller) {
             Some(controller) => Ok(Arc::clone(controller)),
             None => NoDriverFiles.open_driver(path),
         }
@@ -129,7 +128,6 @@ impl FileDriver {
         if self.controller.is_some() {
             return Ok(());
         }
-        let unusable = |why: String| FieldProblem::DriverFile { reason: why };
         let path =
             path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
         if !path.is_file() {
@@ -153,8 +151,9 @@ impl FileDriver {
             );
             return Err(unusable(problem));
         }
-        let path = path.into_os_string().into_string();
         let path = path
+            .into_os_string()
+            .into_string()
             .map_err(|path| unusable(format!("{} is a path that is not UTF-8", path.display())))?;
         *self = Self {
             path,
@@ -163,6 +162,10 @@ impl FileDriver {
         };
         Ok(())
     }
+}
+
+fn unusable(reason: String) -> FieldProblem {
+    FieldProblem::DriverFile { reason }
 }
 
 macro_rules! define_form {

@@ -104,42 +104,39 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>, ScenarioFileError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
-    let unreadable = |source| {
-        ScenarioFileError::File(FileError::Read {
-            path: path.to_owned(),
-            source,
-        })
-    };
     let entries = fs::read_dir(path)
-        .map_err(unreadable)?
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(unreadable)?;
-    let is_scenario = |path: &PathBuf| {
-        ScenarioFileFormat::from_path(path).is_some()
-            && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref())
-    };
+        .and_then(Iterator::collect::<io::Result<Vec<_>>>)
+        .map_err(|source| read_error(path, source))?;
     let mut files: Vec<_> = entries
         .iter()
         .map(fs::DirEntry::path)
-        .filter(is_scenario)
+        .filter(|path| {
+            ScenarioFileFormat::from_path(path).is_some()
+                && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref())
+        })
         .collect();
     files.sort();
     let bytes: u64 = files
         .iter()
         .flat_map(fs::metadata)
-        .map(|found| found.len())
+        .map(|metadata| metadata.len())
         .sum();
     if files.len() > MAX_FILES || bytes > MAX_FOLDER_BYTES {
-        let most = MAX_FOLDER_BYTES >> 20;
+        let max_mib = MAX_FOLDER_BYTES >> 20;
         let problem = format!(
-            "holds more than {MAX_FILES} scenario files, or more than {most} MiB: too much at once"
+            "holds more than {MAX_FILES} scenario files, or more than {max_mib} MiB: too much at once"
         );
-        return Err(unreadable(io::Error::new(
-            io::ErrorKind::InvalidData,
-            problem,
-        )));
+        let too_much = io::Error::new(io::ErrorKind::InvalidData, problem);
+        return Err(read_error(path, too_much));
     }
     Ok(files)
+}
+
+fn read_error(path: &Path, source: io::Error) -> ScenarioFileError {
+    ScenarioFileError::File(FileError::Read {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// Name of the TOML file with the recorded verdicts of a folder of scenarios. The extension keeps it out of `*.toml`.

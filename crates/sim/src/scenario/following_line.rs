@@ -43,16 +43,7 @@ impl FollowingLine {
         let empty = ScenarioSpec::new("following-line".to_owned(), 1.0, Vec::new());
         let duration_s = steps as f64 * empty.step_s;
         let profile = oscillation.map_or(LeadProfile::ConstantSpeed, |oscillation| {
-            let sample_s = STEPS_PER_SAMPLE as f64 * empty.step_s;
-            let samples = steps.div_ceil(STEPS_PER_SAMPLE) + 1;
-            let time_s: Vec<f64> = (0..samples)
-                .map(|sample| sample as f64 * sample_s)
-                .collect();
-            let speed_mps = time_s
-                .iter()
-                .map(|&time_s| oscillation.speed_mps(self.mean_speed_mps, time_s))
-                .collect();
-            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
+            LeadProfile::Recorded(oscillation.speeds(self.mean_speed_mps, steps, empty.step_s))
         });
         let class = VehicleClass::Light;
         let mut vehicles = vec![VehicleSpec::new(
@@ -81,6 +72,19 @@ impl FollowingLine {
 }
 
 impl SpeedOscillation {
+    fn speeds(self, mean_speed_mps: f64, steps: usize, step_s: f64) -> RecordedSpeeds {
+        let sample_s = STEPS_PER_SAMPLE as f64 * step_s;
+        let samples = steps.div_ceil(STEPS_PER_SAMPLE) + 1;
+        let time_s: Vec<f64> = (0..samples)
+            .map(|sample| sample as f64 * sample_s)
+            .collect();
+        let speed_mps = time_s
+            .iter()
+            .map(|&time_s| self.speed_mps(mean_speed_mps, time_s))
+            .collect();
+        RecordedSpeeds { time_s, speed_mps }
+    }
+
     fn speed_mps(self, mean_speed_mps: f64, time_s: f64) -> f64 {
         let grown = if time_s < self.build_up_s {
             time_s / self.build_up_s

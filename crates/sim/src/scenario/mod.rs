@@ -184,9 +184,8 @@ impl ScenarioSpec {
     ) -> Result<(), InvalidField> {
         for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
-                let field = || format!("vehicles[{index}].driver.file.path");
                 file.read(folder, opener).map_err(|problem| InvalidField {
-                    field: field(),
+                    field: format!("vehicles[{index}].driver.file.path"),
                     problem,
                 })?;
             }

@@ -11,7 +11,7 @@ use super::{
     Brake, Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crate::control::{AebSettings, BuiltInController};
-use crate::random::{self, Purpose};
+use crate::random::{self, Purpose, Stream};
 
 /// Time step of the paper, in seconds.
 pub const PAPER_STEP_S: f64 = 0.01;
@@ -57,7 +57,7 @@ pub fn built_in_scenario(name: &str) -> Option<Scenario> {
     };
     let about = built_in_scenario_names()
         .into_iter()
-        .find(|(known, _)| *known == name)?
+        .find(|(built_in, _)| *built_in == name)?
         .1;
     let spacing_m = GAP_M + Light.length_m();
     let mut vehicles = vec![VehicleSpec::new(
@@ -93,6 +93,13 @@ fn baseline() -> Driver {
     Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
 }
 
+fn normal(stream: &mut Stream, mean: f64, deviation: f64) -> f64 {
+    match Normal::new(mean, deviation) {
+        Ok(distribution) => distribution.sample(stream),
+        Err(_) => mean,
+    }
+}
+
 /// The training distribution of the paper: scenario 1 or 2 with random start, lead braking and noise.
 ///
 /// Positions N(36, 0.5), N(18, 0.5), N(0, 0.5) m; lead deceleration N(3, 0.2) m/s²; onset U(1, 1.5) s; acceleration
@@ -117,13 +124,9 @@ impl PaperDistribution {
         } else {
             VehicleClass::Light
         };
-        let mut normal = |mean: f64, deviation: f64| match Normal::new(mean, deviation) {
-            Ok(distribution) => distribution.sample(&mut stream),
-            Err(_) => mean,
-        };
-        let positions_m = [normal(36.0, 0.5), normal(18.0, 0.5), normal(0.0, 0.5)];
-        let rate_mps2 = normal(LEAD_BRAKE_MPS2, 0.2);
-        let follower_brake_mps2 = normal(follower.max_brake_mps2(), 0.2);
+        let positions_m = [36.0, 18.0, 0.0].map(|mean_m| normal(&mut stream, mean_m, 0.5));
+        let rate_mps2 = normal(&mut stream, LEAD_BRAKE_MPS2, 0.2);
+        let follower_brake_mps2 = normal(&mut stream, follower.max_brake_mps2(), 0.2);
         let onset_s = stream.random_range(1.0..1.5);
         let brake = Driver::Profile(LeadProfile::Brake(Brake { onset_s, rate_mps2 }));
         let mut vehicles = vec![
@@ -181,14 +184,18 @@ mod tests {
     }
 
     #[test]
-    fn draws_have_the_papers_moments() {
+    fn samples_have_the_mean_and_variance_of_the_paper() {
         let draws: Vec<_> = (0..4000)
             .map(|i| PaperDistribution { seed: 3 }.draw(i).expect("valid"))
             .collect();
-        let moments = |of: &dyn Fn(&Scenario) -> f64| {
+        let moments = |quantity: &dyn Fn(&Scenario) -> f64| {
             let n = draws.len() as f64;
-            let mean = draws.iter().map(of).sum::<f64>() / n;
-            let variance = draws.iter().map(|d| (of(d) - mean).powi(2)).sum::<f64>() / n;
+            let mean = draws.iter().map(quantity).sum::<f64>() / n;
+            let variance = draws
+                .iter()
+                .map(|d| (quantity(d) - mean).powi(2))
+                .sum::<f64>()
+                / n;
             (mean, variance.sqrt())
         };
         let (mean, deviation) = moments(&|d| d.vehicles()[0].position_m);

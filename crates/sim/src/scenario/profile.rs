@@ -259,12 +259,17 @@ impl RecordedSpeeds {
     #[must_use]
     pub fn speed_at_mps(&self, at_s: f64) -> f64 {
         let next = self.time_s.partition_point(|&t| t <= at_s);
-        let sample = |i: usize| Some((*self.time_s.get(i)?, *self.speed_mps.get(i)?));
-        match (next.checked_sub(1).and_then(sample), sample(next)) {
-            (Some((t0, v0)), Some((t1, v1))) => v0 + (v1 - v0) * (at_s - t0) / (t1 - t0),
-            (Some((_, v)), None) | (None, Some((_, v))) => v,
+        let before = next.checked_sub(1).and_then(|before| self.sample(before));
+        match (before, self.sample(next)) {
+            (Some([t0, v0]), Some([t1, v1])) => v0 + (v1 - v0) * (at_s - t0) / (t1 - t0),
+            (Some([_, v]), None) | (None, Some([_, v])) => v,
             (None, None) => 0.0,
         }
+    }
+
+    /// Returns time (s) and speed (m/s) of a sample.
+    fn sample(&self, index: usize) -> Option<[f64; 2]> {
+        Some([*self.time_s.get(index)?, *self.speed_mps.get(index)?])
     }
 }
 

@@ -66,7 +66,7 @@ mod tests {
     use crate::observation::EstimatorKind;
 
     #[test]
-    fn the_dip_takes_four_metres_a_second_off() {
+    fn the_dip_lowers_the_speed_of_the_leader_by_four_metres_per_second() {
         let scenario = speed_dip(5, 1.5).unwrap();
         assert!(
             (1..=5).all(|index| scenario.is_under_test(index)

@@ -1,7 +1,9 @@
 //! Validation of scenarios.
 
 use super::invalid::{AllowedRange, FieldProblem, InvalidField};
-use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
+use super::{
+    Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleSpec,
+};
 use crumple_core::format_version::check_version;
 
 const fn range_from(min: f64, max: f64) -> AllowedRange {
@@ -28,11 +30,38 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     if let Err(unsupported) = check_version(spec.version, SCENARIO_VERSION) {
         return root.field("version").reject(unsupported.into());
     }
-    root.field("name")
-        .check_length(spec.name.chars().count(), 1, 200, "characters")?;
-    if spec.name.chars().any(char::is_control) {
-        return root.field("name").reject(FieldProblem::ControlCharacter);
+    check_name(&root.field("name"), &spec.name)?;
+    let steps = check_times(&root, spec)?;
+    root.field("environment")
+        .field("friction")
+        .check_number(spec.environment.friction, range_from(0.01, 1.0))?;
+    check_sensors(&root.field("sensors"), &spec.sensors)?;
+    let vehicles = root.field("vehicles");
+    vehicles.check_length(spec.vehicles.len(), 2, 1000, "vehicles")?;
+    let found = steps.saturating_mul(spec.vehicles.len());
+    if found > MAX_VEHICLE_STEPS {
+        return root.field("duration_s").reject(FieldProblem::TooLong {
+            limit: MAX_VEHICLE_STEPS,
+            found,
+        });
     }
+    for (index, vehicle) in spec.vehicles.iter().enumerate() {
+        check_vehicle(&vehicles.index(index), vehicle)?;
+    }
+    check_no_overlap(&vehicles, &spec.vehicles)?;
+    Ok(steps)
+}
+
+fn check_name(field: &FieldPath<'_>, name: &str) -> Result<(), InvalidField> {
+    field.check_length(name.chars().count(), 1, 200, "characters")?;
+    if name.chars().any(char::is_control) {
+        return field.reject(FieldProblem::ControlCharacter);
+    }
+    Ok(())
+}
+
+/// Checks step, duration and seed. Returns the number of steps.
+fn check_times(root: &FieldPath<'_>, spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     root.field("step_s")
         .check_number(spec.step_s, range_from(1e-4, 1.0))?;
     root.field("duration_s")
@@ -42,54 +71,45 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
             .field("seed")
             .reject(FieldProblem::Seed { found: spec.seed });
     }
-    let Some(steps) = whole_multiple(spec.duration_s, spec.step_s) else {
-        let (step_s, found) = (spec.step_s, spec.duration_s);
-        return root
+    match whole_multiple(spec.duration_s, spec.step_s) {
+        Some(steps) => Ok(steps),
+        None => root
             .field("duration_s")
-            .reject(FieldProblem::NotWholeSteps { step_s, found });
-    };
-    let environment = root.field("environment");
-    environment
-        .field("friction")
-        .check_number(spec.environment.friction, range_from(0.01, 1.0))?;
-    let sensors = root.field("sensors");
-    sensors
-        .field("position_noise_m")
-        .check_number(spec.sensors.position_noise_m, range_from(0.0, 10.0))?;
-    sensors
-        .field("gap_noise_m")
-        .check_number(spec.sensors.gap_noise_m, range_from(0.0, 10.0))?;
-    sensors
-        .field("dropout")
-        .check_number(spec.sensors.dropout, range_from(0.0, 1.0))?;
-    for (path, value, [least, most]) in spec.sensors.faults.limits() {
-        sensors
-            .field("faults")
-            .field(path)
-            .check_number(value, range_from(least, most))?;
+            .reject(FieldProblem::NotWholeSteps {
+                step_s: spec.step_s,
+                found: spec.duration_s,
+            }),
     }
-    let faults = &spec.sensors.faults;
+}
+
+fn check_sensors(path: &FieldPath<'_>, sensors: &Sensors) -> Result<(), InvalidField> {
+    path.check_numbers([
+        (
+            "position_noise_m",
+            sensors.position_noise_m,
+            range_from(0.0, 10.0),
+        ),
+        ("gap_noise_m", sensors.gap_noise_m, range_from(0.0, 10.0)),
+        ("dropout", sensors.dropout, range_from(0.0, 1.0)),
+    ])?;
+    let faults = &sensors.faults;
+    for (field, value, [min, max]) in faults.limits() {
+        path.field("faults")
+            .field(field)
+            .check_number(value, range_from(min, max))?;
+    }
     if faults.outage_rate_per_s > 0.0 && faults.outage_length_s == 0.0 {
-        return sensors
+        return path
             .field("faults")
             .field("outage_length_s")
             .reject(FieldProblem::OutageWithoutLength);
     }
-    root.field("vehicles")
-        .check_length(spec.vehicles.len(), 2, 1000, "vehicles")?;
-    let found = steps.saturating_mul(spec.vehicles.len());
-    if found > MAX_VEHICLE_STEPS {
-        return root.field("duration_s").reject(FieldProblem::TooLong {
-            limit: MAX_VEHICLE_STEPS,
-            found,
-        });
-    }
-    let vehicles = root.field("vehicles");
-    for (index, vehicle) in spec.vehicles.iter().enumerate() {
-        check_vehicle(&vehicles.index(index), vehicle)?;
-    }
-    let mut in_lane = spec
-        .vehicles
+    Ok(())
+}
+
+/// Checks that no two successive vehicles that start in the lane overlap.
+fn check_no_overlap(path: &FieldPath<'_>, vehicles: &[VehicleSpec]) -> Result<(), InvalidField> {
+    let mut in_lane = vehicles
         .iter()
         .enumerate()
         .filter(|(_, vehicle)| vehicle.enters.is_none())
@@ -100,7 +120,7 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
             && behind.position_m >= rear_bumper_m
         {
             let found = behind.position_m;
-            return vehicles
+            return path
                 .index(*index)
                 .field("position_m")
                 .reject(FieldProblem::Overlap {
@@ -110,7 +130,7 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
                 });
         }
     }
-    Ok(steps)
+    Ok(())
 }
 
 /// Largest result of [`whole_multiple`].
@@ -124,58 +144,52 @@ pub fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     fits.then_some(times as usize)
 }
 
-fn check_vehicle(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
-    place
-        .field("position_m")
-        .check_number(vehicle.position_m, range_from(-1e6, 1e6))?;
-    place
-        .field("speed_mps")
-        .check_number(vehicle.speed_mps, range_from(0.0, 100.0))?;
-    place
-        .field("length_m")
-        .check_optional(vehicle.length_m, range_from(0.1, 100.0))?;
-    place
-        .field("mass_kg")
-        .check_optional(vehicle.mass_kg, range_from(1.0, 1e6))?;
-    place
-        .field("max_brake_mps2")
-        .check_optional(vehicle.max_brake_mps2, range_from(0.1, 30.0))?;
-    place
-        .field("max_accel_mps2")
-        .check_optional(vehicle.max_accel_mps2, range_from(0.0, 30.0))?;
-    place
-        .field("acceleration_noise_mps2")
-        .check_number(vehicle.acceleration_noise_mps2, range_from(0.0, 10.0))?;
-    place
-        .field("reaction_delay_s")
-        .check_number(vehicle.reaction_delay_s, range_from(0.0, 10.0))?;
-    place
-        .field("actuator_lag_s")
-        .check_number(vehicle.actuator_lag_s, range_from(0.0, 10.0))?;
-    place
-        .field("actuator_delay_s")
-        .check_number(vehicle.actuator_delay_s, range_from(0.0, 10.0))?;
-    place
-        .field("jerk_limit_mps3")
-        .check_optional(vehicle.jerk_limit_mps3, range_from(0.1, 1e4))?;
+fn check_vehicle(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+    let v = vehicle;
+    path.check_numbers([
+        ("position_m", v.position_m, range_from(-1e6, 1e6)),
+        ("speed_mps", v.speed_mps, range_from(0.0, 100.0)),
+    ])?;
+    path.check_given_numbers([
+        ("length_m", v.length_m, range_from(0.1, 100.0)),
+        ("mass_kg", v.mass_kg, range_from(1.0, 1e6)),
+        ("max_brake_mps2", v.max_brake_mps2, range_from(0.1, 30.0)),
+        ("max_accel_mps2", v.max_accel_mps2, range_from(0.0, 30.0)),
+    ])?;
+    let up_to_ten = range_from(0.0, 10.0);
+    path.check_numbers([
+        (
+            "acceleration_noise_mps2",
+            v.acceleration_noise_mps2,
+            up_to_ten,
+        ),
+        ("reaction_delay_s", v.reaction_delay_s, up_to_ten),
+        ("actuator_lag_s", v.actuator_lag_s, up_to_ten),
+        ("actuator_delay_s", v.actuator_delay_s, up_to_ten),
+    ])?;
+    path.check_given_numbers([("jerk_limit_mps3", v.jerk_limit_mps3, range_from(0.1, 1e4))])?;
     if vehicle.body.is_some() && vehicle.multi_body().is_none() {
-        return place.field("body").reject(FieldProblem::BodyOfPointMass);
+        return path.field("body").reject(FieldProblem::BodyOfPointMass);
     }
-    check_lane_changes(place, vehicle)?;
-    let driver = place.field("driver");
+    check_lane_changes(path, vehicle)?;
+    check_driver(path, vehicle)
+}
+
+fn check_driver(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+    let driver = path.field("driver");
     let driver = driver.field(vehicle.driver.name());
     match &vehicle.driver {
         Driver::UnderTest => Ok(()),
         Driver::Profile(profile) => {
             check_profile(&driver, profile)?;
             check_within_limits(&driver, vehicle, profile)?;
-            check_no_delays(place, vehicle)
+            check_no_delays(path, vehicle)
         }
         Driver::Controller(controller) => controller.values().try_for_each(|(field, value)| {
-            let [least, most] = field.range;
+            let [min, max] = field.range;
             driver
                 .field(field.name)
-                .check_number(value, range_from(least, most))
+                .check_number(value, range_from(min, max))
         }),
         Driver::File(file) if file.controller().is_none() => {
             driver.field("path").reject(FieldProblem::DriverFile {
@@ -187,12 +201,12 @@ fn check_vehicle(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), Inv
 }
 
 /// Rejects lane changes of vehicles that are not scripted: their controllers would have to observe both lanes.
-fn check_lane_changes(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+fn check_lane_changes(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     for (field, change) in [("enters", vehicle.enters), ("leaves", vehicle.leaves)] {
         let Some(change) = change else { continue };
-        let place = place.field(field);
+        let path = path.field(field);
         if !matches!(vehicle.driver, Driver::Profile(_)) {
-            return place.reject(FieldProblem::LaneChangeNotScripted {
+            return path.reject(FieldProblem::LaneChangeNotScripted {
                 driver: vehicle.driver.name(),
             });
         }
@@ -201,15 +215,14 @@ fn check_lane_changes(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<()
             LaneChange::Gap(_) => range_from(0.01, 1e5),
             LaneChange::TimeToCollision(_) => range_from(0.01, 1e3),
         };
-        place
-            .field(change.field())
+        path.field(change.field())
             .check_number(change.value(), range)?;
     }
     if let (Some(LaneChange::At(enters_s)), Some(LaneChange::At(found))) =
         (vehicle.enters, vehicle.leaves)
         && found <= enters_s
     {
-        return place
+        return path
             .field("leaves")
             .field("at_s")
             .reject(FieldProblem::LeavesBeforeEntering { enters_s, found });
@@ -224,7 +237,8 @@ fn check_within_limits(
     profile: &LeadProfile,
 ) -> Result<(), InvalidField> {
     let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
-    let (max_brake_mps2, max_accel_mps2) = (vehicle.max_brake_mps2(), vehicle.max_accel_mps2());
+    let max_brake_mps2 = vehicle.max_brake_mps2();
+    let max_accel_mps2 = vehicle.max_accel_mps2();
     if -lowest_mps2 > max_brake_mps2 {
         return driver.reject(FieldProblem::BrakeBeyondLimit {
             limit: max_brake_mps2,
@@ -241,11 +255,11 @@ fn check_within_limits(
 }
 
 /// Rejects delays and lags of scripted vehicles, which would contradict the script.
-fn check_no_delays(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
+fn check_no_delays(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     let plant = ("plant", vehicle.multi_body().is_some());
     let mut fields = vehicle.given_response_fields().into_iter().chain([plant]);
     match fields.find(|(_, given)| *given) {
-        Some((field, _)) => place.field(field).reject(FieldProblem::DelayedScript),
+        Some((field, _)) => path.field(field).reject(FieldProblem::DelayedScript),
         None => Ok(()),
     }
 }
@@ -254,48 +268,30 @@ const TIME_RANGE_S: AllowedRange = range_from(0.0, 1e5);
 const RATE_RANGE_MPS2: AllowedRange = range_from(0.0, 30.0);
 const SPEED_RANGE_MPS: AllowedRange = range_from(0.0, 100.0);
 
-fn check_profile(place: &FieldPath<'_>, profile: &LeadProfile) -> Result<(), InvalidField> {
+fn check_profile(path: &FieldPath<'_>, profile: &LeadProfile) -> Result<(), InvalidField> {
     match profile {
         LeadProfile::ConstantSpeed => Ok(()),
-        LeadProfile::Brake(brake) => {
-            place
-                .field("onset_s")
-                .check_number(brake.onset_s, TIME_RANGE_S)?;
-            place
-                .field("rate_mps2")
-                .check_number(brake.rate_mps2, RATE_RANGE_MPS2)
-        }
-        LeadProfile::RampBrake(ramp) => {
-            place
-                .field("onset_s")
-                .check_number(ramp.onset_s, TIME_RANGE_S)?;
-            place
-                .field("rate_mps2")
-                .check_number(ramp.rate_mps2, RATE_RANGE_MPS2)?;
-            place
-                .field("ramp_s")
-                .check_number(ramp.ramp_s, range_from(0.0, 100.0))?;
-            place
-                .field("release_s")
-                .check_number(ramp.release_s, range_from(0.0, 100.0))
-        }
-        LeadProfile::BrakeToSpeed(brake) => {
-            place
-                .field("onset_s")
-                .check_number(brake.onset_s, TIME_RANGE_S)?;
-            place
-                .field("rate_mps2")
-                .check_number(brake.rate_mps2, RATE_RANGE_MPS2)?;
-            place
-                .field("final_speed_mps")
-                .check_number(brake.final_speed_mps, SPEED_RANGE_MPS)
-        }
-        LeadProfile::Pieces(pieces) => place.check_series(
+        LeadProfile::Brake(brake) => path.check_numbers([
+            ("onset_s", brake.onset_s, TIME_RANGE_S),
+            ("rate_mps2", brake.rate_mps2, RATE_RANGE_MPS2),
+        ]),
+        LeadProfile::RampBrake(ramp) => path.check_numbers([
+            ("onset_s", ramp.onset_s, TIME_RANGE_S),
+            ("rate_mps2", ramp.rate_mps2, RATE_RANGE_MPS2),
+            ("ramp_s", ramp.ramp_s, range_from(0.0, 100.0)),
+            ("release_s", ramp.release_s, range_from(0.0, 100.0)),
+        ]),
+        LeadProfile::BrakeToSpeed(brake) => path.check_numbers([
+            ("onset_s", brake.onset_s, TIME_RANGE_S),
+            ("rate_mps2", brake.rate_mps2, RATE_RANGE_MPS2),
+            ("final_speed_mps", brake.final_speed_mps, SPEED_RANGE_MPS),
+        ]),
+        LeadProfile::Pieces(pieces) => path.check_series(
             ("from_s", &pieces.from_s),
             ("accel_mps2", &pieces.accel_mps2),
             range_from(-30.0, 30.0),
         ),
-        LeadProfile::Recorded(recorded) => place.check_series(
+        LeadProfile::Recorded(recorded) => path.check_series(
             ("time_s", &recorded.time_s),
             ("speed_mps", &recorded.speed_mps),
             SPEED_RANGE_MPS,
@@ -368,23 +364,39 @@ impl<'a> FieldPath<'a> {
         }
     }
 
-    fn check_optional(&self, found: Option<f64>, range: AllowedRange) -> Result<(), InvalidField> {
-        found.map_or(Ok(()), |found| self.check_number(found, range))
+    /// Checks fields of this object, in order: name, value and range.
+    fn check_numbers<const N: usize>(
+        &self,
+        fields: [(&str, f64, AllowedRange); N],
+    ) -> Result<(), InvalidField> {
+        fields
+            .into_iter()
+            .try_for_each(|(name, value, range)| self.field(name).check_number(value, range))
+    }
+
+    /// Checks optional fields as [`check_numbers`](Self::check_numbers) does.
+    fn check_given_numbers<const N: usize>(
+        &self,
+        fields: [(&str, Option<f64>, AllowedRange); N],
+    ) -> Result<(), InvalidField> {
+        fields.into_iter().try_for_each(|(name, value, range)| {
+            value.map_or(Ok(()), |value| self.field(name).check_number(value, range))
+        })
     }
 
     fn check_length(
         &self,
         found: usize,
-        least: usize,
-        most: usize,
+        min: usize,
+        max: usize,
         what: &'static str,
     ) -> Result<(), InvalidField> {
-        if (least..=most).contains(&found) {
+        if (min..=max).contains(&found) {
             Ok(())
         } else {
             self.reject(FieldProblem::Length {
-                min: least,
-                max: most,
+                min,
+                max,
                 what,
                 found,
             })
@@ -398,14 +410,14 @@ impl<'a> FieldPath<'a> {
         (values_name, values): (&str, &[f64]),
         range: AllowedRange,
     ) -> Result<(), InvalidField> {
-        let (times_at, values_at) = (self.field(times_name), self.field(values_name));
+        let times_at = self.field(times_name);
+        let values_at = self.field(values_name);
         times_at.check_length(times.len(), 1, 1_000_000, "entries")?;
         if values.len() != times.len() {
-            let (expected, found) = (times.len(), values.len());
             return values_at.reject(FieldProblem::LengthMismatch {
                 other: times_name,
-                expected,
-                found,
+                expected: times.len(),
+                found: values.len(),
             });
         }
         for (index, (&time, &value)) in times.iter().zip(values).enumerate() {

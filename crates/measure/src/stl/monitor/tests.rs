@@ -46,7 +46,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
-    fn equals_the_definition((x, y) in trace(), formula in formula()) {
+    fn robustness_equals_its_definition((x, y) in trace(), formula in formula()) {
         let signals = signals(&x, &y);
         let over_time = formula.robustness_over_time(&signals).unwrap();
         for (k, &value) in over_time.iter().enumerate() {
@@ -82,7 +82,7 @@ proptest! {
 }
 
 #[test]
-fn windows_past_the_end_are_clipped_or_empty() {
+fn windows_after_the_end_of_the_trace_are_clipped_or_empty() {
     let x = [3.0, 2.0, 1.0];
     let at = |text: &str| {
         text.parse::<Formula>()
@@ -115,7 +115,7 @@ fn the_longest_formula_that_parses_is_evaluated() {
 }
 
 #[test]
-fn formulas_without_a_value_are_refused() {
+fn formulas_without_a_defined_value_are_refused() {
     let x = [f64::INFINITY, 1.0];
     let signals = signals(&x, &x);
     let error = |text: &str| {

@@ -17,7 +17,7 @@ fn steady_leader_trace(pieces: &[(f64, f64)]) -> Trace {
 const JUSTIFIED_MPS2: f64 = 0.73 * 34.0 * 34.0 / (200.0 * 200.0);
 
 #[test]
-fn braking_without_cause_by_hand() {
+fn unnecessary_braking_by_hand() {
     let unnecessary = |pieces: &[(f64, f64)]| {
         UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap()
     };
@@ -46,7 +46,7 @@ fn braking_without_cause_by_hand() {
 }
 
 #[test]
-fn braking_harder_than_a_limit_without_cause_by_hand() {
+fn unnecessary_braking_above_a_limit_by_hand() {
     let harder = |limit_mps2: f64, pieces: &[(f64, f64)]| {
         UnnecessaryBraking::from_trace_above_limit(limit_mps2, &steady_leader_trace(pieces), &[], 1)
             .unwrap()
@@ -132,7 +132,7 @@ proptest! {
     /// braking exceeds the margin. Finer steps give the same time, up to one coarse step at each change of
     /// acceleration and a few brakings near the minimum duration.
     #[test]
-    fn braking_without_cause_is_braking(
+    fn unnecessary_braking_is_braking(
         gap_m in 20.0..90.0f64,
         own in prop::collection::vec(-7.0..2.0f64, 6),
         front in prop::collection::vec(-4.0..2.0f64, 6),

@@ -10,26 +10,29 @@ pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {
     if let Some(tensor) = attributes.remove("value").and_then(|value| value.tensor) {
         return Ok(tensor);
     }
-    let one = |name: &str| attributes.get(name);
-    let real = |shape, numbers| OnnxTensor {
-        shape,
-        data: TensorData::Float(numbers),
-    };
-    let whole = |shape, numbers| OnnxTensor {
-        shape,
-        data: TensorData::Integer(numbers),
-    };
-    if let Some(number) = one("value_float").and_then(|value| value.float) {
-        return Ok(real(vec![], vec![number]));
+    if let Some(number) = attributes.get("value_float").and_then(|value| value.float) {
+        return Ok(OnnxTensor {
+            shape: vec![],
+            data: TensorData::Float(vec![number]),
+        });
     }
-    if let Some(number) = one("value_int").and_then(|value| value.integer) {
-        return Ok(whole(vec![], vec![number]));
+    if let Some(number) = attributes.get("value_int").and_then(|value| value.integer) {
+        return Ok(OnnxTensor {
+            shape: vec![],
+            data: TensorData::Integer(vec![number]),
+        });
     }
-    if let Some(value) = one("value_floats") {
-        return Ok(real(vec![value.floats.len()], value.floats.clone()));
+    if let Some(value) = attributes.remove("value_floats") {
+        return Ok(OnnxTensor {
+            shape: vec![value.floats.len()],
+            data: TensorData::Float(value.floats),
+        });
     }
-    if let Some(value) = one("value_ints") {
-        return Ok(whole(vec![value.integers.len()], value.integers.clone()));
+    if let Some(value) = attributes.remove("value_ints") {
+        return Ok(OnnxTensor {
+            shape: vec![value.integers.len()],
+            data: TensorData::Integer(value.integers),
+        });
     }
     Err("a constant that is not written as numbers".to_owned())
 }
@@ -43,6 +46,18 @@ pub(super) fn float_attribute(node: &OnnxNode, name: &str, otherwise: f32) -> f3
 
 pub(super) fn integer_attribute(node: &OnnxNode, name: &str) -> Option<i64> {
     node.attributes.get(name).and_then(|value| value.integer)
+}
+
+/// True if an attribute is given and not 0.
+pub(super) fn is_set(node: &OnnxNode, name: &str) -> bool {
+    integer_attribute(node, name).is_some_and(|value| value != 0)
+}
+
+/// True if an attribute is missing, or all its integers are `expected`.
+pub(super) fn has_only(node: &OnnxNode, name: &str, expected: i64) -> bool {
+    node.attributes
+        .get(name)
+        .is_none_or(|value| value.integers.iter().all(|&number| number == expected))
 }
 
 /// Returns the two dimensions of a matrix; multiplies all dimensions after the first.
@@ -88,41 +103,40 @@ pub(super) fn to_input_rows(
 
 /// Broadcasts numbers to another shape, as NumPy does.
 pub(super) fn broadcast(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
-    let refused = || {
-        Err(format!(
-            "a constant of shape {from:?} against numbers of shape {to:?}"
-        ))
-    };
     let excess = from.len().saturating_sub(to.len());
     let count: usize = to.iter().product();
-    if from.iter().take(excess).any(|&size| size != 1) || count > MAX_PARAMETERS {
-        return refused();
-    }
     let from_aligned: Vec<usize> = std::iter::repeat_n(1, to.len().saturating_sub(from.len()))
         .chain(from.iter().skip(excess).copied())
         .collect();
-    if from_aligned
-        .iter()
-        .zip(to)
-        .any(|(&from, &to)| from != 1 && from != to)
-    {
-        return refused();
+    let is_refused = from.iter().take(excess).any(|&size| size != 1)
+        || count > MAX_PARAMETERS
+        || from_aligned
+            .iter()
+            .zip(to)
+            .any(|(&from, &to)| from != 1 && from != to);
+    if is_refused {
+        return Err(format!(
+            "a constant of shape {from:?} against numbers of shape {to:?}"
+        ));
     }
-    let place = |mut index: usize| {
-        let (mut place, mut stride) = (0, 1);
-        for (&from, &to) in from_aligned.iter().zip(to).rev() {
-            place += if from == 1 { 0 } else { index % to * stride };
-            index /= to;
-            stride *= from;
-        }
-        place
-    };
     (0..count)
         .map(|index| {
             numbers
-                .get(place(index))
+                .get(source_index(index, &from_aligned, to))
                 .copied()
                 .ok_or_else(|| "too few numbers".to_owned())
         })
         .collect()
+}
+
+/// Returns the index of the number that is broadcast to element `index`; both shapes have equal length.
+fn source_index(mut index: usize, from: &[usize], to: &[usize]) -> usize {
+    let mut source = 0;
+    let mut stride = 1;
+    for (&from, &to) in from.iter().zip(to).rev() {
+        source += if from == 1 { 0 } else { index % to * stride };
+        index /= to;
+        stride *= from;
+    }
+    source
 }

@@ -70,7 +70,8 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
 
 impl OnnxModel {
     pub(super) fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
-        let (mut opset, mut graph) = (None, None);
+        let mut opset = None;
+        let mut graph = None;
         let mut rest = Message(bytes);
         while let Some((field, value)) = rest.next_field()? {
             match field {
@@ -88,23 +89,29 @@ impl OnnxModel {
             inputs: Vec::new(),
             outputs: Vec::new(),
         };
-        let mut numbers = 0;
+        model.read_graph(graph)?;
+        Ok(model)
+    }
+
+    fn read_graph(&mut self, graph: &[u8]) -> Result<(), NetworkError> {
+        let mut parameters = 0;
         let mut rest = Message(graph);
         while let Some((field, value)) = rest.next_field()? {
             match field {
-                1 => model.nodes.push(OnnxNode::read(value.bytes()?)?),
+                1 => self.nodes.push(OnnxNode::read(value.bytes()?)?),
                 5 => {
-                    let (name, tensor) = parse_tensor(value.bytes()?)?;
-                    if let TensorData::Float(held) = &tensor.data {
-                        numbers += held.len();
+                    let constant = NamedTensor::read(value.bytes()?)?;
+                    if let TensorData::Float(numbers) = &constant.tensor.data {
+                        parameters += numbers.len();
                     }
-                    if numbers > MAX_PARAMETERS {
+                    if parameters > MAX_PARAMETERS {
                         return Err(NetworkError::TooManyParameters);
                     }
-                    model.constants.insert(name, Rc::new(tensor));
+                    self.constants
+                        .insert(constant.name, Rc::new(constant.tensor));
                 }
-                11 => model.inputs.push(parse_value_info(value.bytes()?)?),
-                12 => model.outputs.push(parse_value_info(value.bytes()?)?.0),
+                11 => self.inputs.push(parse_value_info(value.bytes()?)?),
+                12 => self.outputs.push(parse_value_info(value.bytes()?)?.0),
                 15 => {
                     return Err(NetworkError::Unsupported(
                         "the graph has a sparse constant, which is not supported".to_owned(),
@@ -112,25 +119,30 @@ impl OnnxModel {
                 }
                 _ => {}
             }
-            let parts = [
-                model.nodes.len(),
-                model.constants.len(),
-                model.inputs.len(),
-                model.outputs.len(),
-            ];
-            if parts.iter().any(|&parts| parts > MAX_PARTS) {
-                let problem = format!(
-                    "the graph has more than {MAX_PARTS} nodes, constants, inputs or outputs"
-                );
-                return Err(NetworkError::Unsupported(problem));
-            }
+            self.check_size()?;
         }
-        Ok(model)
+        Ok(())
+    }
+
+    fn check_size(&self) -> Result<(), NetworkError> {
+        let parts = [
+            self.nodes.len(),
+            self.constants.len(),
+            self.inputs.len(),
+            self.outputs.len(),
+        ];
+        if parts.iter().any(|&parts| parts > MAX_PARTS) {
+            let problem =
+                format!("the graph has more than {MAX_PARTS} nodes, constants, inputs or outputs");
+            return Err(NetworkError::Unsupported(problem));
+        }
+        Ok(())
     }
 }
 
 fn parse_opset(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
-    let (mut domain, mut version) = (String::new(), 0);
+    let mut domain = String::new();
+    let mut version = 0;
     let mut rest = Message(bytes);
     while let Some((field, value)) = rest.next_field()? {
         match field {
@@ -156,10 +168,7 @@ impl OnnxNode {
                 2 => node.outputs.push(value.text()?),
                 3 => node.name = value.text()?,
                 4 => node.operator = value.text()?,
-                5 => {
-                    let (name, attribute) = parse_attribute(value.bytes()?)?;
-                    node.attributes.insert(name, attribute);
-                }
+                5 => node.attributes.extend([parse_attribute(value.bytes()?)?]),
                 7 => node.domain = value.text()?,
                 _ => {}
             }
@@ -180,14 +189,15 @@ impl OnnxNode {
 }
 
 fn parse_attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
-    let (mut name, mut attribute) = (String::new(), Attribute::default());
+    let mut name = String::new();
+    let mut attribute = Attribute::default();
     let mut rest = Message(bytes);
     while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => name = value.text()?,
             2 => attribute.float = Some(value.float()?),
             3 => attribute.integer = Some(value.integer()?),
-            5 => attribute.tensor = Some(parse_tensor(value.bytes()?)?.1),
+            5 => attribute.tensor = Some(NamedTensor::read(value.bytes()?)?.tensor),
             7 => value.floats(&mut attribute.floats)?,
             8 => value.integers(&mut attribute.integers)?,
             _ => {}
@@ -196,76 +206,115 @@ fn parse_attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
     Ok((name, attribute))
 }
 
-fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
-    let (mut name, mut dims, mut kind) = (String::new(), Vec::new(), 0);
-    let (mut reals, mut wholes, mut raw, mut is_elsewhere) = (Vec::new(), Vec::new(), None, false);
-    let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next_field()? {
-        match field {
-            1 => value.integers(&mut dims)?,
-            2 => kind = value.integer()?,
-            4 => value.floats(&mut reals)?,
-            7 => value.integers(&mut wholes)?,
-            8 => name = value.text()?,
-            9 => raw = Some(value.bytes()?),
-            10 => value.doubles(&mut reals)?,
-            13 => is_elsewhere = true,
-            14 => is_elsewhere |= value.integer()? != 0,
-            _ => {}
+struct NamedTensor {
+    name: String,
+    tensor: OnnxTensor,
+}
+
+impl NamedTensor {
+    fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
+        let message = TensorMessage::read(bytes)?;
+        let Some((shape, count)) = message.shape_and_count() else {
+            let problem = format!("constant `{}` has an invalid shape", message.name);
+            return Err(damaged(problem));
+        };
+        let name = message.name.clone();
+        let data = message.into_data()?;
+        let found = match &data {
+            TensorData::Float(numbers) => numbers.len(),
+            TensorData::Integer(numbers) => numbers.len(),
+            TensorData::Unsupported(_) => count,
+        };
+        if found != count {
+            let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
+            return Err(damaged(problem));
         }
+        Ok(Self {
+            name,
+            tensor: OnnxTensor { shape, data },
+        })
     }
-    let shape: Option<Vec<usize>> = dims.iter().map(|&dim| usize::try_from(dim).ok()).collect();
-    let shape = shape.filter(|shape| shape.len() <= MAX_DIMENSIONS);
-    let count = shape.as_ref().and_then(|shape| {
-        shape
+}
+
+/// Fields of a tensor message, whose numbers are in one of three fields.
+#[derive(Default)]
+struct TensorMessage<'a> {
+    name: String,
+    dimensions: Vec<i64>,
+    kind: i64,
+    floats: Vec<f32>,
+    integers: Vec<i64>,
+    raw: Option<&'a [u8]>,
+    is_in_other_file: bool,
+}
+
+impl<'a> TensorMessage<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
+        let mut message = Self::default();
+        let mut rest = Message(bytes);
+        while let Some((field, value)) = rest.next_field()? {
+            match field {
+                1 => value.integers(&mut message.dimensions)?,
+                2 => message.kind = value.integer()?,
+                4 => value.floats(&mut message.floats)?,
+                7 => value.integers(&mut message.integers)?,
+                8 => message.name = value.text()?,
+                9 => message.raw = Some(value.bytes()?),
+                10 => value.doubles(&mut message.floats)?,
+                13 => message.is_in_other_file = true,
+                14 => message.is_in_other_file |= value.integer()? != 0,
+                _ => {}
+            }
+        }
+        Ok(message)
+    }
+
+    /// Returns the shape and its number of elements, if they are valid.
+    fn shape_and_count(&self) -> Option<(Vec<usize>, usize)> {
+        let sizes = self
+            .dimensions
             .iter()
-            .try_fold(1_usize, |count, &dim| count.checked_mul(dim))
-    });
-    let (Some(shape), Some(count)) = (shape, count) else {
-        return Err(damaged(format!("constant `{name}` has an invalid shape")));
-    };
-    let numbers = match (kind, raw) {
-        _ if is_elsewhere => TensorData::Unsupported(
-            "is stored in another file, which is not supported: save the model in one file (PyTorch: \
-                external_data=False)"
-                .to_owned(),
-        ),
-        (1 | 11, None) => TensorData::Float(reals),
-        (1 | 11, Some(raw)) => {
-            let append = if kind == 1 { WireValue::floats } else { WireValue::doubles };
-            let mut numbers = Vec::new();
-            append(WireValue::Bytes(raw), &mut numbers)?;
-            TensorData::Float(numbers)
-        }
-        (7, None) => TensorData::Integer(wholes),
-        (7, Some(raw)) => {
-            let (values, _) = raw.as_chunks::<8>();
-            TensorData::Integer(values.iter().map(|&bytes| i64::from_le_bytes(bytes)).collect())
-        }
-        (other, _) => TensorData::Unsupported(format!(
-            "holds numbers of kind {other}, of which 1 (single) and 11 (double precision) are read"
-        )),
-    };
-    let found = match &numbers {
-        TensorData::Float(numbers) => numbers.len(),
-        TensorData::Integer(numbers) => numbers.len(),
-        TensorData::Unsupported(_) => count,
-    };
-    if found != count {
-        let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
-        return Err(damaged(problem));
+            .map(|&size| usize::try_from(size).ok());
+        let shape = sizes.collect::<Option<Vec<usize>>>()?;
+        let count = shape
+            .iter()
+            .try_fold(1_usize, |count, &size| count.checked_mul(size))?;
+        (shape.len() <= MAX_DIMENSIONS).then_some((shape, count))
     }
-    Ok((
-        name,
-        OnnxTensor {
-            shape,
-            data: numbers,
-        },
-    ))
+
+    fn into_data(self) -> Result<TensorData, NetworkError> {
+        if self.is_in_other_file {
+            return Ok(TensorData::Unsupported(
+                "is stored in another file, which is not supported: save the model in one file (PyTorch: \
+                 external_data=False)"
+                    .to_owned(),
+            ));
+        }
+        Ok(match (self.kind, self.raw) {
+            (1 | 11, None) => TensorData::Float(self.floats),
+            (1 | 11, Some(raw)) => {
+                let mut numbers = Vec::new();
+                match self.kind {
+                    1 => WireValue::Bytes(raw).floats(&mut numbers)?,
+                    _ => WireValue::Bytes(raw).doubles(&mut numbers)?,
+                }
+                TensorData::Float(numbers)
+            }
+            (7, None) => TensorData::Integer(self.integers),
+            (7, Some(raw)) => {
+                let integers = raw.as_chunks::<8>().0.iter();
+                TensorData::Integer(integers.map(|&bytes| i64::from_le_bytes(bytes)).collect())
+            }
+            (other, _) => TensorData::Unsupported(format!(
+                "holds numbers of kind {other}, of which 1 (single) and 11 (double precision) are read"
+            )),
+        })
+    }
 }
 
 fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
-    let (mut name, mut shape) = (String::new(), None);
+    let mut name = String::new();
+    let mut shape = None;
     let mut rest = Message(bytes);
     while let Some((field, value)) = rest.next_field()? {
         match field {
@@ -296,7 +345,7 @@ fn find_field(bytes: &[u8], wanted: u64) -> Result<Option<&[u8]>, NetworkError> 
 }
 
 fn parse_dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
-    let mut all = Vec::new();
+    let mut sizes = Vec::new();
     let mut rest = Message(bytes);
     while let Some((field, value)) = rest.next_field()? {
         if field != 1 {
@@ -309,12 +358,12 @@ fn parse_dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
                 size = usize::try_from(value.integer()?).unwrap_or(1).max(1);
             }
         }
-        if all.len() == MAX_DIMENSIONS {
+        if sizes.len() == MAX_DIMENSIONS {
             return Err(damaged(format!(
                 "an input of more than {MAX_DIMENSIONS} dimensions"
             )));
         }
-        all.push(size);
+        sizes.push(size);
     }
-    Ok(all)
+    Ok(sizes)
 }

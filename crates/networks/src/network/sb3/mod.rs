@@ -60,91 +60,118 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
     Err(NetworkError::Unsupported(problem.into()))
 }
 
-fn unsupported_with_hint<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
-    unsupported(format!("{what}; {PROCESS_HINT}"))
+fn unsupported_with_hint<T>(problem: impl std::fmt::Display) -> Result<T, NetworkError> {
+    unsupported(format!("{problem}; {PROCESS_HINT}"))
 }
 
-pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
+/// A model that was read.
+pub(super) struct Model {
+    pub(super) network: FeedForward,
+    pub(super) metadata: SavedModel,
+}
+
+pub(super) fn read(bytes: &[u8]) -> Result<Model, NetworkError> {
     if weights::is_legacy(bytes) {
         return Err(weights::legacy_error(
             "it is a file of `torch.save`, not a model of Stable-Baselines3, and",
         ));
     }
     let archive = Archive::read(bytes)?;
-    let data = archive.member("data")?;
+    let settings = read_settings(archive.member("data")?)?;
+    let data = Data::deserialize(&settings).map_err(damaged_data)?;
+    let PolicyClass { actor, name } = PolicyClass::read(&data.policy_class)?;
+    let observations = space::read_box(&data.observation_space, "observation_space")?;
+    let actions = space::read_box(&data.action_space, "action_space")?;
+    let weights = Weights::read(archive.member("policy.pth")?)?;
+    let mut steps = actor.steps(&weights, &data)?;
+    check_output_count(&steps, &actions)?;
+    steps.extend(actor.output_steps(&data, actions.clone()));
+    let original = settings.get("_last_original_obs");
+    Ok(Model {
+        network: FeedForward::new(observations.low.len(), steps)?,
+        metadata: SavedModel {
+            algorithm: saved_model::algorithm(name, &settings),
+            version: saved_model::sb3_version(&archive),
+            vec_normalize: VecNormalizeUse::from_observations(
+                &data.last_obs,
+                original,
+                actor == ActorKind::OnPolicy,
+            ),
+            observation_space: observations,
+            action_space: actions,
+        },
+    })
+}
+
+fn damaged_data(error: serde_json::Error) -> NetworkError {
+    NetworkError::damaged("member `data`", sanitized(&error.to_string()))
+}
+
+/// Parses the settings of a model, and checks that the required ones are there.
+fn read_settings(data: &[u8]) -> Result<serde_json::Map<String, Value>, NetworkError> {
     if data.len() > MAX_DATA_BYTES {
         return unsupported(format!(
             "its member `data` has more than {MAX_DATA_BYTES} bytes"
         ));
     }
-    let wrong = |error: serde_json::Error| {
-        NetworkError::damaged("member `data`", sanitized(&error.to_string()))
-    };
-    let settings: serde_json::Map<String, Value> = serde_json::from_slice(data).map_err(wrong)?;
+    let settings: serde_json::Map<String, Value> =
+        serde_json::from_slice(data).map_err(damaged_data)?;
     if let Some(missing) = REQUIRED_FIELDS
         .into_iter()
-        .find(|needed| !settings.contains_key(*needed))
+        .find(|required| !settings.contains_key(*required))
     {
         return unsupported(format!(
             "it was saved without `{missing}`, which describes its inputs or outputs: save it without excluding that \
                 field"
         ));
     }
-    let data = Data::deserialize(&settings).map_err(wrong)?;
-    let (actor, class) = ActorKind::from_policy_class(&data.policy_class)?;
-    let observed = space::read_box(&data.observation_space, "observation_space")?;
-    let actions = space::read_box(&data.action_space, "action_space")?;
-    let weights = Weights::read(archive.member("policy.pth")?)?;
-    let mut steps = actor.steps(&weights, &data)?;
-    if let Some(NetworkStep::Linear(last)) = steps
-        .iter()
-        .rev()
-        .find(|step| matches!(step, NetworkStep::Linear(_)))
-        && last.biases.len() != actions.low.len()
-    {
-        let problem = format!(
-            "its actor has {} outputs for {} actions",
-            last.biases.len(),
-            actions.low.len()
-        );
-        return Err(NetworkError::damaged("model", problem));
-    }
-    steps.extend(actor.output_steps(&data, actions.clone()));
-    let original = settings.get("_last_original_obs");
-    let saved = SavedModel {
-        algorithm: saved_model::algorithm(class, &settings),
-        version: saved_model::sb3_version(&archive),
-        vec_normalize: VecNormalizeUse::from_observations(
-            &data.last_obs,
-            original,
-            actor == ActorKind::OnPolicy,
-        ),
-        observation_space: observed,
-        action_space: actions,
-    };
-    Ok((
-        FeedForward::new(saved.observation_space.low.len(), steps)?,
-        saved,
-    ))
+    Ok(settings)
 }
 
-impl ActorKind {
-    fn from_policy_class(class: &Value) -> Result<(Self, &'static str), NetworkError> {
+/// Rejects an actor whose last layer has another number of outputs than there are actions.
+fn check_output_count(steps: &[NetworkStep], actions: &BoxSpace) -> Result<(), NetworkError> {
+    let last = steps.iter().rev().find_map(|step| match step {
+        NetworkStep::Linear(linear) => Some(linear),
+        NetworkStep::Elementwise(_) => None,
+    });
+    match last.map(|last| last.biases.len()) {
+        Some(outputs) if outputs != actions.low.len() => {
+            let problem = format!(
+                "its actor has {outputs} outputs for {} actions",
+                actions.low.len()
+            );
+            Err(NetworkError::damaged("model", problem))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The class of a policy.
+struct PolicyClass {
+    actor: ActorKind,
+    name: &'static str,
+}
+
+impl PolicyClass {
+    fn read(class: &Value) -> Result<Self, NetworkError> {
         let bytes = space::serialized_bytes(class, "policy_class")?;
         let pickle = Pickle::read(&bytes)?;
         let Some((module, name)) = pickle.global(pickle.top) else {
             return unsupported_with_hint("its policy is a custom class, which is not supported");
         };
         match (module, name) {
-            ("stable_baselines3.common.policies", "ActorCriticPolicy") => {
-                Ok((Self::OnPolicy, "ActorCriticPolicy"))
-            }
-            ("stable_baselines3.sac.policies", "SACPolicy") => {
-                Ok((Self::SoftActorCritic, "SACPolicy"))
-            }
-            ("stable_baselines3.td3.policies", "TD3Policy") => {
-                Ok((Self::Deterministic, "TD3Policy"))
-            }
+            ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok(Self {
+                actor: ActorKind::OnPolicy,
+                name: "ActorCriticPolicy",
+            }),
+            ("stable_baselines3.sac.policies", "SACPolicy") => Ok(Self {
+                actor: ActorKind::SoftActorCritic,
+                name: "SACPolicy",
+            }),
+            ("stable_baselines3.td3.policies", "TD3Policy") => Ok(Self {
+                actor: ActorKind::Deterministic,
+                name: "TD3Policy",
+            }),
             _ => unsupported_with_hint(format_args!(
                 "its policy `{}.{}` is not supported: crumple reads PPO, A2C, SAC, TD3 and DDPG with MlpPolicy",
                 sanitized(module),
@@ -152,7 +179,9 @@ impl ActorKind {
             )),
         }
     }
+}
 
+impl ActorKind {
     /// Builds the steps from the observation to the answer, before it is mapped to the action space.
     fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<NetworkStep>, NetworkError> {
         let kwargs = &data.policy_kwargs;
@@ -168,39 +197,18 @@ impl ActorKind {
         }
         let activation = activation(kwargs, self)?;
         let mut steps = Vec::new();
-        let mut hidden = |name: &str| -> Result<(), NetworkError> {
+        for name in self.hidden_layers() {
             for layer in weights.sequential_layers(name)? {
                 steps.push(NetworkStep::Linear(layer));
                 steps.extend(activation.clone().map(NetworkStep::Elementwise));
             }
-            Ok(())
-        };
+        }
         match self {
             Self::OnPolicy => {
-                hidden("mlp_extractor.shared_net")?;
-                hidden("mlp_extractor.policy_net")?;
                 steps.push(NetworkStep::Linear(weights.linear_layer("action_net")?));
             }
-            Self::SoftActorCritic => {
-                hidden("actor.latent_pi")?;
-                // With state-dependent noise the mean is clipped.
-                let is_cut = weights.has("actor.mu.0.weight");
-                let mean = weights.linear_layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
-                let width = mean.biases.len();
-                steps.push(NetworkStep::Linear(mean));
-                if is_cut {
-                    let limit = kwargs
-                        .get("clip_mean")
-                        .and_then(Value::as_f64)
-                        .unwrap_or(2.0) as f32;
-                    steps.push(NetworkStep::Elementwise(Elementwise::Clip {
-                        low: vec![-limit; width],
-                        high: vec![limit; width],
-                    }));
-                }
-            }
+            Self::SoftActorCritic => steps.extend(soft_actor_mean(weights, kwargs)?),
             Self::Deterministic => {
-                hidden("actor.mu")?;
                 // The last layer has tanh, for any activation of the others.
                 if steps
                     .last()
@@ -217,28 +225,39 @@ impl ActorKind {
         }
     }
 
+    /// Returns the names of the sequences of hidden layers, in order.
+    fn hidden_layers(self) -> &'static [&'static str] {
+        match self {
+            Self::OnPolicy => &["mlp_extractor.shared_net", "mlp_extractor.policy_net"],
+            Self::SoftActorCritic => &["actor.latent_pi"],
+            Self::Deterministic => &["actor.mu"],
+        }
+    }
+
     /// Builds the steps from the answer to the action space.
     fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<NetworkStep> {
-        let is_told = data
+        let squash_output = data
             .policy_kwargs
             .get("squash_output")
             .and_then(Value::as_bool)
             == Some(true);
-        let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
+        let is_squashed = self != Self::OnPolicy || (data.use_sde && squash_output);
         let BoxSpace { low, high } = actions;
         if !is_squashed {
             return vec![NetworkStep::Elementwise(Elementwise::Clip { low, high })];
         }
-        let ends = || {
-            low.iter()
-                .zip(&high)
-                .map(|(&low, &high)| (f64::from(low), f64::from(high)))
-        };
-        let half: Vec<f32> = ends()
-            .map(|(low, high)| (0.5 * (high - low)) as f32)
+        let bounds: Vec<[f64; 2]> = low
+            .iter()
+            .zip(&high)
+            .map(|(&low, &high)| [f64::from(low), f64::from(high)])
             .collect();
-        let middle: Vec<f32> = ends()
-            .map(|(low, high)| (0.5 * (high + low)) as f32)
+        let half: Vec<f32> = bounds
+            .iter()
+            .map(|[low, high]| (0.5 * (high - low)) as f32)
+            .collect();
+        let middle: Vec<f32> = bounds
+            .iter()
+            .map(|[low, high]| (0.5 * (high + low)) as f32)
             .collect();
         let mut steps = vec![NetworkStep::Elementwise(Elementwise::Tanh)];
         if half.iter().any(|&half| half != 1.0) {
@@ -249,6 +268,28 @@ impl ActorKind {
         }
         steps
     }
+}
+
+/// Builds the last layer of SAC: the mean of the actions, which is clipped with state-dependent noise.
+fn soft_actor_mean(
+    weights: &Weights<'_>,
+    kwargs: &Value,
+) -> Result<Vec<NetworkStep>, NetworkError> {
+    let is_clipped = weights.has("actor.mu.0.weight");
+    let mean = weights.linear_layer(if is_clipped { "actor.mu.0" } else { "actor.mu" })?;
+    let width = mean.biases.len();
+    let mut steps = vec![NetworkStep::Linear(mean)];
+    if is_clipped {
+        let limit = kwargs
+            .get("clip_mean")
+            .and_then(Value::as_f64)
+            .unwrap_or(2.0) as f32;
+        steps.push(NetworkStep::Elementwise(Elementwise::Clip {
+            low: vec![-limit; width],
+            high: vec![limit; width],
+        }));
+    }
+    Ok(steps)
 }
 
 /// Returns the activation of hidden layers; `None` for the identity.

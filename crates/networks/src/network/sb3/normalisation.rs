@@ -101,21 +101,19 @@ impl VecNormalizeStats {
 
     fn read(bytes: &[u8]) -> Option<Self> {
         let pickle = Pickle::read(bytes).ok()?;
-        let whole = pickle.call(pickle.top)?;
-        if pickle.global(whole.callee)?.1 != "VecNormalize" {
+        let object = pickle.call(pickle.top)?;
+        if pickle.global(object.callee)?.1 != "VecNormalize" {
             return None;
         }
-        let field = |name| pickle.entry(whole.state?, name);
-        if !pickle.boolean(field("norm_obs")?)? {
+        let fields = object.state?;
+        if !pickle.boolean(pickle.entry(fields, "norm_obs")?)? {
             return Some(Self::RewardsOnly);
         }
-        let running = pickle.call(field("obs_rms")?)?;
-        let numbers = |name| space::array_values(&pickle, pickle.entry(running.state?, name)?);
-        let (means, variances) = (numbers("mean")?, numbers("var")?);
-        let (epsilon, limit) = (
-            pickle.number(field("epsilon")?)?,
-            pickle.number(field("clip_obs")?)?,
-        );
+        let running = pickle.call(pickle.entry(fields, "obs_rms")?)?.state?;
+        let means = space::array_values(&pickle, pickle.entry(running, "mean")?)?;
+        let variances = space::array_values(&pickle, pickle.entry(running, "var")?)?;
+        let epsilon = pickle.number(pickle.entry(fields, "epsilon")?)?;
+        let limit = pickle.number(pickle.entry(fields, "clip_obs")?)?;
         let deviations: Vec<f64> = variances
             .iter()
             .map(|variance| (variance + epsilon).sqrt())
@@ -142,32 +140,31 @@ impl VecNormalizeStats {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        let (mut found, folders) = list_statistics(folder);
-        if found.is_empty() {
+        let StatisticsFolder {
+            mut files,
+            subfolders,
+        } = StatisticsFolder::list(folder);
+        if files.is_empty() {
             // RL Zoo creates a folder with the name of the model, or one with the training settings.
-            let own = model.with_extension("");
-            let is_of_training =
-                |below: &PathBuf| *below == own || below.join("config.yml").is_file();
-            let mut below: Vec<PathBuf> = folders.into_iter().filter(is_of_training).collect();
-            below.sort();
-            found = below
+            let named_as_model = model.with_extension("");
+            let mut of_training: Vec<PathBuf> = subfolders
                 .into_iter()
-                .flat_map(|below| list_statistics(&below).0)
+                .filter(|path| *path == named_as_model || path.join("config.yml").is_file())
+                .collect();
+            of_training.sort();
+            files = of_training
+                .into_iter()
+                .flat_map(|path| StatisticsFolder::list(&path).files)
                 .collect();
         }
-        let of_checkpoint = model
+        let checkpoint_name = model
             .file_stem()
             .and_then(|stem| stem.to_str())
             .and_then(checkpoint_stats_name);
-        let is_own = |path: &&PathBuf| {
-            of_checkpoint
-                .as_ref()
-                .is_some_and(|name| path.ends_with(name))
-        };
-        found
-            .iter()
-            .find(is_own)
-            .or(found.first())
+        let of_checkpoint =
+            checkpoint_name.and_then(|name| files.iter().find(|path| path.ends_with(&name)));
+        of_checkpoint
+            .or(files.first())
             .map(|path| match path.strip_prefix("./") {
                 Ok(path) => path.to_owned(),
                 Err(_) => path.clone(),
@@ -181,31 +178,40 @@ fn checkpoint_stats_name(stem: &str) -> Option<String> {
     Some(format!("{prefix}_vecnormalize_{count}_steps.pkl"))
 }
 
-/// Lists the statistics files of a folder in order of their names, and its subfolders.
-fn list_statistics(folder: &Path) -> (Vec<PathBuf>, Vec<PathBuf>) {
-    let (mut found, mut folders) = (Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .take(MAX_DIR_ENTRIES)
-        .flatten()
-    {
-        let name = entry.file_name().to_string_lossy().to_lowercase();
-        let is_theirs = ["vecnormalize", "vec_normalize"]
-            .iter()
-            .any(|theirs| name.contains(theirs));
-        if is_theirs
-            && [".pkl", ".pickle"]
-                .iter()
-                .any(|ending| name.ends_with(ending))
+/// Content of a folder, as far as it matters for statistics.
+struct StatisticsFolder {
+    /// Statistics files, in order of their names.
+    files: Vec<PathBuf>,
+    subfolders: Vec<PathBuf>,
+}
+
+impl StatisticsFolder {
+    fn list(folder: &Path) -> Self {
+        let mut files = Vec::new();
+        let mut subfolders = Vec::new();
+        for entry in fs::read_dir(folder)
+            .into_iter()
+            .flatten()
+            .take(MAX_DIR_ENTRIES)
+            .flatten()
         {
-            found.push(entry.path());
-        } else if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-            folders.push(entry.path());
+            let name = entry.file_name().to_string_lossy().to_lowercase();
+            let is_statistics = ["vecnormalize", "vec_normalize"]
+                .iter()
+                .any(|part| name.contains(part));
+            if is_statistics
+                && [".pkl", ".pickle"]
+                    .iter()
+                    .any(|ending| name.ends_with(ending))
+            {
+                files.push(entry.path());
+            } else if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                subfolders.push(entry.path());
+            }
         }
+        files.sort();
+        Self { files, subfolders }
     }
-    found.sort();
-    (found, folders)
 }
 
 #[cfg(test)]

@@ -32,16 +32,15 @@ pub(super) fn sb3_version(archive: &Archive<'_>) -> Option<String> {
 }
 
 pub(super) fn algorithm(class: &str, settings: &serde_json::Map<String, Value>) -> &'static str {
-    let has = |name: &str| settings.contains_key(name);
     match class {
         "SACPolicy" => "SAC",
         "TD3Policy" if settings.get("target_noise_clip").and_then(Value::as_f64) == Some(0.0) => {
             "DDPG"
         }
         "TD3Policy" => "TD3",
-        _ if has("clip_range") => "PPO",
-        _ if has("cg_max_steps") => "TRPO",
-        _ if has("gae_lambda") => "A2C",
+        _ if settings.contains_key("clip_range") => "PPO",
+        _ if settings.contains_key("cg_max_steps") => "TRPO",
+        _ if settings.contains_key("gae_lambda") => "A2C",
         _ => "on-policy",
     }
 }

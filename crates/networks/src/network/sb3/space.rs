@@ -46,7 +46,7 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
     let pickle = Pickle::read(&bytes)?;
     let call = pickle.call(pickle.top);
     let class = call.and_then(|call| pickle.global(call.callee));
-    let (Some(call), Some((module, name))) = (call, class) else {
+    let Some((call, (module, name))) = call.zip(class) else {
         return unsupported(format!("its {field} is not a space of Gymnasium"));
     };
     if !(module.ends_with("spaces.box") && name == "Box") {
@@ -56,25 +56,8 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
             super::PROCESS_HINT
         ));
     }
-    let bound = |name: &str| {
-        let array = call
-            .state
-            .and_then(|state| pickle.entry(state, name))
-            .and_then(|id| array_values(&pickle, id));
-        let array = array.map(|array| {
-            array
-                .into_iter()
-                .map(|bound| bound as f32)
-                .collect::<Vec<_>>()
-        });
-        array.ok_or_else(|| {
-            NetworkError::damaged(
-                "member `data`",
-                format!("{field} has no readable bound `{name}`"),
-            )
-        })
-    };
-    let (low, high) = (bound("low")?, bound("high")?);
+    let low = read_bound(&pickle, call.state, "low", field)?;
+    let high = read_bound(&pickle, call.state, "high", field)?;
     if low.len() != high.len()
         || low.is_empty()
         || !low.iter().zip(&high).all(|(low, high)| low < high)
@@ -87,55 +70,69 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
     Ok(BoxSpace { low, high })
 }
 
+/// Reads the bounds `name` from the state of a box.
+fn read_bound(
+    pickle: &Pickle<'_>,
+    state: Option<ValueId>,
+    name: &str,
+    field: &str,
+) -> Result<Vec<f32>, NetworkError> {
+    let array = state
+        .and_then(|state| pickle.entry(state, name))
+        .and_then(|id| array_values(pickle, id));
+    match array {
+        Some(array) => Ok(array.into_iter().map(|bound| bound as f32).collect()),
+        None => Err(NetworkError::damaged(
+            "member `data`",
+            format!("{field} has no readable bound `{name}`"),
+        )),
+    }
+}
+
 /// Returns the numbers of a NumPy array, in either of its pickled forms.
 pub(super) fn array_values(pickle: &Pickle<'_>, id: ValueId) -> Option<Vec<f64>> {
-    let call = pickle.call(id)?;
-    let (_, name) = pickle.global(call.callee)?;
-    let (bytes, kind) = match name {
-        // Arguments: bytes, type, shape, order.
-        "_frombuffer" => {
-            let [bytes, kind, ..] = pickle.tuple(call.arguments)? else {
-                return None;
-            };
-            (*bytes, *kind)
-        }
-        // State: version, shape, type, order, bytes.
-        "_reconstruct" => {
-            let [_, _, kind, _, bytes] = pickle.tuple(call.state?)? else {
-                return None;
-            };
-            (*bytes, *kind)
-        }
-        _ => return None,
-    };
+    let [bytes, kind] = array_bytes_and_type(pickle, id)?;
     let Object::Bytes(bytes) = pickle.get(bytes) else {
         return None;
     };
     let kind = pickle.call(kind)?;
-    match (
-        pickle.text(*pickle.tuple(kind.arguments)?.first()?)?,
-        is_little_endian(pickle, kind.state),
-    ) {
-        ("f4", true) => {
-            let (numbers, rest) = bytes.as_chunks::<4>();
-            rest.is_empty().then(|| {
-                numbers
-                    .iter()
-                    .map(|&bytes| f32::from_le_bytes(bytes).into())
-                    .collect()
-            })
-        }
-        ("f8", true) => {
-            let (numbers, rest) = bytes.as_chunks::<8>();
-            rest.is_empty().then(|| {
-                numbers
-                    .iter()
-                    .map(|&bytes| f64::from_le_bytes(bytes))
-                    .collect()
-            })
-        }
+    let code = pickle.text(*pickle.tuple(kind.arguments)?.first()?)?;
+    if !is_little_endian(pickle, kind.state) {
+        return None;
+    }
+    match code {
+        "f4" => parse_numbers(bytes, |bytes| f32::from_le_bytes(bytes).into()),
+        "f8" => parse_numbers(bytes, f64::from_le_bytes),
         _ => None,
     }
+}
+
+/// Returns the bytes and the type of a NumPy array.
+fn array_bytes_and_type(pickle: &Pickle<'_>, id: ValueId) -> Option<[ValueId; 2]> {
+    let call = pickle.call(id)?;
+    match pickle.global(call.callee)?.1 {
+        // Arguments: bytes, type, shape, order.
+        "_frombuffer" => match pickle.tuple(call.arguments)? {
+            [bytes, kind, ..] => Some([*bytes, *kind]),
+            _ => None,
+        },
+        // State: version, shape, type, order, bytes.
+        "_reconstruct" => match pickle.tuple(call.state?)? {
+            [_, _, kind, _, bytes] => Some([*bytes, *kind]),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+/// Parses numbers of `N` bytes; `None` if bytes are left over.
+fn parse_numbers<const N: usize>(
+    bytes: &[u8],
+    number: impl Fn([u8; N]) -> f64,
+) -> Option<Vec<f64>> {
+    let (numbers, rest) = bytes.as_chunks();
+    rest.is_empty()
+        .then(|| numbers.iter().map(|&bytes| number(bytes)).collect())
 }
 
 fn is_little_endian(pickle: &Pickle<'_>, state: Option<ValueId>) -> bool {
@@ -148,7 +145,8 @@ fn is_little_endian(pickle: &Pickle<'_>, state: Option<ValueId>) -> bool {
 /// Decodes Base64 (RFC 4648, section 4).
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
-    let (mut bits, mut count) = (0_u32, 0);
+    let mut bits = 0_u32;
+    let mut count = 0;
     for letter in text.trim_end().trim_end_matches('=').bytes() {
         let value = match letter {
             b'A'..=b'Z' => letter - b'A',

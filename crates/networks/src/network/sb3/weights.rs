@@ -22,6 +22,12 @@ struct TensorLayout<'p> {
     strides: Vec<usize>,
 }
 
+/// A tensor with its numbers in row-major order.
+struct Tensor {
+    shape: Vec<usize>,
+    numbers: Vec<f32>,
+}
+
 fn damaged(problem: impl Into<String>) -> NetworkError {
     NetworkError::damaged("member `policy.pth`", problem)
 }
@@ -38,9 +44,9 @@ pub(super) fn is_legacy(bytes: &[u8]) -> bool {
             .any(|window| window == MAGIC)
 }
 
-pub(super) fn legacy_error(what: &str) -> NetworkError {
+pub(super) fn legacy_error(part: &str) -> NetworkError {
     NetworkError::Unsupported(format!(
-        "{what} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 \
+        "{part} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 \
          and PyTorch 1.6 or later, and save it again, as in `PPO.load(\"old\").save(\"new\")`"
     ))
 }
@@ -96,16 +102,16 @@ impl<'a> Weights<'a> {
             layers.push(self.linear_layer(&format!("{name}.{}", 2 * layers.len()))?);
         }
         let prefix = format!("{name}.");
-        let own = self
+        let entries = self
             .pickle
             .entries(self.pickle.top)
             .unwrap_or_default()
             .iter();
-        let found = own
+        let tensors = entries
             .filter_map(|(name, _)| self.pickle.text(*name))
             .filter(|name| name.starts_with(&prefix))
             .count();
-        if found == 2 * layers.len() {
+        if tensors == 2 * layers.len() {
             Ok(layers)
         } else {
             let problem =
@@ -115,9 +121,12 @@ impl<'a> Weights<'a> {
     }
 
     pub(super) fn linear_layer(&self, name: &str) -> Result<Linear, NetworkError> {
-        let (shape, by_output) = self.tensor(&format!("{name}.weight"))?;
-        let (bias_shape, biases) = self.tensor(&format!("{name}.bias"))?;
-        let ([outputs, inputs], [bias_count]) = (shape.as_slice(), bias_shape.as_slice()) else {
+        let weights = self.tensor(&format!("{name}.weight"))?;
+        let biases = self.tensor(&format!("{name}.bias"))?;
+        let [outputs, inputs] = *weights.shape else {
+            return Err(damaged(format!("`{name}` is not a fully connected layer")));
+        };
+        let [bias_count] = *biases.shape else {
             return Err(damaged(format!("`{name}` is not a fully connected layer")));
         };
         if outputs != bias_count {
@@ -125,28 +134,30 @@ impl<'a> Weights<'a> {
                 "`{name}` has {bias_count} biases for {outputs} outputs"
             )));
         }
-        let weights = (0..*inputs)
-            .flat_map(|input| by_output.iter().skip(input).step_by(*inputs).copied())
+        let by_output = weights.numbers;
+        let weights = (0..inputs)
+            .flat_map(|input| by_output.iter().skip(input).step_by(inputs).copied())
             .collect();
-        Ok(Linear { weights, biases })
+        Ok(Linear {
+            weights,
+            biases: biases.numbers,
+        })
     }
 
-    /// Returns a tensor's shape, and its numbers in row-major order.
-    fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), NetworkError> {
-        let missing = || damaged(format!("it has no tensor `{name}`"));
+    fn tensor(&self, name: &str) -> Result<Tensor, NetworkError> {
         let id = self
             .pickle
             .entry(self.pickle.top, name)
-            .ok_or_else(missing)?;
-        let tensor = self
+            .ok_or_else(|| damaged(format!("it has no tensor `{name}`")))?;
+        let layout = self
             .tensor_layout(id)
             .ok_or_else(|| damaged(format!("`{name}` is not a tensor")))?;
-        let [_, kind, key, ..] = tensor.storage else {
+        let [_, kind, key, ..] = layout.storage else {
             return Err(damaged(format!("`{name}` lies nowhere")));
         };
-        let size = match self.pickle.global(*kind) {
-            Some(("torch", "FloatStorage")) => 4,
-            Some(("torch", "DoubleStorage")) => 8,
+        let precision = match self.pickle.global(*kind) {
+            Some(("torch", "FloatStorage")) => Precision::Single,
+            Some(("torch", "DoubleStorage")) => Precision::Double,
             _ => {
                 return Err(damaged(format!(
                     "`{name}` is of neither single nor double precision"
@@ -157,8 +168,22 @@ impl<'a> Weights<'a> {
             .pickle
             .text(*key)
             .ok_or_else(|| damaged(format!("`{name}` lies nowhere")))?;
-        let count = tensor
-            .shape
+        let count = self.reserve_parameters(&layout.shape)?;
+        let bytes = self.archive.member(&format!("{}data/{key}", self.folder))?;
+        let numbers: Option<Vec<f32>> = (0..count)
+            .map(|index| precision.number(bytes, layout.storage_index(index)?))
+            .collect();
+        let numbers =
+            numbers.ok_or_else(|| damaged(format!("`{name}` is larger than what it lies in")))?;
+        Ok(Tensor {
+            shape: layout.shape,
+            numbers,
+        })
+    }
+
+    /// Counts the numbers of a tensor, and returns them. All tensors together have at most `MAX_PARAMETERS`.
+    fn reserve_parameters(&self, shape: &[usize]) -> Result<usize, NetworkError> {
+        let count = shape
             .iter()
             .try_fold(1_usize, |count, &size| count.checked_mul(size));
         let Some(count) = count
@@ -167,19 +192,7 @@ impl<'a> Weights<'a> {
             return Err(NetworkError::TooManyParameters);
         };
         self.parameter_count.set(self.parameter_count.get() + count);
-        let bytes = self.archive.member(&format!("{}data/{key}", self.folder))?;
-        let number = |index: usize| {
-            let at = tensor.storage_index(index)?.checked_mul(size)?;
-            let bytes = bytes.get(at..at.checked_add(size)?)?;
-            Some(match size {
-                4 => f32::from_le_bytes(bytes.try_into().ok()?),
-                _ => f64::from_le_bytes(bytes.try_into().ok()?) as f32,
-            })
-        };
-        let numbers: Option<Vec<f32>> = (0..count).map(number).collect();
-        let numbers =
-            numbers.ok_or_else(|| damaged(format!("`{name}` is larger than what it lies in")))?;
-        Ok((tensor.shape, numbers))
+        Ok(count)
     }
 
     /// Parses a call of PyTorch's tensor function: storage, offset, shape and strides.
@@ -194,36 +207,62 @@ impl<'a> Weights<'a> {
         let Object::PersistentId(storage) = self.pickle.get(*storage) else {
             return None;
         };
-        let size = |id: &ValueId| usize::try_from(self.pickle.integer(*id)?).ok();
-        let shape: Vec<usize> = self
-            .pickle
-            .tuple(*shape)?
-            .iter()
-            .map(size)
-            .collect::<Option<_>>()?;
-        let strides: Vec<usize> = self
-            .pickle
-            .tuple(*strides)?
-            .iter()
-            .map(size)
-            .collect::<Option<_>>()?;
+        let shape = self.sizes(*shape)?;
+        let strides = self.sizes(*strides)?;
         let fits = shape.len() == strides.len();
         fits.then_some(TensorLayout {
             storage: self.pickle.tuple(*storage)?,
-            offset: size(offset)?,
+            offset: self.size(*offset)?,
             shape,
             strides,
         })
     }
+
+    fn sizes(&self, tuple: ValueId) -> Option<Vec<usize>> {
+        let members = self.pickle.tuple(tuple)?.iter();
+        members.map(|member| self.size(*member)).collect()
+    }
+
+    fn size(&self, id: ValueId) -> Option<usize> {
+        usize::try_from(self.pickle.integer(id)?).ok()
+    }
+}
+
+/// Precision of the numbers of a storage.
+#[derive(Clone, Copy)]
+enum Precision {
+    Single,
+    Double,
+}
+
+impl Precision {
+    /// Returns number `index` of a storage; `None` after its end.
+    fn number(self, storage: &[u8], index: usize) -> Option<f32> {
+        match self {
+            Self::Single => {
+                let bytes = number_bytes(storage, index)?;
+                Some(f32::from_le_bytes(bytes))
+            }
+            Self::Double => {
+                let bytes = number_bytes(storage, index)?;
+                Some(f64::from_le_bytes(bytes) as f32)
+            }
+        }
+    }
+}
+
+fn number_bytes<const N: usize>(storage: &[u8], index: usize) -> Option<[u8; N]> {
+    let start = index.checked_mul(N)?;
+    storage.get(start..start.checked_add(N)?)?.try_into().ok()
 }
 
 impl TensorLayout<'_> {
     fn storage_index(&self, mut index: usize) -> Option<usize> {
-        let mut place = self.offset;
+        let mut storage_index = self.offset;
         for (&size, &stride) in self.shape.iter().zip(&self.strides).rev() {
-            place = place.checked_add((index % size).checked_mul(stride)?)?;
+            storage_index = storage_index.checked_add((index % size).checked_mul(stride)?)?;
             index /= size;
         }
-        Some(place)
+        Some(storage_index)
     }
 }

@@ -78,14 +78,14 @@ impl Follower {
     pub(super) fn observe(
         &mut self,
         behind: &Neighbour,
-        seen: &Observation,
+        observation: &Observation,
         expected_mps2: f64,
     ) -> bool {
-        let closing_mps = behind.speed_mps - seen.speed_mps;
+        let closing_mps = behind.speed_mps - observation.speed_mps;
         let brakes = behind.acceleration_mps2 < -FIRED_BRAKE_MPS2;
         match self.fired_for_s {
             None => {
-                self.weigh(behind, seen);
+                self.weigh(behind, observation);
                 let is_certain = behind.gap_m < FIRED_TTC_S * closing_mps;
                 if is_certain || (brakes && behind.gap_m < FIRING_TTC_S * closing_mps) {
                     (self.fired_for_s, self.brake_mps2) = (Some(0.0), expected_mps2);
@@ -124,7 +124,7 @@ impl Follower {
         let highest = self
             .log_likelihoods
             .iter()
-            .fold(f64::NEG_INFINITY, |highest, &each| highest.max(each));
+            .fold(f64::NEG_INFINITY, |highest, &value| highest.max(value));
         let mut weights = self.prior;
         for (weight, log_likelihood) in weights.iter_mut().zip(self.log_likelihoods) {
             *weight *= libm::exp(log_likelihood - highest);
@@ -136,11 +136,11 @@ impl Follower {
         clippy::manual_clamp,
         reason = "a demand that is no number must not remain one"
     )]
-    fn weigh(&mut self, behind: &Neighbour, seen: &Observation) {
+    fn weigh(&mut self, behind: &Neighbour, observation: &Observation) {
         let ego = Neighbour {
             gap_m: behind.gap_m,
-            speed_mps: seen.speed_mps,
-            acceleration_mps2: seen.acceleration_mps2,
+            speed_mps: observation.speed_mps,
+            acceleration_mps2: observation.acceleration_mps2,
         };
         let view = Observation {
             speed_mps: behind.speed_mps,
@@ -154,8 +154,8 @@ impl Follower {
         let bandwidth = BANDWIDTH_RAD_PER_S;
         let speed_variance = self.jitter.acceleration_variance() / (bandwidth * bandwidth);
         let variance = MODEL_DEVIATION_MPS * MODEL_DEVIATION_MPS + speed_variance;
-        let share = |time_s: f64| (self.step_s / time_s).min(1.0);
-        let [lag, forgotten, counted] = [LAG_S, MEMORY_S, CORRELATION_S].map(share);
+        let [lag, forgotten, counted] =
+            [LAG_S, MEMORY_S, CORRELATION_S].map(|time_s| (self.step_s / time_s).min(1.0));
         let average_mps = self.average_mps.get_or_insert(behind.speed_mps);
         *average_mps += forgotten * (behind.speed_mps - *average_mps);
         let change_mps = behind.speed_mps - *average_mps;

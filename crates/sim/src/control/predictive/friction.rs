@@ -65,11 +65,12 @@ impl Friction {
 
     /// Returns the largest deceleration that the road allows, in m/s². A shortfall beyond the noise lowers it to the
     /// deceleration achieved; a harder deceleration raises it again.
-    pub(super) fn usable_brake_mps2(&mut self, seen: &Observation) -> f64 {
+    pub(super) fn usable_brake_mps2(&mut self, observation: &Observation) -> f64 {
         let [before_mps2, last_mps2] = self.commands_mps2;
         self.jitter
-            .observe(seen.acceleration_mps2, last_mps2 - before_mps2);
-        let (wanted_mps2, actual_mps2) = (-last_mps2, -seen.acceleration_mps2);
+            .observe(observation.acceleration_mps2, last_mps2 - before_mps2);
+        let wanted_mps2 = -last_mps2;
+        let actual_mps2 = -observation.acceleration_mps2;
         let share = (self.step_s / AVERAGING_S).min(1.0);
         self.shortfall_mps2 += share * (wanted_mps2 - actual_mps2 - self.shortfall_mps2);
         self.achieved_mps2 += share * (actual_mps2 - self.achieved_mps2);
@@ -80,7 +81,7 @@ impl Friction {
         };
         self.braking_share += share * (braking - self.braking_share);
         self.braking_sum_mps2 += share * (braking * actual_mps2 - self.braking_sum_mps2);
-        if wanted_mps2 > MIN_BRAKE_MPS2 && seen.speed_mps > MIN_SPEED_MPS {
+        if wanted_mps2 > MIN_BRAKE_MPS2 && observation.speed_mps > MIN_SPEED_MPS {
             let noise_mps2 = DEVIATIONS * self.jitter.acceleration_variance().sqrt();
             if self.shortfall_mps2 > LAGGING_SHARE * wanted_mps2 + noise_mps2 {
                 // The average shortfall belongs to the present command only if this is not below earlier ones. The road
@@ -111,13 +112,13 @@ mod tests {
         let mut friction = Friction::new(&EGO);
         let mut acceleration_mps2 = 0.0;
         let step = |&command_mps2: &f64| {
-            let seen = Observation {
+            let observation = Observation {
                 speed_mps: 20.0,
                 acceleration_mps2,
                 ahead: None,
                 behind: None,
             };
-            let usable_mps2 = friction.usable_brake_mps2(&seen);
+            let usable_mps2 = friction.usable_brake_mps2(&observation);
             friction.record(command_mps2);
             acceleration_mps2 = command_mps2.max(-road_mps2);
             usable_mps2
@@ -127,7 +128,7 @@ mod tests {
 
     /// 3.75 m/s² are available. The average deceleration of a period is 3.125 m/s².
     #[test]
-    fn commands_that_jump_do_not_let_the_estimate_collapse() {
+    fn the_friction_estimate_survives_jumping_commands() {
         for half_period in [5, 20, 50] {
             let jumping: Vec<f64> = (0..1000)
                 .map(|step| {

@@ -133,10 +133,10 @@ impl BuiltIn for Predictive {
 
 impl Controller for Predictive {
     #[inline]
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let state = &mut *self.0;
         let answer_mps2 = clamp_command(
-            state.command_mps2(seen),
+            state.command_mps2(observation),
             state.max_brake_mps2,
             state.max_accel_mps2,
         );
@@ -164,31 +164,20 @@ struct Outlook {
 }
 
 impl State {
-    fn command_mps2(&mut self, seen: &Observation) -> f64 {
-        let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
-        let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
-        let Some(ahead) = seen.ahead else {
+    fn command_mps2(&mut self, observation: &Observation) -> f64 {
+        let own_brake_mps2 = self.friction.usable_brake_mps2(observation);
+        let follow_mps2 = self.idm.desired_acceleration_mps2(observation);
+        let Some(ahead) = observation.ahead else {
             return follow_mps2;
         };
-        let friction = own_brake_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
         self.leader.observe(&ahead);
-        let gap_m = ahead.gap_m - self.settings.margin_m;
-        let ahead_brake_mps2 =
-            (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
-        let way_m = gap_m + stopping_distance_m(ahead.speed_mps, ahead_brake_mps2);
-        let outlook = Outlook {
-            own_mps: seen.speed_mps,
-            ahead,
-            ahead_brake_mps2,
-            way_m,
-            own_brake_mps2,
-            friction,
-        };
-        let wanted_mps2 = match &seen.behind {
+        let outlook = self.predict(observation.speed_mps, ahead, own_brake_mps2);
+        let wanted_mps2 = match &observation.behind {
             Some(behind) => {
+                let behind_brake_mps2 = self.settings.behind_brake_mps2 * outlook.friction;
                 if self
                     .follower
-                    .observe(behind, seen, self.settings.behind_brake_mps2 * friction)
+                    .observe(behind, observation, behind_brake_mps2)
                 {
                     self.wake_mps2 = 0.0;
                     follow_mps2.max(self.give_way(&outlook, behind))
@@ -200,10 +189,10 @@ impl State {
         };
         // Without a gap no deceleration is enough.
         let required_mps2 = required_brake_mps2(
-            gap_m,
+            ahead.gap_m - self.settings.margin_m,
             ahead.speed_mps,
             -ahead.acceleration_mps2,
-            seen.speed_mps,
+            observation.speed_mps,
         )
         .unwrap_or(f64::INFINITY);
         let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);
@@ -211,6 +200,23 @@ impl State {
             limited_mps2.min(-required_mps2)
         } else {
             limited_mps2
+        }
+    }
+
+    /// Predicts what leader and ego vehicle can do, if the ego vehicle can brake at `own_brake_mps2`.
+    #[inline]
+    fn predict(&self, own_mps: f64, ahead: Neighbour, own_brake_mps2: f64) -> Outlook {
+        let friction = own_brake_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
+        let gap_m = ahead.gap_m - self.settings.margin_m;
+        let ahead_brake_mps2 =
+            (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
+        Outlook {
+            own_mps,
+            ahead,
+            ahead_brake_mps2,
+            way_m: gap_m + stopping_distance_m(ahead.speed_mps, ahead_brake_mps2),
+            own_brake_mps2,
+            friction,
         }
     }
 
@@ -233,9 +239,9 @@ impl State {
         let behind_m = behind.speed_mps * (waking_s + FIRING_DELAY_S)
             + stopping_distance_m(behind.speed_mps, all.behind_brake_mps2 * outlook.friction);
         let slack_m = outlook.way_m + behind.gap_m - behind_m;
-        let (wanted_m, lag_s) = match self.leader.brakes_hard() {
-            true => (all.emergency_slack_m, EMERGENCY_LAG_S),
-            false => (all.wake_slack_m, all.wake_lag_s),
+        let [wanted_m, lag_s] = match self.leader.brakes_hard() {
+            true => [all.emergency_slack_m, EMERGENCY_LAG_S],
+            false => [all.wake_slack_m, all.wake_lag_s],
         };
         let demand_mps2 = all.wake_gain_per_s2
             * (wanted_m - slack_m).max(0.0)
@@ -312,10 +318,8 @@ fn stopping_distance_m(speed_mps: f64, brake_mps2: f64) -> f64 {
 fn waking_time_s(gap_m: f64, closing_mps: f64, brake_mps2: f64, max_closing_mps: f64) -> f64 {
     // g - Δv t - b t²/2 = θ (Δv + b t).
     let ttc_s = FIRING_TTC_S;
-    let (rate_mps, missing_m) = (
-        closing_mps + ttc_s * brake_mps2,
-        gap_m - ttc_s * closing_mps,
-    );
+    let rate_mps = closing_mps + ttc_s * brake_mps2;
+    let missing_m = gap_m - ttc_s * closing_mps;
     let waking_s = ((rate_mps * rate_mps + 2.0 * brake_mps2 * missing_m)
         .max(0.0)
         .sqrt()

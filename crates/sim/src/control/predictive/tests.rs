@@ -4,7 +4,7 @@ use super::super::tests::EGO;
 use super::*;
 
 #[test]
-fn follows_by_idm_while_nothing_is_wrong() {
+fn follows_by_idm_without_a_braking_vehicle() {
     let mut driver = Predictive::start(&PredictiveSettings::default(), &EGO, 0);
     let idm = Idm::from(&IdmSettings::default());
     let neighbour = |gap_m| {
@@ -14,7 +14,7 @@ fn follows_by_idm_while_nothing_is_wrong() {
             acceleration_mps2: 0.0,
         })
     };
-    let seen = Observation {
+    let observation = Observation {
         speed_mps: 20.0,
         acceleration_mps2: 0.0,
         ahead: neighbour(40.0),
@@ -22,8 +22,8 @@ fn follows_by_idm_while_nothing_is_wrong() {
     };
     for _ in 0..300 {
         assert_eq!(
-            driver.decide(&seen).unwrap(),
-            idm.desired_acceleration_mps2(&seen)
+            driver.decide(&observation).unwrap(),
+            idm.desired_acceleration_mps2(&observation)
         );
     }
 }
@@ -44,13 +44,13 @@ fn recognises_the_driver_behind() {
                 speed_mps: behind_mps,
                 acceleration_mps2: behind_mps2,
             };
-            let seen = Observation {
+            let observation = Observation {
                 speed_mps: own_mps,
                 acceleration_mps2: -1.5,
                 ahead: None,
                 behind: Some(behind),
             };
-            follower.observe(&behind, &seen, 5.0);
+            follower.observe(&behind, &observation, 5.0);
             gap_m += (own_mps - behind_mps) * 0.01;
             behind_mps += behind_mps2 * 0.01;
         }
@@ -114,10 +114,12 @@ proptest! {
 
     /// The waking time satisfies its equation. With a limit of the closing speed, waking takes at least as long.
     #[test]
-    fn the_waking_time_ends_at_the_firing(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
+    fn the_waking_time_ends_when_the_emergency_brake_of_the_follower_fires(
+        gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, max_closing_mps in 5.0..25.0f64,
+    ) {
         let free_s = waking_time_s(gap_m, 0.0, brake_mps2, f64::INFINITY);
         let left_m = gap_m - 0.5 * brake_mps2 * free_s * free_s;
         prop_assert!((left_m - FIRING_TTC_S * brake_mps2 * free_s).abs() < 1e-9);
-        prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, most_mps) >= free_s - 1e-9);
+        prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, max_closing_mps) >= free_s - 1e-9);
     }
 }

@@ -59,8 +59,11 @@ impl<R: Real> ShieldParams<R> {
     pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
         let zero = R::from_f64(0.0);
         let stands = zero.at_least(state.speed_mps) & zero.at_least(state.response_mps2);
-        let by_lag_mps = || self.lag_s() * (state.response_mps2 + self.brake_mps2);
-        R::select(stands, || zero, || state.speed_mps + by_lag_mps())
+        R::select(
+            stands,
+            || zero,
+            || state.speed_mps + self.lag_s() * (state.response_mps2 + self.brake_mps2),
+        )
     }
 
     /// Returns the spare gap g - D, in metres. Full braking never decreases it.

@@ -28,15 +28,18 @@ impl<R: Real> ViabilityKernel<R> {
             own_brake_mps2: b,
             ahead_brake_mps2: c,
         } = *self;
-        let (v, w) = (speed_mps, ahead_mps);
-        let (zero, two) = (R::from_f64(0.0), R::from_f64(2.0));
+        let [v, w] = [speed_mps, ahead_mps];
+        let zero = R::from_f64(0.0);
+        let two = R::from_f64(2.0);
         let closest_at_rest = c.at_least(b) | (v * c).at_least(w * b);
-        let difference_of_stops_m = || (v * v / (two * b) - w * w / (two * c)).larger(zero);
-        let catching_up_m = || {
-            let closing_mps = (v - w).larger(zero);
-            closing_mps * closing_mps / (two * (b - c))
-        };
-        R::select(closest_at_rest, difference_of_stops_m, catching_up_m)
+        R::select(
+            closest_at_rest,
+            || (v * v / (two * b) - w * w / (two * c)).larger(zero),
+            || {
+                let closing_mps = (v - w).larger(zero);
+                closing_mps * closing_mps / (two * (b - c))
+            },
+        )
     }
 }
 
@@ -44,13 +47,16 @@ impl<R: Real> ViabilityKernel<R> {
 #[must_use]
 #[inline]
 pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
-    let (zero, half) = (R::from_f64(0.0), R::from_f64(0.5));
+    let zero = R::from_f64(0.0);
+    let half = R::from_f64(0.5);
     let end_mps = speed_mps + acceleration_mps2 * dt_s;
     let stops = zero.greater_than(end_mps);
-    let to_stop_m = || speed_mps * speed_mps / (R::from_f64(-2.0) * acceleration_mps2);
-    let covered_m = || speed_mps * dt_s + half * acceleration_mps2 * dt_s * dt_s;
     [
-        R::select(stops, to_stop_m, covered_m),
+        R::select(
+            stops,
+            || speed_mps * speed_mps / (R::from_f64(-2.0) * acceleration_mps2),
+            || speed_mps * dt_s + half * acceleration_mps2 * dt_s * dt_s,
+        ),
         R::select(stops, || zero, || end_mps),
     ]
 }
@@ -99,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {
+    fn a_harder_braking_car_needs_a_gap_where_the_rss_distance_needs_none() {
         let kernel = ViabilityKernel {
             own_brake_mps2: 8.0,
             ahead_brake_mps2: 5.0,

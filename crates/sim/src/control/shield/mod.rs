@@ -195,13 +195,13 @@ impl ShieldParams {
     /// Until the follower reacts, the gap behind is a concave function of time, so it is smallest at the begin or the
     /// end of the reaction time.
     fn endangers_rear(&self, observation: &Observation) -> bool {
-        let (
-            Some(rear),
-            Some(RearVehicleParams {
-                brake_mps2,
-                reaction_s,
-            }),
-        ) = (observation.behind, self.behind)
+        let Some(rear) = observation.behind else {
+            return false;
+        };
+        let Some(RearVehicleParams {
+            brake_mps2,
+            reaction_s,
+        }) = self.behind
         else {
             return false;
         };

@@ -124,10 +124,8 @@ impl MotionBounds {
             .max(4.0 * params.step_s * (speed_mps + any_mps2 * params.step_s));
         let lag_s = params.lag_s();
         let replaced_mps = speed_mps + (lag_s + params.step_s) * response_span_mps2;
-        let (stop_s, stop_m) = (
-            replaced_mps / brake_mps2,
-            0.5 * replaced_mps * replaced_mps / brake_mps2,
-        );
+        let stop_s = replaced_mps / brake_mps2;
+        let stop_m = 0.5 * replaced_mps * replaced_mps / brake_mps2;
         let predicted = params.delay_steps as f64 + 1.0;
         let reach_s = stop_s + predicted * params.step_s;
         let step_m = UNIT_ROUNDOFF
@@ -247,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn near_the_origin_the_margin_is_a_micrometre() {
+    fn the_margin_near_the_origin_is_one_micrometre() {
         let near = MotionBounds {
             position_m: 400.0,
             speed_mps: 70.0,

@@ -74,11 +74,11 @@ impl ShieldSettings {
         if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
             return Err(unknown_setting(before.to_owned()));
         }
-        let known = SETTINGS
+        let names_and_ranges = SETTINGS
             .each_ref()
             .map(|setting| (setting.name, setting.range));
         let mut settings = Self::default();
-        for (index, value) in parse_settings(parts, "shield", &known, unknown_setting)? {
+        for (index, value) in parse_settings(parts, "shield", &names_and_ranges, unknown_setting)? {
             if let Some(ShieldSetting { set, .. }) = SETTINGS.get(index) {
                 set(&mut settings, value);
             }

@@ -52,7 +52,7 @@ fn a_contact_within_a_step_is_prevented() {
 }
 
 #[test]
-fn the_step_has_to_end_in_the_kernel_by_the_margin() {
+fn a_command_is_admitted_if_the_step_ends_inside_the_kernel_by_the_margin() {
     let frame = slow_step_params();
     // 20 m/s are held for a second behind a leader that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
     let needed_m = 2.5 + 25.0 / 6.0;
@@ -97,8 +97,8 @@ fn gap_m(
     t: f64,
 ) -> f64 {
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
-    let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
-    let own_mps2 = if held {
+    let stands = state.speed_mps == 0.0 && response_mps2 <= 0.0;
+    let own_mps2 = if stands {
         0.0
     } else {
         response_mps2 + noise_mps2
@@ -113,8 +113,9 @@ proptest! {
     /// After an admitted command, for any leader and any noise, the gap is open at every instant of the step, and a
     /// collision can still be avoided at its end. A rejected command violates one of the two.
     #[test]
-    fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in any_state_and_action(),
-                                                               ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
+    fn a_command_is_admitted_exactly_if_full_braking_afterwards_avoids_a_collision(
+        (frame, now, wanted_mps2) in any_state_and_action(), ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64,
+    ) {
         let worst = |t: f64| gap_m(&frame, now, wanted_mps2, frame.noise_mps2, -frame.ahead_brake_mps2, t);
         let grid = || (0..=400).map(|k| frame.step_s * f64::from(k) / 400.0);
         let coarse_m = 20.0 * (frame.step_s / 400.0).powi(2) + 1e-9;
@@ -175,7 +176,7 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
 
 /// 20 m/s against 15, step 0.1 s: computed by hand with exact quotients.
 #[test]
-fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
+fn the_smallest_admitted_gap_assumes_the_worst_state() {
     let plain = ShieldParams {
         step_s: 0.1,
         ..slow_step_params()
@@ -236,26 +237,26 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
 
 /// The prediction includes delay, lag and pending commands.
 #[test]
-fn commands_under_way_are_counted_on() {
+fn the_prediction_includes_pending_commands() {
     let frame = ShieldParams {
         step_s: 0.1,
         delay_steps: 1,
         response_fraction: 0.5,
         ..slow_step_params()
     };
-    let seen = leader_observation(10.0, 100.0, 10.0, 0.0);
+    let observation = leader_observation(10.0, 100.0, 10.0, 0.0);
     let mut shield = full_throttle_shield(frame);
-    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!(shield.decide(&observation).unwrap(), 3.0);
     assert_eq!(
         (shield.response_mps2, shield.pending_mps2.as_slices().0),
         (0.0, &[3.0][..])
     );
-    assert_eq!(shield.decide(&seen).unwrap(), 3.0);
+    assert_eq!(shield.decide(&observation).unwrap(), 3.0);
     assert_eq!(
         (shield.response_mps2, shield.pending_mps2.as_slices().0),
         (1.5, &[3.0][..])
     );
-    let worst = shield.worst_state(&seen).unwrap();
+    let worst = shield.worst_state(&observation).unwrap();
     assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
     assert!(
         (worst.speed_mps - 10.225).abs() < 1e-12
@@ -264,7 +265,7 @@ fn commands_under_way_are_counted_on() {
 }
 
 #[test]
-fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
+fn a_state_is_outside_the_kernel_below_half_the_margin() {
     for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
         let frame = ShieldParams {
             step_s: 0.1,
@@ -298,11 +299,11 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
             acceleration_mps2: 0.0,
         });
         let mut shield = full_throttle_shield(frame);
-        let seen = Observation {
+        let observation = Observation {
             behind: rear,
             ..leader_observation(20.0, 1.0, 10.0, 0.0)
         };
-        assert_eq!(shield.decide(&seen).unwrap(), -8.0);
+        assert_eq!(shield.decide(&observation).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
     let frame = ShieldParams {
@@ -344,7 +345,7 @@ fn overrides_in_successive_steps_are_one() {
     let far = leader_observation(20.0, 500.0, 15.0, 0.0);
     let near = leader_observation(20.0, near_m, 15.0, 0.0);
     let outside = leader_observation(20.0, near_m - 1.0, 15.0, 0.0);
-    for seen in [
+    for observation in [
         near,
         outside,
         Observation {
@@ -358,7 +359,7 @@ fn overrides_in_successive_steps_are_one() {
             ..near
         },
     ] {
-        shield.decide(&seen).unwrap();
+        shield.decide(&observation).unwrap();
     }
     let first = Override {
         first_step: 0,

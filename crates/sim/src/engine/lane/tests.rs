@@ -79,7 +79,7 @@ fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
 }
 
 #[test]
-fn the_moment_is_that_of_the_closed_form() {
+fn the_time_of_a_lane_change_is_that_of_the_closed_form() {
     // 20 m/s behind 14 m/s, gap 50 m. The gap is 17 m after 5.5 s. The TTC is 2 s when the gap is 12 m, after 38 / 6 s.
     let entered = |enters| {
         let line = vec![
@@ -150,7 +150,7 @@ fn a_vehicle_without_room_stays_in_its_lane() {
 
 /// Trace and engine agree: the last vehicle leaves before any motion, and never had a leader.
 #[test]
-fn leaving_at_the_start_equals_absence() {
+fn leaving_at_the_start_equals_not_being_there() {
     for leaves in [
         LaneChange::At(0.0),
         LaneChange::At(1e-10),
@@ -204,7 +204,7 @@ fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
 }
 
 #[test]
-fn entering_at_the_start_equals_presence() {
+fn entering_at_the_start_equals_being_in_the_lane() {
     for spec in BuiltInController::all() {
         for estimator in EstimatorKind::ALL {
             let paper = built_in_scenario("paper-1").unwrap();
@@ -230,7 +230,7 @@ proptest! {
 
     /// The gap needed at entry for full braking after a reaction time is Δv τ + Δv² / (2 b).
     #[test]
-    fn the_gap_needed_is_that_of_the_closed_form(
+    fn the_gap_needed_after_a_cut_in_is_that_of_the_closed_form(
         gap_m in 5.0..60.0_f64, closing_mps in 1.0..15.0_f64, reaction_s in 0.0..1.5_f64, brake_mps2 in 2.0..7.0_f64,
     ) {
         // The braking begins at the start of a step, because the acceleration of a profile is averaged over each step.
@@ -252,7 +252,9 @@ proptest! {
 
     /// A vehicle that enters or leaves far away has no effect on others.
     #[test]
-    fn far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
+    fn a_lane_change_far_away_changes_nothing(
+        time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64,
+    ) {
         let line = |far: Option<VehicleSpec>| {
             let ahead = scripted_vehicle(40.0, 20.0, brake_profile(2.0, brake_mps2));
             let near = [ahead, controlled_vehicle(10.0, 20.0, "idm"), controlled_vehicle(-20.0, 20.0, "acc-aeb")];
@@ -267,7 +269,7 @@ proptest! {
 
     /// A vehicle that leaves and its twin that enters at the same instant are one vehicle for all others.
     #[test]
-    fn a_twin_that_takes_over_changes_nothing(
+    fn replacing_a_vehicle_by_an_equal_one_changes_nothing_behind(
         time_s in prop_oneof![Just(0.0), 0.0..5.0_f64], ahead_m in 5.0..60.0_f64, speed_mps in 10.0..30.0_f64,
         brakes_mps2 in prop::array::uniform2(0.0..7.0_f64), waits in any_lane_change(), enters in any::<bool>(),
     ) {
@@ -280,8 +282,9 @@ proptest! {
         };
         let change = LaneChange::At(time_s);
         let both = vec![with_exit(twin(), change), with_entry(twin(), change)];
-        let (one, two) = (run(&line(vec![twin()])), run(&line(both)));
-        prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
+        let single = run(&line(vec![twin()]));
+        let successive = run(&line(both));
+        prop_assert_eq!(&tracks(&successive)[3..], &tracks(&single)[2..]);
     }
 
     /// A vehicle that leaves behind controllers that observe only their leader has no effect on them.
@@ -298,7 +301,7 @@ proptest! {
 
     /// Results do not depend on the integration step.
     #[test]
-    fn steps_do_not_matter(
+    fn lane_changes_do_not_depend_on_the_step(
         enters in any_lane_change(), leaves in prop::option::of(any_lane_change()), place_m in -20.0..60.0_f64,
         speed_mps in 10.0..30.0_f64, brakes_mps2 in prop::array::uniform3(0.0..7.0_f64), goes_on in any::<bool>(),
     ) {

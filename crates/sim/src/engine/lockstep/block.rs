@@ -38,6 +38,21 @@ struct ScalarFallback {
     ended_s: Option<f64>,
 }
 
+/// Collisions and closest gaps of a step.
+struct StepContacts {
+    /// Runs with a collision in this or an earlier step.
+    colliding: RunSet,
+    /// Minimum gaps of the pairs of other runs that are closest inside the step.
+    closest: Vec<ClosestGap>,
+}
+
+struct ClosestGap {
+    lane: usize,
+    /// Rear vehicle of the pair.
+    rear: usize,
+    gap_m: f64,
+}
+
 impl<'a> LockstepBlock<'a> {
     pub(super) fn new(
         arch: Arch,
@@ -53,7 +68,8 @@ impl<'a> LockstepBlock<'a> {
             .iter()
             .zip(&platoons)
             .map(|(&index, platoon)| {
-                let (run, steps) = (&runs[index], runs[index].scenario().steps());
+                let run = &runs[index];
+                let steps = run.scenario().steps();
                 let trace = Trace::begin(keep, platoon, steps * run.substeps() + 1);
                 RunLane {
                     index,
@@ -139,14 +155,7 @@ impl<'a> LockstepBlock<'a> {
                 }));
             }
         }
-        // Descending, because the last run takes the slot of one that ends. If several drivers of a run fail, the
-        // failure of the foremost vehicle is kept.
-        failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
-        failed.dedup_by_key(|(lane, _)| *lane);
-        for (lane, failed) in failed {
-            self.record_sample(lane, span_s[0]);
-            self.finish_run(lane, Some(failed), done);
-        }
+        self.end_failed_runs(failed, done);
         for column in &mut self.columns {
             std::mem::swap(
                 &mut column.acceleration_mps2,
@@ -160,6 +169,21 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
+    /// Ends runs in which a driver failed. If several drivers of a run failed, the result names the foremost vehicle.
+    fn end_failed_runs(
+        &mut self,
+        mut failed: Vec<(usize, FailedController)>,
+        done: &mut dyn FnMut(usize, SimulationResult),
+    ) {
+        // Descending, because the last run takes the slot of one that ends.
+        failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
+        failed.dedup_by_key(|(lane, _)| *lane);
+        for (lane, failed) in failed {
+            self.record_sample(lane, failed.time_s);
+            self.finish_run(lane, Some(failed), done);
+        }
+    }
+
     fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut dyn FnMut(usize, SimulationResult)) {
         if self.recording_level == RecordingLevel::Trace {
             (0..self.lanes.len()).for_each(|lane| self.record_sample(lane, from_s));
@@ -167,15 +191,15 @@ impl<'a> LockstepBlock<'a> {
         for column in &mut self.columns {
             column.step(self.arch, dt_s);
         }
-        let (touching, closest) = self.find_contacts(dt_s);
-        let exact: Vec<ScalarFallback> = touching
+        let StepContacts { colliding, closest } = self.find_contacts(dt_s);
+        let exact: Vec<ScalarFallback> = colliding
             .iter()
             .map(|lane| self.advance_scalar(lane, from_s, dt_s))
             .collect();
         self.update_min_gap_and_ttc();
-        for (lane, rear, gap_m) in closest {
-            let least_m = &mut self.columns[rear].min_gap_m[lane];
-            *least_m = least_m.min(gap_m);
+        for ClosestGap { lane, rear, gap_m } in closest {
+            let min_gap_m = &mut self.columns[rear].min_gap_m[lane];
+            *min_gap_m = min_gap_m.min(gap_m);
         }
         for ScalarFallback { lane, platoon, .. } in &exact {
             self.scatter(*lane, platoon);
@@ -191,34 +215,35 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// Finds the runs with a collision in this or an earlier step. For all others also returns the minimum gap of each
-    /// pair that is closest inside the step, as (run, rear vehicle, metres).
-    fn find_contacts(&mut self, dt_s: f64) -> (RunSet, Vec<(usize, usize, f64)>) {
-        let (mut touching, mut closest) = (self.collided, Vec::new());
+    /// Finds the runs with a collision in this or an earlier step, and the minimum gaps inside the step of all others.
+    fn find_contacts(&mut self, dt_s: f64) -> StepContacts {
+        let mut colliding = self.collided;
+        let mut closest = Vec::new();
         let all = RunSet::first(self.lanes.len());
         for (rear, pair) in (1..).zip(self.columns.windows(2)) {
             let [front, behind] = pair else { continue };
             for lane in behind
                 .screen(self.arch, front, dt_s)
                 .intersection(all)
-                .difference(touching)
+                .difference(colliding)
                 .iter()
             {
-                let (front_motion, rear_motion) = (front.motion(lane), behind.motion(lane));
+                let front_motion = front.motion(lane);
+                let rear_motion = behind.motion(lane);
                 let length_m = front.length_m[lane];
                 if first_contact(front_motion, rear_motion, length_m, dt_s).is_some() {
-                    touching.insert(lane);
+                    colliding.insert(lane);
                 } else {
-                    closest.push((
+                    closest.push(ClosestGap {
                         lane,
                         rear,
-                        closest_gap_m(front_motion, rear_motion, length_m, dt_s),
-                    ));
+                        gap_m: closest_gap_m(front_motion, rear_motion, length_m, dt_s),
+                    });
                 }
             }
         }
-        closest.retain(|&(lane, ..)| !touching.contains(lane));
-        (touching, closest)
+        closest.retain(|gap| !colliding.contains(gap.lane));
+        StepContacts { colliding, closest }
     }
 
     fn advance_scalar(&mut self, lane: usize, from_s: f64, dt_s: f64) -> ScalarFallback {

@@ -117,44 +117,57 @@ impl<'a> VehicleColumn<'a> {
         collided: RunSet,
     ) -> Vec<(usize, ControllerFailure)> {
         let failed = self.command(arch, lanes, [front, behind], span_s);
+        self.respond(arch);
+        let locked = match collided.is_empty() {
+            true => None,
+            false => Some(RunSet(
+                self.locked_to_front.0 | behind.map_or(0, |behind| behind.locked_to_front.0),
+            )),
+        };
+        self.add_noise(arch, locked);
+        failed
+    }
+
+    /// Turns commands into responses of the vehicles.
+    #[inline]
+    fn respond(&mut self, arch: Arch) {
+        let decided = &mut self.next_acceleration_mps2;
         if self.actuators.is_empty() {
-            let (decided, limits) = (
-                &mut self.next_acceleration_mps2,
-                [&self.max_brake_mps2, &self.max_accel_mps2],
-            );
+            let limits = [&self.max_brake_mps2, &self.max_accel_mps2];
             arch.dispatch(SimdClosure(
                 #[inline(always)]
                 || loops::limit(decided.padded_mut(), limits[0].padded(), limits[1].padded()),
             ));
         } else {
-            let decided = self.next_acceleration_mps2.as_mut_slice().iter_mut();
+            let decided = decided.as_mut_slice().iter_mut();
             for (run, (decided, actuator)) in decided.zip(&mut self.actuators).enumerate() {
                 *decided = actuator.respond(*decided, self.speed_mps[run]);
             }
         }
-        let (decided, noise_mps2, speed) = (
-            &mut self.next_acceleration_mps2,
-            self.noise.next_mps2(),
-            &self.speed_mps,
-        );
-        if collided.is_empty() {
-            arch.dispatch(SimdClosure(
+    }
+
+    /// Adds the noise. `locked` are the runs in which this vehicle is locked to another one; `None` if no run of the
+    /// block had a collision.
+    #[inline]
+    fn add_noise(&mut self, arch: Arch, locked: Option<RunSet>) {
+        let decided = &mut self.next_acceleration_mps2;
+        let noise_mps2 = self.noise.next_mps2();
+        let speed_mps = &self.speed_mps;
+        match locked {
+            None => arch.dispatch(SimdClosure(
                 #[inline(always)]
-                || loops::disturb(decided.padded_mut(), noise_mps2, speed.padded()),
-            ));
-        } else {
-            let stuck = RunSet(
-                self.locked_to_front.0 | behind.map_or(0, |behind| behind.locked_to_front.0),
-            );
-            for (run, decided) in decided.as_mut_slice().iter_mut().enumerate() {
-                *decided = if stuck.contains(run) {
-                    *decided + noise_mps2[run]
-                } else {
-                    add_noise_unless_at_rest(*decided, noise_mps2[run], speed[run])
-                };
+                || loops::disturb(decided.padded_mut(), noise_mps2, speed_mps.padded()),
+            )),
+            Some(locked) => {
+                for (run, decided) in decided.as_mut_slice().iter_mut().enumerate() {
+                    *decided = if locked.contains(run) {
+                        *decided + noise_mps2[run]
+                    } else {
+                        add_noise_unless_at_rest(*decided, noise_mps2[run], speed_mps[run])
+                    };
+                }
             }
         }
-        failed
     }
 
     #[inline(always)]
@@ -190,35 +203,39 @@ impl<'a> VehicleColumn<'a> {
                 &self.acceleration_mps2,
             ],
         );
-        let (front, behind) = (
-            front.map(|front| front.state_slices(runs)),
-            behind.map(|behind| behind.state_slices(runs)),
-        );
-        let view = NeighbourhoodView { own, front, behind };
+        let view = NeighbourhoodView {
+            own,
+            front: front.map(|front| front.state_slices(runs)),
+            behind: behind.map(|behind| behind.state_slices(runs)),
+        };
         let mut failed = Vec::new();
         let commands_mps2 = &mut self.next_acceleration_mps2.padded_mut()[..runs];
         if self.estimators.is_empty() {
             self.drivers
                 .command_from_true_state(arch, span_s, &view, commands_mps2, &mut failed);
         } else {
-            let estimator = &mut self.estimators;
-            let see = |run: usize| {
-                let truth = TrueState {
-                    position_m: own.position_m[run],
-                    observation: view.observation(run),
-                };
-                estimator[run].observe(&truth)
-            };
-            self.drivers
-                .command(arch, span_s, own.speed_mps, see, commands_mps2, &mut failed);
+            let estimators = &mut self.estimators;
+            self.drivers.command(
+                arch,
+                span_s,
+                own.speed_mps,
+                |run| {
+                    estimators[run].observe(&TrueState {
+                        position_m: own.position_m[run],
+                        observation: view.observation(run),
+                    })
+                },
+                commands_mps2,
+                &mut failed,
+            );
         }
         failed
     }
 
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::padded);
-        let (next_position_m, next_speed_mps) =
-            (&mut self.next_position_m, &mut self.next_speed_mps);
+        let next_position_m = &mut self.next_position_m;
+        let next_speed_mps = &mut self.next_speed_mps;
         let max_brake_so_far_mps2 = &mut self.max_brake_so_far_mps2;
         arch.dispatch(SimdClosure(
             #[inline(always)]
@@ -252,16 +269,16 @@ impl<'a> VehicleColumn<'a> {
     }
 
     pub(super) fn update_min_gap_and_ttc(&mut self, arch: Arch, front: &Self) {
-        let (front_mps, rear_mps) = (&front.next_speed_mps, &self.next_speed_mps);
         let next: PairSlices<'_> = [
             &front.next_position_m,
             &front.length_m,
             &self.next_position_m,
-            front_mps,
-            rear_mps,
+            &front.next_speed_mps,
+            &self.next_speed_mps,
         ]
         .map(PerRun::padded);
-        let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
+        let min_gap_m = &mut self.min_gap_m;
+        let min_ttc_s = &mut self.min_ttc_s;
         arch.dispatch(SimdClosure(
             #[inline(always)]
             || loops::update_min_gap_and_ttc(next, min_gap_m.padded_mut(), min_ttc_s.padded_mut()),

@@ -46,24 +46,26 @@ macro_rules! define {
                         }
                     };
                 }
+                use AnyController as Any;
                 use VehicleController::{Controller as C, Profile as P};
-                let drivers = unless_all!(drivers, P(one) => one, all => Self::Profile(ScriptedLeaders::new(all)));
                 let drivers =
-                    unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
-                $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
-                let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
-                let drivers = unless_all!(drivers, C(AnyController::Other(one)) => one, all => Self::Other(all));
+                    unless_all!(drivers, P(driver) => driver, all => Self::Profile(ScriptedLeaders::new(all)));
+                let drivers = unless_all!(drivers, C(Any::Idm(driver)) => driver, all => Self::Followers(all.into()));
+                $(let drivers = unless_all!(drivers, C(Any::$rule(driver)) => driver, all => Self::$rule(all));)*
+                let drivers = unless_all!(drivers, C(Any::Policy(driver)) => driver, all => Self::Policy(all));
+                let drivers = unless_all!(drivers, C(Any::Other(driver)) => driver, all => Self::Other(all));
                 Self::Mixed(drivers)
             }
 
-            /// Writes each run's command to `commands`, failures to `failed`. Calls `see` for each run once, in order.
+            /// Writes each run's command to `commands`, failures to `failed`. Calls `observe` once for each run, in
+            /// order.
             #[inline]
             pub(super) fn command(
                 &mut self,
                 arch: Arch,
                 span_s: [f64; 2],
                 speeds_mps: &[f64],
-                mut see: impl FnMut(usize) -> Observation,
+                mut observe: impl FnMut(usize) -> Observation,
                 commands: &mut [f64],
                 failed: &mut Vec<(usize, ControllerFailure)>,
             ) {
@@ -71,20 +73,20 @@ macro_rules! define {
                     Self::Profile(leaders) => leaders.command(arch, span_s, speeds_mps, commands),
                     Self::Followers(followers) => {
                         for (run, command) in commands.iter_mut().enumerate() {
-                            *command = followers.model(run).desired_acceleration_mps2(&see(run));
+                            *command = followers.model(run).desired_acceleration_mps2(&observe(run));
                         }
                     }
-                    $(Self::$rule(all) => Controller::decide_batch(all, see, commands, failed),)*
-                    Self::Policy(all) => Controller::decide_batch(all, see, commands, failed),
-                    Self::Other(all) => Controller::decide_batch(all, see, commands, failed),
+                    $(Self::$rule(all) => Controller::decide_batch(all, observe, commands, failed),)*
+                    Self::Policy(all) => Controller::decide_batch(all, observe, commands, failed),
+                    Self::Other(all) => Controller::decide_batch(all, observe, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
-                            let seen = see(run);
+                            let observation = observe(run);
                             match driver {
                                 VehicleController::Profile(profile) => {
                                     *command = profile.acceleration_mps2(span_s[0], span_s[1], speeds_mps[run]);
                                 }
-                                VehicleController::Controller(controller) => match controller.decide(&seen) {
+                                VehicleController::Controller(controller) => match controller.decide(&observation) {
                                     Ok(answer_mps2) => *command = answer_mps2,
                                     Err(failure) => failed.push((run, failure)),
                                 },

@@ -41,8 +41,8 @@ impl<'s> Script<'s> {
 
     #[inline(never)]
     fn look_up_mps2(&mut self, [from_s, to_s]: [f64; 2], speed_mps: f64) -> f64 {
-        if let Some(held) = self.profile.constant_acceleration_span(from_s) {
-            [self.cached_mps2, self.valid_until_s] = held;
+        if let Some(span) = self.profile.constant_acceleration_span(from_s) {
+            [self.cached_mps2, self.valid_until_s] = span;
         }
         if to_s <= self.valid_until_s {
             self.cached_mps2

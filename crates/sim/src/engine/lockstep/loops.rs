@@ -15,7 +15,8 @@ use crate::scenario::Brake;
 #[inline(always)]
 pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_mps2: &[f64]) {
     let n = decided_mps2.len();
-    let (max_brake_mps2, max_accel_mps2) = (&max_brake_mps2[..n], &max_accel_mps2[..n]);
+    let max_brake_mps2 = &max_brake_mps2[..n];
+    let max_accel_mps2 = &max_accel_mps2[..n];
     for run in 0..n {
         decided_mps2[run] =
             clamp_command(decided_mps2[run], max_brake_mps2[run], max_accel_mps2[run]);
@@ -30,7 +31,8 @@ pub(super) fn brake(
     decided_mps2: &mut [f64],
 ) {
     let n = decided_mps2.len();
-    let (onset_s, rate_mps2) = (&onset_s[..n], &rate_mps2[..n]);
+    let onset_s = &onset_s[..n];
+    let rate_mps2 = &rate_mps2[..n];
     for run in 0..n {
         let brake = Brake {
             onset_s: onset_s[run],
@@ -56,8 +58,8 @@ pub(super) fn follow(
         &models[3][..n],
         &models[4][..n],
     ];
-    let (x, v) = (&x[..n], &v[..n]);
-    let (ahead_x, ahead_l, ahead_v) = (&ahead[0][..n], &ahead[1][..n], &ahead[2][..n]);
+    let [x, v] = [&x[..n], &v[..n]];
+    let [ahead_x, ahead_l, ahead_v] = [&ahead[0][..n], &ahead[1][..n], &ahead[2][..n]];
     for run in 0..n {
         let model = Idm::from_array([m0[run], m1[run], m2[run], m3[run], m4[run]]);
         let gap_m = ahead_x[run] - ahead_l[run] - x[run];
@@ -68,7 +70,8 @@ pub(super) fn follow(
 #[inline(always)]
 pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &[f64]) {
     let n = decided_mps2.len();
-    let (noise_mps2, speed_mps) = (&noise_mps2[..n], &speed_mps[..n]);
+    let noise_mps2 = &noise_mps2[..n];
+    let speed_mps = &speed_mps[..n];
     for run in 0..n {
         decided_mps2[run] =
             add_noise_unless_at_rest(decided_mps2[run], noise_mps2[run], speed_mps[run]);
@@ -78,7 +81,8 @@ pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &
 #[inline(always)]
 pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], next_v: &mut [f64]) {
     let n = next_x.len();
-    let (x, v, a, next_v) = (&x[..n], &v[..n], &a[..n], &mut next_v[..n]);
+    let [x, v, a] = [&x[..n], &v[..n], &a[..n]];
+    let next_v = &mut next_v[..n];
     for run in 0..n {
         (next_x[run], next_v[run]) = motion::advance(x[run], v[run], a[run], dt_s);
     }
@@ -114,23 +118,24 @@ pub(super) fn screen(
 ) -> RunSet {
     let n = now[0].len();
     let [front_m, length_m, rear_m, front_mps, rear_mps] = first_runs(now, n);
-    let (next_front_mps, next_rear_mps) = (&next_front_mps[..n], &next_rear_mps[..n]);
-    let mut found = 0;
+    let next_front_mps = &next_front_mps[..n];
+    let next_rear_mps = &next_rear_mps[..n];
+    let mut bits = 0;
     for run in 0..n {
         let gap_m = front_m[run] - length_m[run] - rear_m[run];
         let closing_mps = [
             rear_mps[run] - front_mps[run],
             next_rear_mps[run] - next_front_mps[run],
         ];
-        let care = motion::needs_contact_check(
+        let is_close = motion::needs_contact_check(
             gap_m,
             [rear_mps[run], next_rear_mps[run]],
             closing_mps,
             dt_s,
         );
-        found |= u64::from(care) << run;
+        bits |= u64::from(is_close) << run;
     }
-    RunSet(found)
+    RunSet(bits)
 }
 
 #[inline(always)]

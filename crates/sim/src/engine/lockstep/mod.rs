@@ -56,24 +56,7 @@ pub fn simulate_batch<R: Send>(
 ) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
-    let most = if keep == RecordingLevel::Trace {
-        let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
-        (MAX_TRACED_SAMPLES / largest.max(1)).clamp(1, MAX_TRACED_RUNS)
-    } else {
-        MAX_RUNS
-    };
-    let blocks: Vec<&[usize]> = order
-        .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
-        .flat_map(|group| {
-            let most = if group.iter().all(|&run| runs[run].supports_lockstep()) {
-                most
-            } else {
-                1
-            };
-            group.chunks(group.len().div_ceil(rayon::current_num_threads()).min(most))
-        })
-        .collect();
-    let mut results: Vec<(usize, R)> = blocks
+    let mut results: Vec<(usize, R)> = split_into_blocks(runs, &order, keep)
         .into_par_iter()
         .flat_map_iter(|members| {
             let mut done = Vec::with_capacity(members.len());
@@ -96,14 +79,41 @@ pub fn simulate_batch<R: Send>(
     results.into_iter().map(|(_, result)| result).collect()
 }
 
+/// Splits runs, ordered by shape, into blocks of runs with the same shape, at least one for each thread.
+fn split_into_blocks<'o>(
+    runs: &[Run],
+    order: &'o [usize],
+    keep: RecordingLevel,
+) -> Vec<&'o [usize]> {
+    let max_runs = if keep == RecordingLevel::Trace {
+        let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
+        (MAX_TRACED_SAMPLES / largest.max(1)).clamp(1, MAX_TRACED_RUNS)
+    } else {
+        MAX_RUNS
+    };
+    order
+        .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
+        .flat_map(|group| {
+            let supports_lockstep = group.iter().all(|&run| runs[run].supports_lockstep());
+            let max_runs = if supports_lockstep { max_runs } else { 1 };
+            let per_thread = group.len().div_ceil(rayon::current_num_threads());
+            group.chunks(per_thread.min(max_runs))
+        })
+        .collect()
+}
+
 /// Orders runs so that runs with equal shapes are adjacent.
 fn compare_shapes(a: &Run, b: &Run) -> Ordering {
-    block_shape(a).cmp(&block_shape(b)).then_with(|| {
-        let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
-        a.iter()
-            .map(|v| v.driver.name())
-            .cmp(b.iter().map(|v| v.driver.name()))
-    })
+    block_shape(a)
+        .cmp(&block_shape(b))
+        .then_with(|| driver_names(a).cmp(driver_names(b)))
+}
+
+fn driver_names(run: &Run) -> impl Iterator<Item = &str> {
+    run.scenario()
+        .vehicles()
+        .iter()
+        .map(|vehicle| vehicle.driver.name())
 }
 
 /// Returns the properties that runs of one block share, except the kinds of drivers.
@@ -136,7 +146,7 @@ mod tests {
 
     /// The register width does not change any bit of the results.
     #[test]
-    fn every_path_gives_the_same_results() {
+    fn every_register_width_gives_the_same_results() {
         let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());
         let lines = draws.map(|draw| {
             draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest)

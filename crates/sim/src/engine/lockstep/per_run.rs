@@ -127,7 +127,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn removing_by_swapping_is_that_of_a_list(
+        fn swap_remove_of_a_run_set_equals_that_of_a_list(
             mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::CAPACITY),
             set in any::<u64>(),
             removals in prop::collection::vec(any::<prop::sample::Index>(), 0..70),

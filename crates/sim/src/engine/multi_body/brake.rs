@@ -42,10 +42,10 @@ impl BrakePressure {
                 RELEASE_SLIP
             };
             *is_releasing = self.has_abs && speed_mps > MIN_ABS_SPEED_MPS && slip > threshold;
-            let (goal, lag_s) = if *is_releasing {
-                (0.0, RELEASE_LAG_S)
+            let [goal, lag_s] = if *is_releasing {
+                [0.0, RELEASE_LAG_S]
             } else {
-                (demand_mps2, self.lag_s)
+                [demand_mps2, self.lag_s]
             };
             *pressure = if lag_s > 0.0 {
                 goal + (*pressure - goal) * libm::exp(-dt_s / lag_s)

@@ -257,7 +257,7 @@ fn paper_scenario(index: usize) -> Scenario {
 }
 
 #[test]
-fn both_engines_agree_through_collisions() {
+fn the_engines_agree_in_runs_with_collisions() {
     let runs: Vec<Run> = ["baseline", "idm"]
         .into_iter()
         .flat_map(|name| (0..3).map(move |index| (name, index)))

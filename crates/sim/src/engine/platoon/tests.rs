@@ -74,7 +74,7 @@ proptest! {
 }
 
 #[test]
-fn stuck_vehicles_brake_with_their_summed_force() {
+fn locked_vehicles_brake_with_their_summed_force() {
     let mut platoon = platoon(&[(2.0, 10.0, 0.0, 1000.0), (0.0, 10.0, -4.0, 3000.0)]);
     platoon.locked_to_front[1] = true;
     platoon.share_acceleration();

@@ -112,7 +112,10 @@ fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
     let result = far.simulate();
     prop_assert_eq!(&result.outcome, &Outcome::NoCollision);
     prop_assert!(
-        result.interventions.iter().all(|one| !one.outside_kernel),
+        result
+            .interventions
+            .iter()
+            .all(|intervention| !intervention.outside_kernel),
         "{:?}",
         result.interventions
     );
@@ -153,7 +156,7 @@ fn rounding_far_from_the_origin_costs_no_contact() {
 
 /// The leader may accelerate for hours, far from the origin.
 #[test]
-fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
+fn a_shield_is_refused_if_rounding_exceeds_the_largest_margin() {
     let far = FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]);
     let refusal = |duration_s: f64| {
         let long = far.scenario().edited(|spec| {
@@ -227,7 +230,7 @@ fn motion_bounds_contain_the_motion() {
 }
 
 #[test]
-fn travel_counts_noise_and_both_ends_of_the_road() {
+fn motion_bounds_include_noise_and_both_ends_of_the_road() {
     let far = FarAway {
         onset_s: 2.0,
         ..FarAway::from_report(1.0, -1e4, [VehicleClass::Light; 2])
@@ -309,7 +312,7 @@ proptest! {
 }
 
 #[test]
-fn delays_add_up() {
+fn a_shield_adds_reaction_and_actuator_delay() {
     let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
         let late = built_in_scenario("paper-1").unwrap().edited(|spec| {
             for vehicle in &mut spec.vehicles[1..] {
@@ -327,7 +330,7 @@ fn delays_add_up() {
     };
     let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)]
         .map(|(seeing, acting)| frame(seeing, acting));
-    assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
+    assert!(frames.iter().all(|frame| *frame == frames[0]), "{frames:?}");
     assert_eq!(
         (
             frames[0].delay_steps,
@@ -384,17 +387,17 @@ fn assumptions_match_the_scenario() {
         is_near(behind.brake_mps2, 3.2) && is_near(behind.reaction_s, 0.3),
         "{behind:?}"
     );
-    let found = [
+    let errors_in_params = [
         frame.errors.gap_m,
         frame.errors.speed_mps,
         frame.errors.ahead_speed_mps,
     ];
     assert!(
-        found
+        errors_in_params
             .iter()
             .zip(errors)
-            .all(|(&found, expected)| is_near(found, expected)),
-        "{found:?} {errors:?}"
+            .all(|(&errors_in_params, expected)| is_near(errors_in_params, expected)),
+        "{errors_in_params:?} {errors:?}"
     );
     assert!(
         is_near(frame.response_fraction, 1.0 - (-0.01_f64 / 0.2).exp()),
@@ -446,7 +449,8 @@ fn interventions_are_reported_in_seconds_of_the_run() {
     );
     assert!(
         done.iter()
-            .all(|one| one.from_s < one.to_s && !one.rear_conflict),
+            .all(|intervention| intervention.from_s < intervention.to_s
+                && !intervention.rear_conflict),
         "{done:?}"
     );
 }
@@ -524,12 +528,12 @@ fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
         for (((run, log), result), of_batch) in runs.iter().zip(&logs).zip(together).zip(of_batch) {
             let alone = simulate(run, RecordingLevel::Trace);
             assert_eq!(alone, result);
-            let taken = || std::mem::take(&mut *log.replaced_mps2.lock().unwrap());
-            let of_scalar = taken();
+            let take_log = || std::mem::take(&mut *log.replaced_mps2.lock().unwrap());
+            let of_scalar = take_log();
             let steps: f64 = alone
                 .interventions
                 .iter()
-                .map(|one| (one.to_s - one.from_s) / 0.01)
+                .map(|intervention| (intervention.to_s - intervention.from_s) / 0.01)
                 .sum();
             let expected = vec![-7.5; steps.round() as usize];
             assert!(expected.len() > 10);
@@ -548,7 +552,7 @@ fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
                         |_| std::ops::ControlFlow::Continue(()),
                     );
                 }
-                taken()
+                take_log()
             });
             assert!(!of_steps[0].is_empty() && of_steps[0] == of_steps[1]);
         }

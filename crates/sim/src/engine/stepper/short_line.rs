@@ -9,7 +9,7 @@ use super::super::motion::may_collide;
 use super::super::run::VehicleController;
 use super::super::{FailedController, Motion};
 use super::{StepView, Stepper, VehicleLoop};
-use crate::control::Controller;
+use crate::control::{Controller, ControllerFailure};
 use crate::estimate::TrueState;
 use crate::observation::{Neighbour, Observation};
 
@@ -43,27 +43,73 @@ impl<const N: usize> ShortLine<N> {
     #[inline]
     fn true_state(&self, index: usize) -> TrueState {
         let own = self.motion[index];
-        let neighbour = |other: Option<usize>, gap_m: Option<f64>| {
-            let Motion {
-                speed_mps,
-                acceleration_mps2,
-                ..
-            } = *self.motion.get(other?)?;
-            Some(Neighbour {
-                gap_m: gap_m?,
-                speed_mps,
-                acceleration_mps2,
-            })
-        };
         TrueState {
             position_m: own.position_m,
             observation: Observation {
                 speed_mps: own.speed_mps,
                 acceleration_mps2: own.acceleration_mps2,
-                ahead: neighbour(index.checked_sub(1), self.gap_m(index)),
-                behind: neighbour(Some(index + 1), self.gap_m(index + 1)),
+                ahead: self.neighbour(index.checked_sub(1), self.gap_m(index)),
+                behind: self.neighbour(Some(index + 1), self.gap_m(index + 1)),
             },
         }
+    }
+
+    /// Returns the state of a leader or follower, if there is one.
+    #[inline]
+    fn neighbour(&self, index: Option<usize>, gap_m: Option<f64>) -> Option<Neighbour> {
+        let Motion {
+            speed_mps,
+            acceleration_mps2,
+            ..
+        } = *self.motion.get(index?)?;
+        Some(Neighbour {
+            gap_m: gap_m?,
+            speed_mps,
+            acceleration_mps2,
+        })
+    }
+
+    /// Returns the command of a vehicle for this step, in m/s². `external`, if given, maps its observation to it.
+    #[inline(always)]
+    fn command_mps2(
+        &self,
+        index: usize,
+        vehicle: &mut VehicleLoop,
+        span_s: [f64; 2],
+        external: Option<&mut impl FnMut(&Observation) -> f64>,
+    ) -> Result<f64, ControllerFailure> {
+        let VehicleLoop {
+            driver,
+            estimator,
+            observation,
+            command_mps2,
+            ..
+        } = vehicle;
+        // An estimator must be fed at every step; a profile needs no observation.
+        if let (None, Some(estimator)) = (&observation, estimator) {
+            *observation = Some(estimator.observe(&self.true_state(index)));
+        }
+        let estimate = observation.as_ref();
+        let has_estimate = estimate.is_some();
+        let observe = || match estimate {
+            Some(estimate) => *estimate,
+            None => self.true_state(index).observation,
+        };
+        let command = match (external, command_mps2.take(), driver) {
+            (Some(external), ..) => Ok(external(&observe())),
+            (None, Some(command_mps2), _) => Ok(command_mps2),
+            (None, None, VehicleController::Profile(profile)) => {
+                let speed_mps = self.motion[index].speed_mps;
+                Ok(profile.acceleration_mps2(span_s[0], span_s[1], speed_mps))
+            }
+            (None, None, VehicleController::Controller(controller)) => {
+                controller.decide(&observe())
+            }
+        };
+        if has_estimate {
+            *observation = None;
+        }
+        command
     }
 
     /// Moves all vehicles by `dt_s`, unless they may collide.
@@ -97,88 +143,78 @@ impl Stepper {
         command: &mut impl FnMut(&Observation) -> f64,
         after: &mut impl FnMut(&StepView<'_>) -> ControlFlow<()>,
     ) -> FallbackReason {
-        let is_consulted = self.loops.iter().any(|vehicle| vehicle.consulted.is_some());
-        let is_watched = self.trace.is_some() || !self.extremes.is_empty() || is_consulted;
-        if is_watched
-            || self.time_grid.substeps != 1
-            || !self.impacts.is_empty()
-            || !self.platoon.lane.is_constant()
-        {
+        if !self.fits_fast_path() {
             return FallbackReason::CommandsPending;
         }
         let Some(mut line) = self.short_line::<N>() else {
             return FallbackReason::CommandsPending;
         };
-        let pace = self.time_grid;
-        let pause = loop {
-            let span_s = self.span_s();
-            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else {
+        let time_grid = self.time_grid;
+        let reason = loop {
+            let Some(decided_mps2) = self.decide_short_line(&line, index, command) else {
                 break FallbackReason::CommandsPending;
             };
-            let mut decided_mps2 = [0.0; N];
-            for (vehicle, (one, decided_mps2)) in
-                loops.iter_mut().zip(&mut decided_mps2).enumerate()
-            {
-                let VehicleLoop {
-                    driver,
-                    estimator,
-                    observation: seen,
-                    command_mps2,
-                    ..
-                } = one;
-                // An estimator must be fed at every step; a profile needs no observation.
-                if let (None, Some(estimator)) = (&seen, estimator) {
-                    *seen = Some(estimator.observe(&line.true_state(vehicle)));
-                }
-                let looked = seen.as_ref();
-                let has_looked = looked.is_some();
-                let look = || match looked {
-                    Some(seen) => *seen,
-                    None => line.true_state(vehicle).observation,
-                };
-                let speed_mps = line.motion[vehicle].speed_mps;
-                let decided = match (command_mps2.take(), driver) {
-                    _ if vehicle == index => Ok(command(&look())),
-                    (Some(command_mps2), _) => Ok(command_mps2),
-                    (None, VehicleController::Profile(profile)) => {
-                        Ok(profile.acceleration_mps2(span_s[0], span_s[1], speed_mps))
-                    }
-                    (None, VehicleController::Controller(controller)) => controller.decide(&look()),
-                };
-                if has_looked {
-                    *seen = None;
-                }
-                match decided {
-                    Ok(command_mps2) => *decided_mps2 = one.actuate(command_mps2, speed_mps, false),
-                    Err(failure) => {
-                        let failed = FailedController {
-                            time_s: span_s[0],
-                            vehicle,
-                            failure,
-                        };
-                        self.failed.get_or_insert(failed);
-                    }
-                }
-            }
-            if self.failed.is_some() || !line.advance_contact_free(decided_mps2, pace.dt_s) {
+            if self.failed.is_some() || !line.advance_contact_free(decided_mps2, time_grid.dt_s) {
                 self.next_acceleration_mps2.copy_from_slice(&decided_mps2);
                 break FallbackReason::CommandsReady;
             }
             self.step += 1;
-            self.ended = self.step == pace.steps;
+            self.ended = self.step == time_grid.steps;
             let gap_m = line.gap_m(index);
-            let moment = StepView {
+            let view = StepView {
                 motion: &line.motion,
                 gap_m,
                 has_collided: false,
                 has_ended: self.ended,
             };
-            if after(&moment).is_break() || self.step == last || self.ended {
+            if after(&view).is_break() || self.step == last || self.ended {
                 break FallbackReason::Finished;
             }
         };
         self.platoon.motion.copy_from_slice(&line.motion);
-        pause
+        reason
+    }
+
+    /// True if nothing observes the steps, no vehicle changes lanes and no collision has occurred.
+    fn fits_fast_path(&self) -> bool {
+        let is_consulted = self.loops.iter().any(|vehicle| vehicle.consulted.is_some());
+        let is_watched = self.trace.is_some() || !self.extremes.is_empty() || is_consulted;
+        !is_watched
+            && self.time_grid.substeps == 1
+            && self.impacts.is_empty()
+            && self.platoon.lane.is_constant()
+    }
+
+    /// Returns the accelerations of all vehicles in this step, in m/s²; `None` unless there are `N` vehicles.
+    ///
+    /// `command` commands vehicle `commanded`. A controller that fails leaves its failure in `self.failed`.
+    // Inlined, so that the motions of the line stay in registers.
+    #[inline(always)]
+    fn decide_short_line<const N: usize>(
+        &mut self,
+        line: &ShortLine<N>,
+        commanded: usize,
+        command: &mut impl FnMut(&Observation) -> f64,
+    ) -> Option<[f64; N]> {
+        let span_s = self.span_s();
+        let loops = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops).ok()?;
+        let mut decided_mps2 = [0.0; N];
+        for (index, (vehicle, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate()
+        {
+            let external = (index == commanded).then_some(&mut *command);
+            let speed_mps = line.motion[index].speed_mps;
+            match line.command_mps2(index, vehicle, span_s, external) {
+                Ok(command_mps2) => *decided_mps2 = vehicle.actuate(command_mps2, speed_mps, false),
+                Err(failure) => {
+                    self.failed.get_or_insert(FailedController {
+                        time_s: span_s[0],
+                        vehicle: index,
+                        failure,
+                    });
+                }
+            }
+        }
+        Some(decided_mps2)
     }
 
     fn short_line<const N: usize>(&self) -> Option<ShortLine<N>> {

@@ -21,13 +21,13 @@ fn commands_from_outside_equal_the_same_controller_inside() {
         let mut controller = AnyController::from_spec(&spec, &ego, 0);
         let mut stepper = Stepper::new(&run, RecordingLevel::Trace);
         while !stepper.has_ended() {
-            let seen = stepper.observe(1).unwrap();
+            let observation = stepper.observe(1).unwrap();
             assert_eq!(
                 stepper.observe(1),
-                Some(seen),
+                Some(observation),
                 "looking twice sees the same"
             );
-            stepper.command(1, controller.decide(&seen).unwrap());
+            stepper.command(1, controller.decide(&observation).unwrap());
             stepper.step();
         }
         assert_eq!(stepper.finish(), inside);
@@ -35,7 +35,7 @@ fn commands_from_outside_equal_the_same_controller_inside() {
 }
 
 #[test]
-fn summaries_change_nothing_else() {
+fn a_stepper_without_summaries_has_the_same_results() {
     let spec = BuiltInController::BaselineUnlatched(AebSettings::default());
     for index in 0..20 {
         let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();

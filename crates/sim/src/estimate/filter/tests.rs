@@ -24,7 +24,7 @@ fn steady_deviations_match_the_continuous_time_closed_form() {
 }
 
 #[test]
-fn the_steady_covariance_is_where_the_recursion_ends() {
+fn the_steady_covariance_is_the_fixed_point_of_the_recursion() {
     for (step, noise, bandwidth) in [
         (0.01, 0.03, 5.0),
         (0.001, 1e-4, 5.0),

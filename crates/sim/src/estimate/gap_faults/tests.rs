@@ -72,18 +72,18 @@ fn assert_observed(
     leader: [f64; 3],
     expected: impl Fn(f64, &Neighbour) -> [f64; 2],
 ) {
-    for (time_s, seen, truth) in observe(sensors, 1000, leader) {
-        let (seen, [gap_m, speed_mps]) = (seen.expect("tracked"), expected(time_s, &truth));
+    for (time_s, sensed, truth) in observe(sensors, 1000, leader) {
+        let (sensed, [gap_m, speed_mps]) = (sensed.expect("tracked"), expected(time_s, &truth));
         let tolerance = if time_s < 8.0 { INITIAL_ERROR } else { 1e-9 };
         assert!(
-            (seen.gap_m - gap_m).abs() < tolerance,
+            (sensed.gap_m - gap_m).abs() < tolerance,
             "{time_s} s: {} m, not {gap_m} m",
-            seen.gap_m
+            sensed.gap_m
         );
         assert!(
-            (seen.speed_mps - speed_mps).abs() < tolerance,
+            (sensed.speed_mps - speed_mps).abs() < tolerance,
             "{time_s} s: {} m/s",
-            seen.speed_mps
+            sensed.speed_mps
         );
     }
 }
@@ -107,8 +107,8 @@ fn bias_shifts_gaps_and_keeps_speeds() {
 #[test]
 fn resolution_rounds_a_constant_gap() {
     let coarse = sensors(|faults| faults.gap_resolution_m = 0.4);
-    let (_, seen, _) = observe(&coarse, 1000, [16.3, OWN_MPS, 0.0])[999];
-    assert!((seen.expect("tracked").gap_m - 16.4).abs() < 1e-9);
+    let (_, sensed, _) = observe(&coarse, 1000, [16.3, OWN_MPS, 0.0])[999];
+    assert!((sensed.expect("tracked").gap_m - 16.4).abs() < 1e-9);
 }
 
 /// With latency L, the filter follows the gap of L ago, and the constant acceleration of the leader.
@@ -116,14 +116,15 @@ fn resolution_rounds_a_constant_gap() {
 fn latency_delays_the_onset_of_a_constant_acceleration() {
     let late = sensors(|faults| faults.latency_s = 0.2);
     let [gap_m, speed_mps, acceleration_mps2] = [20.0, 25.0, 1.0];
-    let (time_s, seen, _) = observe(&late, 1000, [gap_m, speed_mps, acceleration_mps2])[999];
+    let (time_s, sensed, _) = observe(&late, 1000, [gap_m, speed_mps, acceleration_mps2])[999];
     let past = truth(time_s - 0.2, [gap_m, speed_mps, acceleration_mps2])
         .observation
         .ahead
         .expect("a leader");
-    let seen = seen.expect("tracked");
+    let sensed = sensed.expect("tracked");
     assert!(
-        (seen.gap_m - past.gap_m).abs() < 1e-9 && (seen.speed_mps - past.speed_mps).abs() < 1e-9
+        (sensed.gap_m - past.gap_m).abs() < 1e-9
+            && (sensed.speed_mps - past.speed_mps).abs() < 1e-9
     );
 }
 
@@ -132,8 +133,8 @@ fn latency_delays_the_onset_of_a_constant_acceleration() {
 fn an_outage_hides_the_braking_of_the_leader() {
     let blind =
         sensors(|faults| (faults.outage_rate_per_s, faults.outage_length_s) = (100.0, 100.0));
-    let (time_s, seen, truth) = observe(&blind, 101, [80.0, OWN_MPS, -4.0])[100];
-    let error_m = seen.expect("tracked").gap_m - truth.gap_m;
+    let (time_s, sensed, truth) = observe(&blind, 101, [80.0, OWN_MPS, -4.0])[100];
+    let error_m = sensed.expect("tracked").gap_m - truth.gap_m;
     assert!(
         (error_m - 0.5 * 4.0 * time_s * time_s).abs() < INITIAL_ERROR,
         "{error_m} m"
@@ -174,7 +175,7 @@ fn a_vehicle_is_detected_late_after_it_comes_into_range() {
     let observations = observe(&short, 300, [60.05, 10.0, 0.0]);
     let first = observations
         .iter()
-        .find(|(_, seen, _)| seen.is_some())
+        .find(|(_, sensed, _)| sensed.is_some())
         .expect("comes into range");
     // The gap is 50 m after 1.005 s, so the sensor notices at 1.01 s.
     assert!((first.0 - 1.51).abs() < 1e-9, "{} s", first.0);
@@ -207,8 +208,8 @@ fn a_ghost_hides_the_leader_until_it_is_passed() {
         speed_mps: 0.0,
     };
     let haunted = sensors(|faults| faults.ghost = Some(ghost));
-    for (time_s, seen, truth) in observe(&haunted, 300, [40.0, OWN_MPS, 0.0]) {
-        let seen = seen.expect("tracked");
+    for (time_s, sensed, truth) in observe(&haunted, 300, [40.0, OWN_MPS, 0.0]) {
+        let sensed = sensed.expect("tracked");
         let is_ghost = (0.995..1.505).contains(&time_s);
         let expected_m = if is_ghost {
             10.05 - OWN_MPS * (time_s - 1.0)
@@ -217,14 +218,14 @@ fn a_ghost_hides_the_leader_until_it_is_passed() {
         };
         let expected_mps = if is_ghost { 0.0 } else { truth.speed_mps };
         assert!(
-            (seen.gap_m - expected_m).abs() < INITIAL_ERROR,
+            (sensed.gap_m - expected_m).abs() < INITIAL_ERROR,
             "{time_s} s: {} m",
-            seen.gap_m
+            sensed.gap_m
         );
         assert!(
-            (seen.speed_mps - expected_mps).abs() < INITIAL_ERROR,
+            (sensed.speed_mps - expected_mps).abs() < INITIAL_ERROR,
             "{time_s} s: {} m/s",
-            seen.speed_mps
+            sensed.speed_mps
         );
     }
 }

@@ -16,7 +16,7 @@ fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
 }
 
 #[test]
-fn a_product_shared_out_is_the_same() {
+fn a_product_does_not_depend_on_the_number_of_threads() {
     let [m, k, n] = [523, 241, 127];
     let (a, b) = (numbers(1, m * k), numbers(2, k * n));
     assert!(m * k * n > 3 * MIN_PARALLEL_MULTIPLICATIONS);

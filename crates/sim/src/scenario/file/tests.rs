@@ -58,7 +58,7 @@ fn errors_name_the_line_of_invalid_or_truncated_text() {
 
 /// Deep or long texts yield an error, and no overflow of stack or memory.
 #[test]
-fn no_depth_or_length_is_too_much() {
+fn deep_and_long_texts_yield_errors() {
     let times = |text: &str| text.repeat(100_000);
     for text in [
         times("["),
@@ -107,7 +107,7 @@ fn no_depth_or_length_is_too_much() {
 
 /// Replaces every structure of a scenario by a list of its values, one at a time: all are rejected.
 #[test]
-fn a_list_is_no_structure_at_any_depth() {
+fn a_list_in_place_of_an_object_is_rejected_at_any_depth() {
     use serde_json::Value;
     fn lists(value: &Value) -> Vec<Value> {
         let mut all = Vec::new();

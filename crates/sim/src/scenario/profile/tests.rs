@@ -36,7 +36,7 @@ fn the_constant_acceleration_equals_that_of_each_step() {
     for profile in profiles {
         let mut steps_held = 0;
         for from in 0..300 {
-            let [held_mps2, until_s] = profile
+            let [constant_mps2, until_s] = profile
                 .constant_acceleration_span(f64::from(from) * 0.01)
                 .unwrap();
             // All later steps that end in time, not only the next.
@@ -44,7 +44,7 @@ fn the_constant_acceleration_equals_that_of_each_step() {
                 let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
                 if to_s <= until_s {
                     let found_mps2 = profile.acceleration_mps2(from_s, to_s, 20.0);
-                    assert_eq!(held_mps2.to_bits(), found_mps2.to_bits(), "{profile:?}");
+                    assert_eq!(constant_mps2.to_bits(), found_mps2.to_bits(), "{profile:?}");
                     steps_held += 1;
                 }
             }
@@ -65,7 +65,7 @@ fn an_onset_inside_a_step_brakes_for_the_rest_of_the_step() {
 }
 
 #[test]
-fn half_a_g_within_a_second_and_a_half_held_to_a_quarter_second_before_standstill() {
+fn ramp_braking_builds_up_linearly_and_is_released_before_standstill() {
     let profile = LeadProfile::RampBrake(RampBrake {
         onset_s: 1.0,
         rate_mps2: 4.905,
@@ -106,7 +106,7 @@ fn braking_to_two_kilometres_an_hour_ends_there() {
 }
 
 #[test]
-fn pieces_average_over_the_steps_they_change_in() {
+fn a_piecewise_acceleration_is_averaged_over_a_step_with_changes() {
     let pieces = PiecewiseAcceleration {
         from_s: vec![0.0, 0.104, 0.107],
         accel_mps2: vec![1.0, -2.0, 4.0],

@@ -6,7 +6,7 @@ fn field_of(change: impl FnOnce(&mut super::ScenarioSpec)) -> String {
 }
 
 #[test]
-fn each_kind_of_nonsense_names_its_field() {
+fn each_invalid_value_is_rejected_with_its_field() {
     assert_eq!(field_of(|s| s.duration_s = 99_999.0), "duration_s");
     assert_eq!(field_of(|s| s.step_s = f64::NAN), "step_s");
     assert_eq!(field_of(|s| s.seed = u64::MAX), "seed");

@@ -26,7 +26,9 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(1000))]
 
     #[test]
-    fn sums_and_products_agree(left in any_matrix(), right in any_matrix(), factor in -1e3..1e3) {
+    fn matrix_sums_and_products_agree_with_the_reference(
+        left in any_matrix(), right in any_matrix(), factor in -1e3..1e3,
+    ) {
         let (a, b) = (oracle(&left), oracle(&right));
         prop_assert_eq!(bits(&(left + right)), bits_of_oracle(&(a + b)));
         prop_assert_eq!(bits(&(left * right)), bits_of_oracle(&(a * b)));
@@ -41,13 +43,13 @@ proptest! {
     }
 
     #[test]
-    fn inverses_agree(matrix in any_matrix()) {
+    fn matrix_inverses_agree_with_the_reference(matrix in any_matrix()) {
         let expected = oracle(&matrix).try_inverse();
         prop_assert_eq!(matrix.inverse().map(|it| bits(&it)), expected.map(|it| bits_of_oracle(&it)));
     }
 
     #[test]
-    fn cholesky_factors_agree(root in any_matrix(), added in -10.0..1e3) {
+    fn cholesky_factors_agree_with_the_reference(root in any_matrix(), added in -10.0..1e3) {
         for matrix in [root, root * root.transpose() + Matrix3::IDENTITY * added] {
             let expected = oracle(&matrix).cholesky().map(|factor| factor.l());
             prop_assert_eq!(matrix.cholesky().map(|it| bits(&it)), expected.map(|it| bits_of_oracle(&it)));
