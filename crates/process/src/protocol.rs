@@ -176,21 +176,22 @@ fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> 
         return Err(invalid_reply(line, "a line is a JSON object"));
     }
     serde_json::from_slice(line).map_err(|error| {
+        let error = error.to_string();
         // Python and others write these numbers, which JSON lacks.
-        let names = |number: &str| {
-            line.windows(number.len())
-                .any(|part| part == number.as_bytes())
-        };
-        let is_decision = names("\"acceleration_mps2\"");
-        let is_not_finite = ["NaN", "nan", "Infinity", "inf", "number out of range"]
-            .into_iter()
-            .any(names);
-        if is_decision && (is_not_finite || error.to_string().starts_with("number out of range")) {
+        let is_not_finite = error.starts_with("number out of range")
+            || ["NaN", "nan", "Infinity", "inf", "number out of range"]
+                .into_iter()
+                .any(|number| contains(line, number));
+        if contains(line, "\"acceleration_mps2\"") && is_not_finite {
             ProcessProblem::NotFinite
         } else {
-            invalid_reply(line, &error.to_string())
+            invalid_reply(line, &error)
         }
     })
+}
+
+fn contains(line: &[u8], text: &str) -> bool {
+    line.windows(text.len()).any(|part| part == text.as_bytes())
 }
 
 fn invalid_reply(line: &[u8], reason: &str) -> ProcessProblem {

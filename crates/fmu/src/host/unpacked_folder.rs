@@ -97,7 +97,7 @@ mod unix {
         }
         let locked = folder.metadata()?;
         let is_there = fs::symlink_metadata(path)
-            .is_ok_and(|found| (found.dev(), found.ino()) == (locked.dev(), locked.ino()));
+            .is_ok_and(|entry| (entry.dev(), entry.ino()) == (locked.dev(), locked.ino()));
         Ok(is_there.then_some(folder))
     }
 
@@ -115,7 +115,7 @@ mod unix {
             let path = entry.path();
             let Ok(folder) = open(&path) else { continue };
             let own = rustix::process::geteuid().as_raw();
-            if folder.metadata().is_ok_and(|found| found.uid() == own) && folder.try_lock().is_ok()
+            if folder.metadata().is_ok_and(|entry| entry.uid() == own) && folder.try_lock().is_ok()
             {
                 let _ = fs::remove_dir_all(&path);
             }

@@ -38,20 +38,17 @@ pub(super) fn convert_input(
     check_scale(variable, dimension, ("scale", input.scale))?;
     let [low, high] = [input.low, input.high].map(|limit| (limit - offset) / factor);
     // A negative factor swaps the limits.
-    let (low, high) = if factor < 0.0 {
-        (high, low)
+    let [low, high] = if factor < 0.0 {
+        [high, low]
     } else {
-        (low, high)
-    };
-    let scaled = InputMapping {
-        offset: input.offset + input.scale * offset,
-        scale: input.scale * factor,
-        ..input
+        [low, high]
     };
     Ok(InputMapping {
+        offset: input.offset + input.scale * offset,
+        scale: input.scale * factor,
         low,
         high,
-        ..scaled
+        ..input
     })
 }
 
