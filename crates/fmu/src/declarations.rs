@@ -23,7 +23,7 @@ impl<'a> Declarations<'a> {
         version: FmiVersion,
     ) -> Result<Self, InvalidDescription> {
         let mut units = HashMap::new();
-        let definitions = listed(root, "UnitDefinitions").iter();
+        let definitions = list_items(root, "UnitDefinitions").iter();
         for unit in definitions.filter(|child| child.name == "Unit") {
             let name = required_attribute(unit, "name")?;
             // A unit without a base unit has a name only.
@@ -35,7 +35,7 @@ impl<'a> Declarations<'a> {
             }
         }
         let mut types = HashMap::new();
-        for declared in listed(root, "TypeDefinitions") {
+        for declared in list_items(root, "TypeDefinitions") {
             let attributes = match version {
                 FmiVersion::Two => declared.child("Real"),
                 FmiVersion::Three => {
@@ -102,7 +102,7 @@ impl<'a> Declarations<'a> {
 }
 
 /// Returns the elements of a list; none without the list.
-fn listed<'x>(root: &'x XmlElement, name: &str) -> &'x [XmlElement] {
+fn list_items<'x>(root: &'x XmlElement, name: &str) -> &'x [XmlElement] {
     root.child(name).map_or(&[], |list| &list.children)
 }
 

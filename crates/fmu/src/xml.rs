@@ -65,7 +65,7 @@ impl XmlElement {
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes
             .iter()
-            .find(|(other, _)| *other == name)
+            .find(|(key, _)| *key == name)
             .map(|(_, value)| value.as_str())
     }
 
@@ -86,7 +86,7 @@ impl XmlElement {
             line: 1,
         };
         let mut reader = Reader::from_str(text);
-        let mut tree = TreeBuilder::default();
+        let mut tree = XmlTreeBuilder::default();
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
@@ -111,7 +111,7 @@ impl XmlElement {
 
 /// Elements that have been read, and those around the next event.
 #[derive(Default)]
-struct TreeBuilder {
+struct XmlTreeBuilder {
     root: Option<XmlElement>,
     open: Vec<XmlElement>,
     /// Number of dropped elements around the next event.
@@ -120,7 +120,7 @@ struct TreeBuilder {
     kept_items: usize,
 }
 
-impl TreeBuilder {
+impl XmlTreeBuilder {
     fn is_outside(&self) -> bool {
         self.open.is_empty() && self.skipped == 0
     }

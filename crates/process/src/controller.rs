@@ -370,9 +370,9 @@ impl ProcessPool {
         question_count: u64,
         hello: &Arc<[u8]>,
     ) -> Result<ConnectedProcess, ControllerFailure> {
-        let within = Duration::from_secs_f64(self.setup.start_within_s);
+        let timeout = Duration::from_secs_f64(self.setup.start_within_s);
         let greeting = program
-            .query(hello, within)
+            .query(hello, timeout)
             .and_then(protocol::parse_hello_reply);
         match greeting.and_then(|greeting| self.check_greeting(greeting)) {
             Ok(greeting) => Ok(ConnectedProcess {

@@ -158,9 +158,9 @@ impl ChildProcess {
     pub(crate) fn query(
         &mut self,
         request: &[u8],
-        within: Duration,
+        timeout: Duration,
     ) -> Result<&[u8], ProcessProblem> {
-        let end = Instant::now() + within;
+        let deadline = Instant::now() + timeout;
         self.received.drain(..self.consumed);
         self.consumed = 0;
         let mut rest = request;
@@ -188,7 +188,7 @@ impl ChildProcess {
                     Err(_) => return Err(self.exit_problem()),
                 }
             }
-            self.poll_pipes(!rest.is_empty(), end, within)?;
+            self.poll_pipes(!rest.is_empty(), deadline, timeout)?;
         }
     }
 
@@ -196,11 +196,11 @@ impl ChildProcess {
     fn poll_pipes(
         &mut self,
         wants_to_write: bool,
-        end: Instant,
-        within: Duration,
+        deadline: Instant,
+        timeout: Duration,
     ) -> Result<(), ProcessProblem> {
-        let Some(left) = end.checked_duration_since(Instant::now()) else {
-            return Err(self.timeout_problem(within));
+        let Some(left) = deadline.checked_duration_since(Instant::now()) else {
+            return Err(self.timeout_problem(timeout));
         };
         // The number of polled pipes is fixed: if nothing is to be written, stdout takes the place of stdin.
         let input = match &self.stdin {
@@ -217,7 +217,7 @@ impl ChildProcess {
             tv_nsec: left.subsec_nanos().into(),
         };
         match poll(&mut pipes, Some(&left)) {
-            Ok(0) => return Err(self.timeout_problem(within)),
+            Ok(0) => return Err(self.timeout_problem(timeout)),
             Ok(_) | Err(rustix::io::Errno::INTR) => {}
             Err(_) => return Err(ProcessProblem::Closed),
         }
@@ -262,21 +262,21 @@ impl ChildProcess {
     }
 
     /// Returns the reason of a missing reply. Children may keep the output open after the program ended.
-    fn timeout_problem(&mut self, within: Duration) -> ProcessProblem {
+    fn timeout_problem(&mut self, timeout: Duration) -> ProcessProblem {
         match self.child.try_wait() {
             Ok(Some(status)) => ProcessProblem::Ended {
                 status: describe_exit(status),
             },
             _ => ProcessProblem::Timeout {
-                limit_s: within.as_secs_f64(),
+                limit_s: timeout.as_secs_f64(),
             },
         }
     }
 
     /// Returns the error for a program that closed its pipes.
     fn exit_problem(&mut self) -> ProcessProblem {
-        let end = Instant::now() + EXIT_CODE_TIMEOUT;
-        while Instant::now() < end {
+        let deadline = Instant::now() + EXIT_CODE_TIMEOUT;
+        while Instant::now() < deadline {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
                     return ProcessProblem::Ended {
@@ -308,8 +308,8 @@ impl ChildProcess {
 
     /// Reads pending standard error. The loop is bounded: the output may be endless.
     fn drain_stderr(&mut self) {
-        let most = 2 * MAX_LINE_BYTES / READ_BYTES;
-        let _ = (0..most).take_while(|_| self.read_stderr()).count();
+        let max_reads = 2 * MAX_LINE_BYTES / READ_BYTES;
+        let _ = (0..max_reads).take_while(|_| self.read_stderr()).count();
     }
 
     fn kill(&mut self) {
@@ -328,8 +328,8 @@ impl ChildProcess {
     /// Waits up to `SHUTDOWN_TIMEOUT` for the end of the process.
     fn wait_for_exit(&mut self) {
         self.close_stdin();
-        let end = Instant::now() + SHUTDOWN_TIMEOUT;
-        while self.poll_pipes(false, end, SHUTDOWN_TIMEOUT).is_ok() {
+        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
+        while self.poll_pipes(false, deadline, SHUTDOWN_TIMEOUT).is_ok() {
             self.received.clear();
         }
     }

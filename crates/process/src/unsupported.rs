@@ -24,7 +24,7 @@ impl ChildProcess {
     pub(crate) fn query(
         &mut self,
         _request: &[u8],
-        _within: Duration,
+        _timeout: Duration,
     ) -> Result<&[u8], ProcessProblem> {
         match *self {}
     }

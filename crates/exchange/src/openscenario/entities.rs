@@ -4,7 +4,7 @@ use super::error::ScenarioImportError;
 use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most};
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
-use super::xml::{ElementPlace, Node};
+use super::xml::{ElementLocation, Node};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::scenario::{Driver, VehicleClass};
 
@@ -36,16 +36,16 @@ pub(super) struct Entity<'a> {
     stated_driver: Option<String>,
     /// Content without influence on the motion.
     pub(super) notes: Vec<String>,
-    places: BodyPlaces,
+    locations: BodyLocations,
 }
 
 /// Elements that state the body of an entity, which may be in a catalogue.
 #[derive(Debug)]
-struct BodyPlaces {
-    body: ElementPlace,
-    center: ElementPlace,
-    dimensions: ElementPlace,
-    performance: Option<ElementPlace>,
+struct BodyLocations {
+    body: ElementLocation,
+    center: ElementLocation,
+    dimensions: ElementLocation,
+    performance: Option<ElementLocation>,
 }
 
 impl Entity<'_> {
@@ -114,20 +114,20 @@ impl Entity<'_> {
     }
 
     /// Returns the element that states a field of the vehicle.
-    pub(super) fn place_of(&self, field: &str) -> ElementPlace {
-        let places = &self.places;
+    pub(super) fn field_location(&self, field: &str) -> ElementLocation {
+        let locations = &self.locations;
         let is_center_far = self.front_m.abs() > MAX_USUAL_CENTER_M;
         match field {
-            "length_m" => places.dimensions.clone(),
-            "position_m" if is_center_far => places.center.clone(),
+            "length_m" => locations.dimensions.clone(),
+            "position_m" if is_center_far => locations.center.clone(),
             "mass_kg" | "reaction_delay_s" | "actuator_lag_s" | "actuator_delay_s" => {
-                places.body.clone()
+                locations.body.clone()
             }
             "max_brake_mps2" | "max_accel_mps2" | "jerk_limit_mps3" => {
-                let performance = places.performance.as_ref();
-                performance.unwrap_or(&places.body).clone()
+                let performance = locations.performance.as_ref();
+                performance.unwrap_or(&locations.body).clone()
             }
-            _ => self.node.place(),
+            _ => self.node.location(),
         }
     }
 }
@@ -294,11 +294,11 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         controller: None,
         stated_driver: None,
         notes: Vec::new(),
-        places: BodyPlaces {
-            body: body.place(),
-            center: center.place(),
-            dimensions: dimensions.place(),
-            performance: body.optional("Performance").map(Node::place),
+        locations: BodyLocations {
+            body: body.location(),
+            center: center.location(),
+            dimensions: dimensions.location(),
+            performance: body.optional("Performance").map(Node::location),
         },
     };
     if body.name() == "Vehicle" {

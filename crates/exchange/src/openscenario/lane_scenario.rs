@@ -7,7 +7,7 @@ use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::trigger::Firing;
-use super::xml::{ElementPlace, Node};
+use super::xml::{ElementLocation, Node};
 use crumple_core::digits::{format_fixed, format_number};
 use crumple_sim::scenario::{
     Driver, InvalidField, LaneChange, Scenario, ScenarioSpec, VehicleSpec,
@@ -58,12 +58,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             self.replay.notes.append(&mut vehicle.notes);
             vehicles.push(vehicle);
         }
-        let mut listed = self.order(vehicles);
-        for index in 0..listed.len() {
-            self.set_entry_gap(&mut listed, index)?;
+        let mut vehicles = self.order(vehicles);
+        for index in 0..vehicles.len() {
+            self.set_entry_gap(&mut vehicles, index)?;
         }
-        let entities: Vec<usize> = listed.iter().map(|vehicle| vehicle.entity).collect();
-        let vehicles = listed.into_iter().map(|vehicle| vehicle.spec).collect();
+        let entities: Vec<usize> = vehicles.iter().map(|vehicle| vehicle.entity).collect();
+        let vehicles = vehicles.into_iter().map(|vehicle| vehicle.spec).collect();
         let scenario = Scenario::new(self.scenario_spec(vehicles, start_s))
             .map_err(|invalid| self.outside_ranges(invalid, &entities))?;
         Ok(ImportedLaneScenario {
@@ -125,11 +125,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
     fn outside_ranges(&self, invalid: InvalidField, entities: &[usize]) -> ScenarioImportError {
         let of_vehicle = invalid.field.strip_prefix("vehicles[");
         let index_and_field = of_vehicle.and_then(|rest| rest.split_once("]."));
-        let place = index_and_field.and_then(|(index, field)| {
+        let location = index_and_field.and_then(|(index, field)| {
             let entity = *entities.get(index.parse::<usize>().ok()?)?;
-            Some(self.replay.entities.get(entity)?.place_of(field))
+            Some(self.replay.entities.get(entity)?.field_location(field))
         });
-        let ElementPlace { path, line, name } = place.unwrap_or_else(|| self.storyboard.place());
+        let ElementLocation { path, line, name } =
+            location.unwrap_or_else(|| self.storyboard.location());
         ScenarioImportError::Invalid {
             path: path.to_path_buf(),
             line,
@@ -303,21 +304,21 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         };
         let steps = ((self.stop.time_s - start_s) / REPLAY_STEP_S).floor() as usize;
         for step in 1..=steps {
-            let wanted = motion.plan.at(start_s + step as f64 * REPLAY_STEP_S);
-            let rate_mps2 = (wanted.speed_mps - before.speed_mps) / REPLAY_STEP_S;
+            let planned = motion.plan.at(start_s + step as f64 * REPLAY_STEP_S);
+            let rate_mps2 = (planned.speed_mps - before.speed_mps) / REPLAY_STEP_S;
             if rate_mps2.abs() > hardest.rate_mps2.abs() {
                 hardest = SpeedStep {
                     time_s: before.time_s,
                     rate_mps2,
                 };
             }
-            let wanted_mps2 = (wanted.speed_mps - speed_mps) / REPLAY_STEP_S;
-            let limited_mps2 = wanted_mps2.clamp(-brake_mps2, accel_mps2.max(0.0));
+            let target_mps2 = (planned.speed_mps - speed_mps) / REPLAY_STEP_S;
+            let limited_mps2 = target_mps2.clamp(-brake_mps2, accel_mps2.max(0.0));
             let next_mps = (speed_mps + limited_mps2 * REPLAY_STEP_S).max(0.0);
             position_m += 0.5 * (speed_mps + next_mps) * REPLAY_STEP_S;
             speed_mps = next_mps;
-            before = wanted;
-            if (position_m - wanted.position_m).abs() > FOLLOW_TOLERANCE_M {
+            before = planned;
+            if (position_m - planned.position_m).abs() > FOLLOW_TOLERANCE_M {
                 return Err(hardest.refuse(motion, body, [-brake_mps2, accel_mps2]));
             }
         }
@@ -326,20 +327,20 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
 
     /// Lists the vehicles front to rear; one that enters has its place at that time.
     fn order(&self, vehicles: Vec<LaneVehicle>) -> Vec<LaneVehicle> {
-        let (mut listed, mut entering): (Vec<_>, Vec<_>) = vehicles
+        let (mut present, mut entering): (Vec<_>, Vec<_>) = vehicles
             .into_iter()
             .partition(|vehicle| vehicle.enters_s == f64::NEG_INFINITY);
-        listed.sort_by(|a, b| b.spec.position_m.total_cmp(&a.spec.position_m));
+        present.sort_by(|a, b| b.spec.position_m.total_cmp(&a.spec.position_m));
         entering.sort_by(|a, b| a.enters_s.total_cmp(&b.enters_s));
         for vehicle in entering {
             let own_m = self.front_m(vehicle.entity, vehicle.enters_s);
-            let index = listed
+            let index = present
                 .iter()
                 .position(|other| self.front_m(other.entity, vehicle.enters_s) < own_m)
-                .unwrap_or(listed.len());
-            listed.insert(index, vehicle);
+                .unwrap_or(present.len());
+            present.insert(index, vehicle);
         }
-        listed
+        present
     }
 
     fn front_m(&self, entity: usize, time_s: f64) -> f64 {
@@ -347,15 +348,15 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
     }
 
     /// Sets the gap to the vehicle behind that triggers an entry, if the entry depends on its controller.
-    fn set_entry_gap(&mut self, listed: &mut [LaneVehicle], index: usize) -> Result<()> {
-        let Some(entering) = listed.get(index) else {
+    fn set_entry_gap(&mut self, vehicles: &mut [LaneVehicle], index: usize) -> Result<()> {
+        let Some(entering) = vehicles.get(index) else {
             return Ok(());
         };
         if !matches!(entering.spec.enters, Some(LaneChange::Gap(_))) {
             return Ok(());
         }
         let node = self.controlled_change_node(entering.entity);
-        let follower = controlled_follower(listed, index).ok_or_else(|| {
+        let follower = controlled_follower(vehicles, index).ok_or_else(|| {
             node.refuse("depends on a vehicle with a controller, which must be the next one behind")
         })?;
         let rear_m = self.front_m(entering.entity, entering.enters_s) - entering.spec.length_m();
@@ -370,7 +371,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             "enters at a gap of {} m, as if the vehicle under test kept its speed",
             format_fixed(gap_m, 2)
         ));
-        if let Some(entering) = listed.get_mut(index) {
+        if let Some(entering) = vehicles.get_mut(index) {
             entering.spec.enters = Some(LaneChange::Gap(gap_m));
         }
         self.replay.notes.push(note);
@@ -391,7 +392,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
     }
 }
 
-/// Returns the error of an entity that is faster than its maximum speed.
+/// Refuses an entity that exceeds its maximum speed.
 fn check_max_speed(motion: &EntityMotion<'_>, body: &Entity<'_>) -> Result<()> {
     let fastest = motion
         .plan
@@ -474,9 +475,9 @@ fn set_lane_changes(
 }
 
 /// Returns the next vehicle behind that is in the lane when the vehicle at `index` enters, if a controller drives it.
-fn controlled_follower(listed: &[LaneVehicle], index: usize) -> Option<&LaneVehicle> {
-    let enters_s = listed.get(index)?.enters_s;
-    listed
+fn controlled_follower(vehicles: &[LaneVehicle], index: usize) -> Option<&LaneVehicle> {
+    let enters_s = vehicles.get(index)?.enters_s;
+    vehicles
         .iter()
         .skip(index + 1)
         .find(|vehicle| vehicle.enters_s < enters_s)

@@ -181,13 +181,13 @@ pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), Scenar
     Ok((node.text("parameterRef")?, node.text("value")?))
 }
 
-fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
+fn compare(value: &str, rule: &str, limit: &str) -> Result<bool, String> {
     let numbers = value
         .trim()
         .parse::<f64>()
         .ok()
-        .zip(other.trim().parse::<f64>().ok());
-    let is_equal = numbers.map_or(value == other, |(a, b)| a == b);
+        .zip(limit.trim().parse::<f64>().ok());
+    let is_equal = numbers.map_or(value == limit, |(a, b)| a == b);
     match (rule, numbers) {
         ("equalTo", _) => Ok(is_equal),
         ("notEqualTo", _) => Ok(!is_equal),
@@ -196,7 +196,7 @@ fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
         ("greaterOrEqual", Some((a, b))) => Ok(a >= b),
         ("lessOrEqual", Some((a, b))) => Ok(a <= b),
         _ => Err(format!(
-            "cannot compare `{value}` and `{other}` by the rule `{rule}`"
+            "cannot compare `{value}` and `{limit}` by the rule `{rule}`"
         )),
     }
 }
@@ -241,13 +241,13 @@ impl<'a> ExpressionParser<'a> {
     ) -> Result<f64, String> {
         let mut result = value(self)?;
         while let Some(operator) = operators.iter().find(|operator| self.take(**operator)) {
-            let other = value(self)?;
+            let operand = value(self)?;
             result = match operator {
-                '+' => result + other,
-                '-' => result - other,
-                '*' => result * other,
-                '/' => result / other,
-                _ => result % other,
+                '+' => result + operand,
+                '-' => result - operand,
+                '*' => result * operand,
+                '/' => result / operand,
+                _ => result % operand,
             };
         }
         Ok(result)

@@ -130,21 +130,18 @@ impl<'a, 'b> Replay<'a, 'b> {
         work: &'b WorkBudget,
     ) -> Result<Self> {
         let states = initial.places.iter().zip(&initial.speeds_mps);
+        let mut motion: Vec<EntityMotion<'a>> = states
+            .map(|(place, speed_mps)| EntityMotion::constant(place, speed_mps.unwrap_or(0.0)))
+            .collect();
         let control = is_controlled.iter().zip(&initial.is_active);
-        let motion =
-            states
-                .zip(control)
-                .map(
-                    |((place, speed_mps), (&is_controlled, &is_active))| EntityMotion {
-                        is_controlled,
-                        activated_s: is_active.then_some(0.0),
-                        ..EntityMotion::constant(place, speed_mps.unwrap_or(0.0))
-                    },
-                );
+        for (motion, (&is_controlled, &is_active)) in motion.iter_mut().zip(control) {
+            motion.is_controlled = is_controlled;
+            motion.activated_s = is_active.then_some(0.0);
+        }
         let road_id = initial.places.first().map(|place| place.road.clone());
         let mut replay = Self {
             entities,
-            motion: motion.collect(),
+            motion,
             events,
             roads,
             road_id: road_id.unwrap_or_default(),
@@ -306,7 +303,7 @@ impl<'a, 'b> Replay<'a, 'b> {
             self.stop_earlier_actions(&event.actors, start.time_s);
         }
         event.start_s = Some(start.time_s);
-        event.depends = start.depends_on_controller;
+        event.depends_on_controller = start.depends_on_controller;
         self.events
             .get_mut(index)
             .map(|slot| std::mem::replace(slot, event));

@@ -43,7 +43,7 @@ impl Replay<'_, '_> {
                 Some(ElementTimes {
                     start_s: event.start_s,
                     end_s: event.action_ends_s.get(index).copied(),
-                    depends_on_controller: event.depends,
+                    depends_on_controller: event.depends_on_controller,
                 })
             });
         }
@@ -56,7 +56,7 @@ impl Replay<'_, '_> {
             end_s: ends_s
                 .reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b)))
                 .flatten(),
-            depends_on_controller: inside.iter().any(|event| event.depends),
+            depends_on_controller: inside.iter().any(|event| event.depends_on_controller),
         })
     }
 

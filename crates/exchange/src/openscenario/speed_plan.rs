@@ -93,13 +93,13 @@ impl TransitionDynamics {
         }
     }
 
-    /// Returns the share of the time after which the share `wanted` of the change is done.
-    pub(super) fn share_until(self, wanted: f64) -> f64 {
+    /// Returns the share of the time after which a share of the change is done.
+    pub(super) fn share_until(self, target_share: f64) -> f64 {
         let mut low = 0.0;
         let mut high = 1.0;
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if self.progress(middle) < wanted {
+            if self.progress(middle) < target_share {
                 low = middle
             } else {
                 high = middle

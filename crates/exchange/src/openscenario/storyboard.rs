@@ -46,7 +46,7 @@ pub(super) struct StoryEvent<'a> {
     /// Ends of the actions, in their order.
     pub(super) action_ends_s: Vec<f64>,
     /// True if the start depends on a controller.
-    pub(super) depends: bool,
+    pub(super) depends_on_controller: bool,
 }
 
 impl StoryEvent<'_> {
@@ -254,7 +254,7 @@ impl<'a> Stories<'a> {
             actions: actions.into(),
             start_s: None,
             action_ends_s: Vec::new(),
-            depends: false,
+            depends_on_controller: false,
         });
         Ok(())
     }

@@ -41,7 +41,7 @@ struct Condition<'a> {
     edge: ConditionEdge,
     delay_s: f64,
     /// Margin at the step before; positive if the condition held.
-    before: Option<f64>,
+    margin_before: Option<f64>,
     /// Times from which the condition is true, delay included, and until which.
     pending_s: std::collections::VecDeque<f64>,
 }
@@ -229,7 +229,7 @@ impl<'a> Condition<'a> {
             kind,
             edge,
             delay_s,
-            before: None,
+            margin_before: None,
             pending_s: Default::default(),
         })
     }
@@ -251,20 +251,20 @@ impl<'a> Condition<'a> {
         before_s: f64,
         now_s: f64,
     ) -> Result<Option<f64>> {
-        let margin_before = self.before.replace(state.margin);
-        let held = margin_before.is_some_and(|margin| margin > 0.0);
+        let margin_before = self.margin_before.replace(state.margin);
+        let held_before = margin_before.is_some_and(|margin| margin > 0.0);
         let holds = state.margin > 0.0;
         let true_s = match self.edge {
-            ConditionEdge::None if holds && held => Some(before_s),
+            ConditionEdge::None if holds && held_before => Some(before_s),
             ConditionEdge::Rising if margin_before.is_none() && holds => {
                 return Err(self
                     .node
                     .refuse("is true from the start, so that it never becomes true"));
             }
-            ConditionEdge::None | ConditionEdge::Rising if holds && !held => {
+            ConditionEdge::None | ConditionEdge::Rising if holds && !held_before => {
                 Some(state.crossed_s(margin_before, before_s, now_s))
             }
-            ConditionEdge::Falling if held && !holds => {
+            ConditionEdge::Falling if held_before && !holds => {
                 Some(state.crossed_s(margin_before, before_s, now_s))
             }
             _ => None,

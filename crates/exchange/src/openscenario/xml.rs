@@ -36,13 +36,13 @@ pub(super) struct SourceElement {
 }
 
 impl SourceElement {
-    /// Parses a file of at most `most_items` tags and attributes, and checks the name of its root.
-    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str, most_items: usize) -> Result<Self> {
+    /// Parses a file of at most `max_items` tags and attributes, and checks the name of its root.
+    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str, max_items: usize) -> Result<Self> {
         let path: Arc<Path> = path.into();
         let text = decode_text(bytes, &path)?;
-        check_item_count(text, &path, most_items)?;
+        check_item_count(text, &path, max_items)?;
         let mut reader = Reader::from_str(text);
-        let mut tree = TreeBuilder {
+        let mut tree = SourceTreeBuilder {
             path: &path,
             root: None,
             open: Vec::new(),
@@ -159,13 +159,13 @@ fn check_length(text: &[u8]) -> std::result::Result<(), String> {
 }
 
 /// Elements that have been read, and those around the next event.
-struct TreeBuilder<'a> {
+struct SourceTreeBuilder<'a> {
     path: &'a Arc<Path>,
     root: Option<SourceElement>,
     open: Vec<SourceElement>,
 }
 
-impl TreeBuilder<'_> {
+impl SourceTreeBuilder<'_> {
     /// Adds what an event says, apart from the end of the text.
     fn add(&mut self, event: Event<'_>, line: u32) -> std::result::Result<(), String> {
         let closed = match event {
@@ -228,9 +228,9 @@ fn decode_text<'a>(bytes: &'a [u8], path: &Path) -> Result<&'a str> {
 }
 
 /// Refuses too many tags and attributes, before elements are built, which take more memory than their text.
-fn check_item_count(text: &str, path: &Path, most_items: usize) -> Result<()> {
+fn check_item_count(text: &str, path: &Path, max_items: usize) -> Result<()> {
     let mut items = text.bytes().enumerate().filter(|(_, byte)| is_item(*byte));
-    let Some((excess_at, _)) = items.nth(most_items) else {
+    let Some((excess_at, _)) = items.nth(max_items) else {
         return Ok(());
     };
     let before = text.as_bytes().get(..excess_at).unwrap_or_default();
@@ -250,7 +250,7 @@ pub(super) struct ElementSize {
 
 /// File, line and name of an element, for errors after its parameters are forgotten.
 #[derive(Debug, Clone)]
-pub(super) struct ElementPlace {
+pub(super) struct ElementLocation {
     pub(super) path: Arc<Path>,
     pub(super) line: u32,
     pub(super) name: String,
@@ -282,8 +282,8 @@ impl<'a> Node<'a> {
         &self.element.name
     }
 
-    pub(super) fn place(self) -> ElementPlace {
-        ElementPlace {
+    pub(super) fn location(self) -> ElementLocation {
+        ElementLocation {
             path: self.element.path.clone(),
             line: self.element.line,
             name: shorten_message(&self.element.name).into_owned(),
@@ -359,7 +359,7 @@ impl<'a> Node<'a> {
         self.element
             .attributes
             .iter()
-            .find(|(other, _)| other == name)
+            .find(|(key, _)| key == name)
             .map(|(_, value)| value.as_str())
     }
 

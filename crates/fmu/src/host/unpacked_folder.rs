@@ -150,7 +150,7 @@ mod tests {
 
     /// Other users can create any entry in a shared temporary folder.
     #[test]
-    fn links_files_and_other_names_are_left_alone() {
+    fn only_abandoned_folders_are_removed() {
         let temporary = tempfile::tempdir().unwrap();
         let precious = tempfile::tempdir().unwrap();
         fs::write(precious.path().join("precious"), "precious").unwrap();
@@ -180,7 +180,7 @@ mod tests {
 
     /// Eight concurrent starts, repeated: each keeps its folder.
     #[test]
-    fn starts_at_the_same_time_keep_their_folders() {
+    fn concurrent_starts_keep_their_folders() {
         let temporary = tempfile::tempdir().unwrap();
         std::thread::scope(|scope| {
             for _ in 0..8 {

@@ -120,11 +120,11 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
 fn check_dimension(
     variable: &Variable,
     unit: UnitDimension,
-    wanted: UnitDimension,
+    expected: UnitDimension,
     what: &str,
     (field, scale): (&str, f64),
 ) -> Result<(), String> {
-    if unit == wanted || (unit == UnitDimension::NONE && scale != 1.0) {
+    if unit == expected || (unit == UnitDimension::NONE && scale != 1.0) {
         return Ok(());
     }
     let hint = if unit == UnitDimension::NONE {
@@ -133,7 +133,7 @@ fn check_dimension(
         "choose another variable, or correct its unit in modelDescription.xml".to_owned()
     };
     Err(format!(
-        "{} ({unit} in SI units), and {what} is in {wanted}; {hint}",
+        "{} ({unit} in SI units), and {what} is in {expected}; {hint}",
         variable_with_unit(variable)
     ))
 }

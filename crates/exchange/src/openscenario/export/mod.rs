@@ -184,11 +184,11 @@ fn round(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
 
-fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
-    if found > MAX_VERTICES {
-        Err(OpenScenarioError::TooLong { found })
+fn check_vertex_count(count: usize) -> Result<usize, OpenScenarioError> {
+    if count > MAX_VERTICES {
+        Err(OpenScenarioError::TooLong { found: count })
     } else {
-        Ok(found)
+        Ok(count)
     }
 }
 

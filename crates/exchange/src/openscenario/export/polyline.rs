@@ -172,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_straight_line_is_two_vertices_and_a_corner_is_kept() {
+    fn polylines_have_vertices_only_at_ends_and_corners() {
         let time_s: Vec<f64> = (0..=100).map(|k| f64::from(k) * 0.01).collect();
         let straight: Vec<f64> = time_s.iter().map(|t| 5.0 + 20.0 * t).collect();
         assert_eq!(
