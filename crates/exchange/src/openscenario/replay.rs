@@ -61,6 +61,30 @@ impl<'a> EntityMotion<'a> {
         work_per_knot * self.plan.knots().len() as u64
     }
 
+    /// Changes the plan by an action, and returns the end of the action.
+    fn change_plan(
+        &mut self,
+        event: Node<'a>,
+        action: &StoryAction<'a>,
+        start_s: f64,
+        inputs: &ActionInputs,
+        samples_left: &mut usize,
+    ) -> Result<f64> {
+        match action {
+            StoryAction::Speed(speed) => {
+                let to_mps = speed.target.speed_mps(speed.node, inputs.reference_mps)?;
+                self.plan
+                    .change_speed(speed.node, start_s, to_mps, speed.dynamics, samples_left)
+            }
+            StoryAction::SpeedProfile(entries) => {
+                take_samples(event, entries.len(), samples_left)?;
+                Ok(self.follow_profile(entries, start_s))
+            }
+            StoryAction::Trajectory(_) => Ok(self.follow_trajectory(&inputs.vertices, start_s)),
+            StoryAction::LaneChange(_) | StoryAction::Activate => Ok(start_s),
+        }
+    }
+
     /// Follows pairs of a time after the previous entry and a speed, and returns the end.
     fn follow_profile(&mut self, entries: &[(f64, f64)], start_s: f64) -> f64 {
         self.is_recorded = true;
@@ -88,6 +112,15 @@ impl<'a> EntityMotion<'a> {
             .rfind(|(start_s, _)| *start_s <= time_s)
             .map(|(_, node)| *node)
     }
+}
+
+/// Positions and speeds on which an action depends.
+#[derive(Default)]
+struct ActionInputs {
+    /// Vertices of a trajectory.
+    vertices: Vec<PathVertex>,
+    /// Speed to which a target speed is relative.
+    reference_mps: f64,
 }
 
 /// A lane change.
@@ -364,44 +397,17 @@ impl<'a, 'b> Replay<'a, 'b> {
         action: &StoryAction<'a>,
         start: Firing,
     ) -> Result<f64> {
-        let start_s = start.time_s;
-        let vertices = match action {
-            StoryAction::Trajectory(trajectory) => {
-                self.trajectory_vertices(trajectory, actor, start_s)?
-            }
-            _ => Vec::new(),
-        };
-        let reference_mps = match action {
-            StoryAction::Speed(speed) => self.reference_mps(speed, start_s),
-            _ => 0.0,
-        };
+        let inputs = self.action_inputs(action, actor, start.time_s)?;
         let Some(motion) = self.motion.get_mut(actor) else {
-            return Ok(start_s);
+            return Ok(start.time_s);
         };
         let work = motion.change_work(start.depends_on_controller);
         self.work.spend(event, work)?;
         let plan_before = start.depends_on_controller.then(|| motion.plan.clone());
-        let end_s = match action {
-            StoryAction::Speed(speed) => {
-                let to_mps = speed.target.speed_mps(speed.node, reference_mps)?;
-                let samples_left = &mut self.samples_left;
-                motion.plan.change_speed(
-                    speed.node,
-                    start_s,
-                    to_mps,
-                    speed.dynamics,
-                    samples_left,
-                )?
-            }
-            StoryAction::SpeedProfile(entries) => {
-                take_samples(event, entries.len(), &mut self.samples_left)?;
-                motion.follow_profile(entries, start_s)
-            }
-            StoryAction::Trajectory(_) => motion.follow_trajectory(&vertices, start_s),
-            StoryAction::LaneChange(_) | StoryAction::Activate => start_s,
-        };
+        let samples_left = &mut self.samples_left;
+        let end_s = motion.change_plan(event, action, start.time_s, &inputs, samples_left)?;
         let node = action.node().unwrap_or(event);
-        motion.actions.push((start_s, node));
+        motion.actions.push((start.time_s, node));
         if plan_before.is_some_and(|before| motion.plan.differs_from(&before)) {
             return Err(node.refuse(
                 "depends on an entity with a controller: scripts depend only on the time",
@@ -409,6 +415,24 @@ impl<'a, 'b> Replay<'a, 'b> {
         }
         self.notes.extend(self.constant_speed_note(action));
         Ok(end_s)
+    }
+
+    /// Returns the positions and speeds on which an action depends.
+    fn action_inputs(
+        &mut self,
+        action: &StoryAction<'a>,
+        actor: usize,
+        start_s: f64,
+    ) -> Result<ActionInputs> {
+        let mut inputs = ActionInputs::default();
+        match action {
+            StoryAction::Speed(speed) => inputs.reference_mps = self.reference_mps(speed, start_s),
+            StoryAction::Trajectory(trajectory) => {
+                inputs.vertices = self.trajectory_vertices(trajectory, actor, start_s)?;
+            }
+            StoryAction::SpeedProfile(_) | StoryAction::LaneChange(_) | StoryAction::Activate => {}
+        }
+        Ok(inputs)
     }
 
     /// Returns a note if the target of an action is relative to the speed of a controlled entity.
