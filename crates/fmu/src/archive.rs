@@ -66,6 +66,25 @@ impl Fmu<BufReader<File>> {
     }
 }
 
+/// Reads the text of the description.
+fn read_description(archive: &mut ZipArchive<impl Read + Seek>) -> Result<String, FmuError> {
+    let member = archive.by_name(DESCRIPTION).map_err(|error| match error {
+        ZipError::FileNotFound => FmuError::Member(format!("it has no {DESCRIPTION}")),
+        other => other.into(),
+    })?;
+    let mut text = String::new();
+    member
+        .take(MAX_DESCRIPTION_BYTES + 1)
+        .read_to_string(&mut text)
+        .map_err(|error| FmuError::Member(format!("{DESCRIPTION}: {error}")))?;
+    if text.len() as u64 > MAX_DESCRIPTION_BYTES {
+        return Err(FmuError::Member(format!(
+            "{DESCRIPTION} has more than {MAX_DESCRIPTION_BYTES} bytes"
+        )));
+    }
+    Ok(text)
+}
+
 impl<R: Read + Seek> Fmu<R> {
     /// Reads an FMU from its bytes.
     ///
@@ -78,34 +97,22 @@ impl<R: Read + Seek> Fmu<R> {
                 "it has more than {MAX_MEMBERS} members"
             )));
         }
-        let mut text = String::new();
-        let member = archive.by_name(DESCRIPTION).map_err(|error| match error {
-            ZipError::FileNotFound => FmuError::Member(format!("it has no {DESCRIPTION}")),
-            other => other.into(),
-        })?;
-        let wrong = |error: io::Error| FmuError::Member(format!("{DESCRIPTION}: {error}"));
-        member
-            .take(MAX_DESCRIPTION_BYTES + 1)
-            .read_to_string(&mut text)
-            .map_err(wrong)?;
-        if text.len() as u64 > MAX_DESCRIPTION_BYTES {
-            return Err(FmuError::Member(format!(
-                "{DESCRIPTION} has more than {MAX_DESCRIPTION_BYTES} bytes"
-            )));
-        }
+        let description = ModelDescription::from_xml(&read_description(&mut archive)?)?;
         let fmu = Self {
-            description: ModelDescription::from_xml(&text)?,
+            description,
             archive,
         };
         let wanted = fmu.library_member();
         if fmu.archive.index_for_name(&wanted).is_none() {
-            let is_one = |name: &String| name.starts_with("binaries/") && !name.ends_with('/');
-            let mut found: Vec<String> = fmu.member_names().filter(is_one).collect();
-            found.sort_unstable();
-            found.truncate(8);
+            let members = fmu.member_names();
+            let mut libraries: Vec<String> = members
+                .filter(|name| name.starts_with("binaries/") && !name.ends_with('/'))
+                .collect();
+            libraries.sort_unstable();
+            libraries.truncate(8);
             return Err(FmuError::Platform {
                 wanted,
-                found: found.join(", "),
+                found: libraries.join(", "),
             });
         }
         Ok(fmu)
@@ -120,10 +127,14 @@ impl<R: Read + Seek> Fmu<R> {
     /// Returns the member that is the library for this platform.
     #[must_use]
     pub fn library_member(&self) -> String {
-        let (system, extension) = match std::env::consts::OS {
-            "macos" => ("darwin", "dylib"),
-            "windows" => ("windows", "dll"),
-            other => (other, "so"),
+        let system = match std::env::consts::OS {
+            "macos" => "darwin",
+            other => other,
+        };
+        let extension = match system {
+            "darwin" => "dylib",
+            "windows" => "dll",
+            _ => "so",
         };
         let folder = match self.description.version {
             FmiVersion::Three => format!("{}-{system}", std::env::consts::ARCH),
@@ -157,16 +168,17 @@ impl<R: Read + Seek> Fmu<R> {
     /// [`FmuError`] if the archive is damaged or too large, or the folder cannot be written.
     pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
         let library = self.library_member();
-        let beside = library
+        let library_folder = library
             .rsplit_once('/')
-            .map_or("", |(beside, _)| beside)
+            .map_or("", |(folder, _)| folder)
             .to_owned();
         let mut left = MAX_UNPACKED_BYTES;
         for index in 0..self.archive.len() {
             let mut member = self.archive.by_index(index)?;
             let name = member.name()?.into_owned();
             if member.is_dir()
-                || !(name.starts_with(&format!("{beside}/")) || name.starts_with("resources/"))
+                || !(name.starts_with(&format!("{library_folder}/"))
+                    || name.starts_with("resources/"))
             {
                 continue;
             }

@@ -22,9 +22,9 @@ impl<'a> Declarations<'a> {
         root: &'a XmlElement,
         version: FmiVersion,
     ) -> Result<Self, InvalidDescription> {
-        let listed = |name: &str| root.child(name).into_iter().flat_map(|list| &list.children);
         let mut units = HashMap::new();
-        for unit in listed("UnitDefinitions").filter(|child| child.name == "Unit") {
+        let definitions = list_items(root, "UnitDefinitions").iter();
+        for unit in definitions.filter(|child| child.name == "Unit") {
             let name = required_attribute(unit, "name")?;
             // A unit without a base unit has a name only.
             let Some(base) = unit.child("BaseUnit") else {
@@ -35,7 +35,7 @@ impl<'a> Declarations<'a> {
             }
         }
         let mut types = HashMap::new();
-        for declared in listed("TypeDefinitions") {
+        for declared in list_items(root, "TypeDefinitions") {
             let attributes = match version {
                 FmiVersion::Two => declared.child("Real"),
                 FmiVersion::Three => {
@@ -57,28 +57,11 @@ impl<'a> Declarations<'a> {
         &self,
         variable: &XmlElement,
     ) -> Result<Option<DeclaredUnit>, InvalidDescription> {
-        let declared = match variable.attribute("declaredType") {
-            None => None,
-            Some(name) => {
-                let missing = || {
-                    error_at(
-                        variable,
-                        format!("declaredType: there is no real type {name:?}"),
-                    )
-                };
-                Some(*self.types.get(name).ok_or_else(missing)?)
-            }
-        };
-        let owner_of = |name: &str| {
-            Some(variable)
-                .into_iter()
-                .chain(declared)
-                .find(|e| e.attribute(name).is_some())
-        };
-        let Some(name) = owner_of("unit")
+        let declared = self.declared_type(variable)?;
+        let name = owner_of("unit", variable, declared)
             .and_then(|owner| owner.attribute("unit"))
-            .filter(|unit| !unit.is_empty())
-        else {
+            .filter(|unit| !unit.is_empty());
+        let Some(name) = name else {
             return Ok(None);
         };
         let mut unit = match self.units.get(name) {
@@ -88,8 +71,8 @@ impl<'a> Declarations<'a> {
             },
             None => DeclaredUnit::undefined(name),
         };
-        if owner_of("relativeQuantity")
-            .map_or(Ok(false), |owner| bool_attribute(owner, "relativeQuantity"))?
+        if let Some(owner) = owner_of("relativeQuantity", variable, declared)
+            && bool_attribute(owner, "relativeQuantity")?
         {
             // An offset does not apply to differences.
             unit.conversion = unit.conversion.map(|conversion| Conversion {
@@ -99,6 +82,40 @@ impl<'a> Declarations<'a> {
         }
         Ok(Some(unit))
     }
+
+    /// Returns the type that a variable names; none if it names none.
+    fn declared_type(
+        &self,
+        variable: &XmlElement,
+    ) -> Result<Option<&'a XmlElement>, InvalidDescription> {
+        let Some(name) = variable.attribute("declaredType") else {
+            return Ok(None);
+        };
+        match self.types.get(name) {
+            Some(declared) => Ok(Some(declared)),
+            None => Err(error_at(
+                variable,
+                format!("declaredType: there is no real type {name:?}"),
+            )),
+        }
+    }
+}
+
+/// Returns the elements of a list; none without the list.
+fn list_items<'x>(root: &'x XmlElement, name: &str) -> &'x [XmlElement] {
+    root.child(name).map_or(&[], |list| &list.children)
+}
+
+/// Returns the variable if it has an attribute, otherwise its declared type if that has it.
+fn owner_of<'x>(
+    attribute: &str,
+    variable: &'x XmlElement,
+    declared: Option<&'x XmlElement>,
+) -> Option<&'x XmlElement> {
+    Some(variable)
+        .into_iter()
+        .chain(declared)
+        .find(|element| element.attribute(attribute).is_some())
 }
 
 /// Reads a `BaseUnit`. By default exponents are 0, the factor 1 and the offset 0.
@@ -115,23 +132,8 @@ fn read_conversion(base: &XmlElement) -> Result<Conversion, InvalidDescription> 
             )
         })?;
     }
-    let number = |name: &str, default: f64| match base.attribute(name) {
-        None => Ok(default),
-        Some(text) => {
-            let number = text
-                .trim()
-                .parse()
-                .ok()
-                .filter(|number: &f64| number.is_finite());
-            number.ok_or_else(|| {
-                error_at(
-                    base,
-                    format!("`BaseUnit`: {name}: {text:?} is not a finite number"),
-                )
-            })
-        }
-    };
-    let (factor, offset) = (number("factor", 1.0)?, number("offset", 0.0)?);
+    let factor = finite_number(base, "factor", 1.0)?;
+    let offset = finite_number(base, "offset", 0.0)?;
     if factor == 0.0 {
         return Err(error_at(base, "`BaseUnit`: factor: must not be 0"));
     }
@@ -140,4 +142,20 @@ fn read_conversion(base: &XmlElement) -> Result<Conversion, InvalidDescription> 
         factor,
         offset,
     })
+}
+
+/// Returns the number of an attribute of a `BaseUnit`.
+fn finite_number(base: &XmlElement, name: &str, default: f64) -> Result<f64, InvalidDescription> {
+    let Some(text) = base.attribute(name) else {
+        return Ok(default);
+    };
+    let number = text.trim().parse().ok();
+    number
+        .filter(|number: &f64| number.is_finite())
+        .ok_or_else(|| {
+            error_at(
+                base,
+                format!("`BaseUnit`: {name}: {text:?} is not a finite number"),
+            )
+        })
 }

@@ -125,6 +125,20 @@ pub enum InvalidDescription {
     },
 }
 
+impl FmiVersion {
+    /// Returns the edition that a description states.
+    fn from_description(root: &XmlElement) -> Result<Self, InvalidDescription> {
+        let stated = root.attribute("fmiVersion").unwrap_or_default();
+        match stated.split('.').next() {
+            Some("2") => Ok(Self::Two),
+            Some("3") => Ok(Self::Three),
+            _ => Err(InvalidDescription::Version {
+                found: stated.to_owned(),
+            }),
+        }
+    }
+}
+
 impl ModelDescription {
     /// Reads a description.
     ///
@@ -132,16 +146,7 @@ impl ModelDescription {
     /// [`InvalidDescription`] for an invalid description, or one of an FMU that cannot be a controller.
     pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
         let root = &XmlElement::parse(text)?;
-        let found = root.attribute("fmiVersion").unwrap_or_default();
-        let version = match found.split('.').next() {
-            Some("2") => FmiVersion::Two,
-            Some("3") => FmiVersion::Three,
-            _ => {
-                return Err(InvalidDescription::Version {
-                    found: found.to_owned(),
-                });
-            }
-        };
+        let version = FmiVersion::from_description(root)?;
         let co_simulation = root
             .child("CoSimulation")
             .ok_or(InvalidDescription::NoCoSimulation)?;
@@ -152,39 +157,8 @@ impl ModelDescription {
             FmiVersion::Two => "guid",
             FmiVersion::Three => "instantiationToken",
         };
-        let model_identifier = required_attribute(co_simulation, "modelIdentifier")?.to_owned();
-        let is_identifier = |c: char| c.is_ascii_alphanumeric() || c == '_';
-        if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
-            return Err(error_at(
-                co_simulation,
-                format!("modelIdentifier {model_identifier:?} is no identifier of C"),
-            ));
-        }
-        let listed = root
-            .child("ModelVariables")
-            .ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
-        let declarations = Declarations::read(root, version)?;
-        let mut variables: Vec<Variable> = Vec::new();
-        for element in &listed.children {
-            variables.extend(read_variable(element, version, &declarations)?);
-            if variables.len() > MAX_VARIABLES {
-                return Err(error_at(
-                    element,
-                    format!("there are more than {MAX_VARIABLES} variables"),
-                ));
-            }
-        }
-        let mut names: Vec<&str> = variables
-            .iter()
-            .map(|variable| variable.name.as_str())
-            .collect();
-        names.sort_unstable();
-        if let Some([name, _]) = names.array_windows().find(|[name, next]| name == next) {
-            return Err(error_at(
-                listed,
-                format!("there are two variables {name:?}"),
-            ));
-        }
+        let model_identifier = read_identifier(co_simulation)?;
+        let variables = read_variables(root, version)?;
         Ok(Self {
             version,
             model_name: required_attribute(root, "modelName")?.to_owned(),
@@ -206,23 +180,58 @@ impl ModelDescription {
     }
 }
 
-/// Reads a variable; none if a controller cannot use it, such as an array of FMI 3. Its type is a child in FMI 2.
+/// Returns the file name of the library, which must be an identifier.
+fn read_identifier(co_simulation: &XmlElement) -> Result<String, InvalidDescription> {
+    let identifier = required_attribute(co_simulation, "modelIdentifier")?;
+    let mut letters = identifier.chars();
+    if identifier.is_empty() || !letters.all(|c| c.is_ascii_alphanumeric() || c == '_') {
+        return Err(error_at(
+            co_simulation,
+            format!("modelIdentifier {identifier:?} is no identifier of C"),
+        ));
+    }
+    Ok(identifier.to_owned())
+}
+
+/// Reads the variables that a controller can use, which must have different names.
+fn read_variables(
+    root: &XmlElement,
+    version: FmiVersion,
+) -> Result<Vec<Variable>, InvalidDescription> {
+    let list = root
+        .child("ModelVariables")
+        .ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
+    let declarations = Declarations::read(root, version)?;
+    let mut variables: Vec<Variable> = Vec::new();
+    for element in &list.children {
+        variables.extend(read_variable(element, version, &declarations)?);
+        if variables.len() > MAX_VARIABLES {
+            return Err(error_at(
+                element,
+                format!("there are more than {MAX_VARIABLES} variables"),
+            ));
+        }
+    }
+    let mut names: Vec<&str> = variables
+        .iter()
+        .map(|variable| variable.name.as_str())
+        .collect();
+    names.sort_unstable();
+    if let Some([name, _]) = names.array_windows().find(|[name, next]| name == next) {
+        return Err(error_at(list, format!("there are two variables {name:?}")));
+    }
+    Ok(variables)
+}
+
+/// Reads a variable; none if a controller cannot use it.
 fn read_variable(
     element: &XmlElement,
     version: FmiVersion,
     declarations: &Declarations<'_>,
 ) -> Result<Option<Variable>, InvalidDescription> {
-    let typed = match version {
-        FmiVersion::Two => ["Real", "Integer", "Boolean"]
-            .into_iter()
-            .find_map(|name| element.child(name)),
-        FmiVersion::Three => {
-            let is_scalar = element.child("Dimension").is_none();
-            Some(element)
-                .filter(|typed| is_scalar && ["Float64", "Int32", "Boolean"].contains(&typed.name))
-        }
+    let Some(typed) = typed_element(element, version) else {
+        return Ok(None);
     };
-    let Some(typed) = typed else { return Ok(None) };
     let kind = match typed.name {
         "Real" | "Float64" => VariableType::Real,
         "Integer" | "Int32" => VariableType::Integer,
@@ -256,28 +265,47 @@ fn read_variable(
     }))
 }
 
+/// Returns the element with the type of a variable: a child in FMI 2, and the element itself in FMI 3. None for other
+/// types and for arrays.
+fn typed_element(element: &XmlElement, version: FmiVersion) -> Option<&XmlElement> {
+    match version {
+        FmiVersion::Two => ["Real", "Integer", "Boolean"]
+            .into_iter()
+            .find_map(|name| element.child(name)),
+        FmiVersion::Three => {
+            let is_scalar = element.child("Dimension").is_none();
+            let is_typed = ["Float64", "Int32", "Boolean"].contains(&element.name);
+            (is_scalar && is_typed).then_some(element)
+        }
+    }
+}
+
 /// Returns the value of an attribute.
 ///
 /// # Errors
 /// [`InvalidDescription`] if the element has no such attribute.
 pub(crate) fn required_attribute<'a>(
-    of: &'a XmlElement,
+    element: &'a XmlElement,
     name: &str,
 ) -> Result<&'a str, InvalidDescription> {
-    of.attribute(name)
-        .ok_or_else(|| error_at(of, format!("`{}` has no attribute `{name}`", of.name)))
+    element.attribute(name).ok_or_else(|| {
+        error_at(
+            element,
+            format!("`{}` has no attribute `{name}`", element.name),
+        )
+    })
 }
 
 /// Returns the value of a Boolean attribute, which is false by default.
 ///
 /// # Errors
 /// [`InvalidDescription`] for a value that is neither true nor false.
-pub(crate) fn bool_attribute(of: &XmlElement, name: &str) -> Result<bool, InvalidDescription> {
-    match of.attribute(name) {
+pub(crate) fn bool_attribute(element: &XmlElement, name: &str) -> Result<bool, InvalidDescription> {
+    match element.attribute(name) {
         None | Some("false" | "0") => Ok(false),
         Some("true" | "1") => Ok(true),
         Some(other) => Err(error_at(
-            of,
+            element,
             format!("{name}: {other:?} is neither true nor false"),
         )),
     }

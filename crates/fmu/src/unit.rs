@@ -93,14 +93,13 @@ pub struct DeclaredUnit {
 
 impl DeclaredUnit {
     pub(crate) fn undefined(name: &str) -> Self {
-        let si = |dimension| Conversion {
-            dimension,
-            factor: 1.0,
-            offset: 0.0,
-        };
         Self {
             name: name.to_owned(),
-            conversion: UnitDimension::from_si_name(name).map(si),
+            conversion: UnitDimension::from_si_name(name).map(|dimension| Conversion {
+                dimension,
+                factor: 1.0,
+                offset: 0.0,
+            }),
         }
     }
 }

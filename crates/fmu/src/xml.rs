@@ -65,7 +65,7 @@ impl XmlElement {
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes
             .iter()
-            .find(|(other, _)| *other == name)
+            .find(|(key, _)| *key == name)
             .map(|(_, value)| value.as_str())
     }
 
@@ -86,9 +86,7 @@ impl XmlElement {
             line: 1,
         };
         let mut reader = Reader::from_str(text);
-        let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) =
-            (None, Vec::new(), 0);
-        let mut kept_items = 0;
+        let mut tree = XmlTreeBuilder::default();
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
@@ -97,55 +95,85 @@ impl XmlElement {
             } else {
                 start
             });
-            let wrong = |problem: String| InvalidDescription::AtLine { line, problem };
-            let is_outside = open.is_empty() && skipped == 0;
-            let done = match event.map_err(|error| wrong(error.to_string()))? {
-                Event::Start(_) | Event::Empty(_) if is_outside && root.is_some() => {
-                    return Err(wrong("there is a second root element".to_owned()));
+            let added = match event {
+                Ok(Event::Eof) => {
+                    return tree
+                        .finish()
+                        .map_err(|problem| InvalidDescription::AtLine { line, problem });
                 }
-                Event::Start(tag) => {
-                    let element = read_start_tag(&tag, line, &mut kept_items).map_err(wrong)?;
-                    match element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH) {
-                        Some(element) => open.push(element),
-                        None => skipped += 1,
-                    }
-                    None
-                }
-                Event::Empty(tag) => {
-                    let element = read_start_tag(&tag, line, &mut kept_items).map_err(wrong)?;
-                    element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH)
-                }
-                Event::End(_) if skipped > 0 => {
-                    skipped -= 1;
-                    None
-                }
-                Event::End(_) => open.pop(),
-                Event::DocType(_) => {
-                    return Err(wrong("has a document type declaration".to_owned()));
-                }
-                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
-                Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) if is_outside => {
-                    return Err(wrong(
-                        "there is text outside of the root element".to_owned(),
-                    ));
-                }
-                Event::Eof if !is_outside => {
-                    return Err(wrong("the text ends within an element".to_owned()));
-                }
-                Event::Eof => {
-                    return root.ok_or_else(|| {
-                        wrong("there is no root element of a known name".to_owned())
-                    });
-                }
-                _ => None,
+                Ok(event) => tree.add(event, line),
+                Err(error) => Err(error.to_string()),
             };
-            if let Some(done) = done {
-                match open.last_mut() {
-                    Some(parent) => parent.children.push(done),
-                    None => root = Some(done),
+            added.map_err(|problem| InvalidDescription::AtLine { line, problem })?;
+        }
+    }
+}
+
+/// Elements that have been read, and those around the next event.
+#[derive(Default)]
+struct XmlTreeBuilder {
+    root: Option<XmlElement>,
+    open: Vec<XmlElement>,
+    /// Number of dropped elements around the next event.
+    skipped: usize,
+    /// Number of kept elements and attributes.
+    kept_items: usize,
+}
+
+impl XmlTreeBuilder {
+    fn is_outside(&self) -> bool {
+        self.open.is_empty() && self.skipped == 0
+    }
+
+    /// Adds the element of an event, apart from the end of the text.
+    fn add(&mut self, event: Event<'_>, line: u32) -> Result<(), String> {
+        let is_outside = self.is_outside();
+        let closed = match event {
+            Event::Start(_) | Event::Empty(_) if is_outside && self.root.is_some() => {
+                return Err("there is a second root element".to_owned());
+            }
+            Event::Start(tag) => {
+                match self.read_kept(&tag, line)? {
+                    Some(element) => self.open.push(element),
+                    None => self.skipped += 1,
                 }
+                None
+            }
+            Event::Empty(tag) => self.read_kept(&tag, line)?,
+            Event::End(_) if self.skipped > 0 => {
+                self.skipped -= 1;
+                None
+            }
+            Event::End(_) => self.open.pop(),
+            Event::DocType(_) => return Err("has a document type declaration".to_owned()),
+            Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
+            Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) if is_outside => {
+                return Err("there is text outside of the root element".to_owned());
+            }
+            _ => None,
+        };
+        if let Some(element) = closed {
+            match self.open.last_mut() {
+                Some(parent) => parent.children.push(element),
+                None => self.root = Some(element),
             }
         }
+        Ok(())
+    }
+
+    /// Reads a start tag; none for an element that is dropped.
+    fn read_kept(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<XmlElement>, String> {
+        let element = read_start_tag(tag, line, &mut self.kept_items)?;
+        Ok(element.filter(|_| self.skipped == 0 && self.open.len() < MAX_DEPTH))
+    }
+
+    /// Returns the root at the end of the text.
+    fn finish(self) -> Result<XmlElement, String> {
+        if !self.is_outside() {
+            return Err("the text ends within an element".to_owned());
+        }
+        self.root
+            .ok_or_else(|| "there is no root element of a known name".to_owned())
     }
 }
 
@@ -155,20 +183,18 @@ fn read_start_tag(
     line: u32,
     kept_items: &mut usize,
 ) -> Result<Option<XmlElement>, String> {
-    let find = |names: &[&'static str], name: &[u8]| {
-        names.iter().copied().find(|known| known.as_bytes() == name)
-    };
     let mut attributes = Vec::new();
     for attribute in tag.attributes() {
         let attribute = attribute.map_err(|error| error.to_string())?;
         let key = attribute.key.as_ref();
-        if let Some(name) = find(&ATTRIBUTES, key).or_else(|| find(&BASE_UNITS, key)) {
+        if let Some(name) = listed_name(&ATTRIBUTES, key).or_else(|| listed_name(&BASE_UNITS, key))
+        {
             let value = attribute.normalized_value(XmlVersion::Implicit1_0);
             let value = value.map_err(|error| format!("attribute `{name}`: {error}"))?;
             attributes.push((name, value.into_owned()));
         }
     }
-    let Some(name) = find(&ELEMENTS, tag.local_name().as_ref()) else {
+    let Some(name) = listed_name(&ELEMENTS, tag.local_name().as_ref()) else {
         return Ok(None);
     };
     *kept_items += 1 + attributes.len();
@@ -183,6 +209,11 @@ fn read_start_tag(
         attributes,
         children: Vec::new(),
     }))
+}
+
+/// Returns the listed name that is equal to a name in the text.
+fn listed_name(names: &[&'static str], text: &[u8]) -> Option<&'static str> {
+    names.iter().copied().find(|name| name.as_bytes() == text)
 }
 
 struct LineCounter<'a> {

@@ -88,6 +88,26 @@ struct ConnectedProcess {
     question_count: u64,
 }
 
+/// Returns the SHA-256 of command, mapping and files; `None` without files or for a nondeterministic process.
+fn identity(setup: &ProcessSetup, files: &[ListedFile]) -> Result<Option<String>, InvalidMapping> {
+    #[derive(Serialize)]
+    struct Identity<'a> {
+        command: &'a [String],
+        files: &'a [ListedFile],
+        mapping: &'a Mapping,
+        answer_within_s: f64,
+    }
+    let parts = serde_json::to_string(&Identity {
+        command: &setup.command,
+        files,
+        mapping: &setup.mapping,
+        answer_within_s: setup.answer_within_s,
+    })
+    .map_err(|error| InvalidMapping::new("command", error.to_string()))?;
+    let is_known = !files.is_empty() && setup.deterministic;
+    Ok(is_known.then(|| sha256(format!("process {parts}"))))
+}
+
 impl ConnectedProcess {
     fn next_id(&mut self) -> u64 {
         self.question_count += 1;
@@ -104,53 +124,24 @@ impl ProcessController {
         mut setup: ProcessSetup,
         _permission: StartPermission,
     ) -> Result<Self, InvalidMapping> {
-        #[derive(Serialize)]
-        struct Identity<'a> {
-            command: &'a [String],
-            files: &'a [ListedFile],
-            mapping: &'a Mapping,
-            answer_within_s: f64,
-        }
         setup.check()?;
         // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         setup.mapping.output.answer = Some(0);
-        let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
-            Ok((sha256, bytes)) => Ok(ListedFile {
+        let mut files = Vec::new();
+        for (index, path) in setup.files.iter().enumerate() {
+            let digest = file_digest(&setup.folder.join(path)).map_err(|error| {
+                InvalidMapping::new(format!("files[{index}]"), format!("{path}: {error}"))
+            })?;
+            files.push(ListedFile {
                 path: path.clone(),
-                sha256,
-                bytes,
-            }),
-            Err(error) => Err(InvalidMapping::new(
-                format!("files[{index}]"),
-                format!("{path}: {error}"),
-            )),
-        };
-        let files = setup
-            .files
-            .iter()
-            .enumerate()
-            .map(digest)
-            .collect::<Result<Vec<_>, _>>()?;
-        let ProcessSetup {
-            command,
-            mapping,
-            answer_within_s,
-            ..
-        } = &setup;
-        let parts = Identity {
-            command,
-            files: &files,
-            mapping,
-            answer_within_s: *answer_within_s,
-        };
-        let parts = serde_json::to_string(&parts)
-            .map_err(|e| InvalidMapping::new("command", e.to_string()))?;
-        let identity =
-            (!files.is_empty() && setup.deterministic).then(|| sha256(format!("process {parts}")));
+                sha256: digest.sha256,
+                bytes: digest.bytes,
+            });
+        }
         Ok(Self(Arc::new(ProcessPool {
+            identity: identity(&setup, &files)?,
             setup,
             files,
-            identity,
             state: Mutex::default(),
         })))
     }
@@ -246,9 +237,9 @@ impl ProcessPool {
             length_m: 2.0,
             step_s: 0.01,
         };
-        let greeted = self.start(&self.hello(&ego))?;
+        let process = self.start(&self.hello(&ego))?;
         // Dropped instead of killed: a killed FMU host would leave its extraction folder behind.
-        drop(greeted);
+        drop(process);
         Ok(())
     }
 
@@ -257,9 +248,9 @@ impl ProcessPool {
         if let Some(greeting) = &self.state().greeting {
             return greeting.batch;
         }
-        self.acquire(&self.hello(ego)).is_ok_and(|greeted| {
-            let batch = greeted.greeting.batch;
-            self.release(greeted);
+        self.acquire(&self.hello(ego)).is_ok_and(|process| {
+            let batch = process.greeting.batch;
+            self.release(process);
             batch
         })
     }
@@ -309,61 +300,40 @@ impl ProcessPool {
 
     /// Returns a process with the handshake of this vehicle: an idle one, or else a new one.
     fn acquire(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
-        let waiting = {
-            let mut state = self.state();
-            if let Some(refused) = &state.refusal {
-                return Err(refused.clone());
-            }
-            let known = state
-                .idle
-                .iter()
-                .position(|greeted| greeted.hello == *hello);
-            known
-                .map(|place| state.idle.swap_remove(place))
-                .or_else(|| state.idle.pop())
-        };
-        match waiting {
-            Some(greeted) if greeted.hello == *hello => Ok(greeted),
-            Some(other) => self.greet(other.program, other.question_count, hello),
+        match self.take_idle(hello)? {
+            Some(process) if process.hello == *hello => Ok(process),
+            Some(process) => self.greet(process.program, process.question_count, hello),
             None => self.start(hello),
         }
     }
 
+    /// Takes an idle process, if possible one with the handshake of this vehicle.
+    fn take_idle(&self, hello: &Arc<[u8]>) -> Result<Option<ConnectedProcess>, ControllerFailure> {
+        let mut state = self.state();
+        if let Some(refusal) = &state.refusal {
+            return Err(refusal.clone());
+        }
+        let mut idle = state.idle.iter();
+        let index = idle.position(|process| process.hello == *hello);
+        Ok(index
+            .map(|index| state.idle.swap_remove(index))
+            .or_else(|| state.idle.pop()))
+    }
+
     fn start(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
-        {
-            let mut state = self.state();
-            if state.starts == MAX_STARTS {
-                drop(state);
-                return Err(self.refuse(self.end_with_failure(
-                    ProcessProblem::TooManyStarts { starts: MAX_STARTS },
-                    None,
-                )));
-            }
-            state.starts += 1;
-        }
-        let changed = |file: &&ListedFile| {
-            !file_sha256(&self.setup.folder.join(&file.path))
-                .is_ok_and(|(sha256, _)| sha256 == file.sha256)
-        };
-        if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
-            return Err(self.refuse(self.end_with_failure(
-                ProcessProblem::FileChanged {
-                    file: escaped_excerpt(path),
-                },
-                None,
-            )));
-        }
+        self.check_start()
+            .map_err(|problem| self.refuse(self.end_with_failure(problem, None)))?;
         let ProcessSetup {
             command,
             program,
             folder,
             ..
         } = &self.setup;
-        let started = ChildProcess::start(command, program.as_deref(), folder)
+        let process = ChildProcess::start(command, program.as_deref(), folder)
             .map_err(|problem| self.end_with_failure(problem, None))
             .and_then(|program| self.greet(program, 0, hello));
         let mut state = self.state();
-        match &started {
+        match &process {
             Ok(_) => state.consecutive_failures = 0,
             Err(failure) => {
                 state.consecutive_failures += 1;
@@ -372,25 +342,44 @@ impl ProcessPool {
                 }
             }
         }
-        started
+        process
+    }
+
+    /// Counts a start, and refuses it after too many starts or after a change of a listed file.
+    fn check_start(&self) -> Result<(), ProcessProblem> {
+        let mut state = self.state();
+        if state.starts == MAX_STARTS {
+            return Err(ProcessProblem::TooManyStarts { starts: MAX_STARTS });
+        }
+        state.starts += 1;
+        drop(state);
+        for file in &self.files {
+            let digest = file_digest(&self.setup.folder.join(&file.path));
+            if !digest.is_ok_and(|digest| digest.sha256 == file.sha256) {
+                return Err(ProcessProblem::FileChanged {
+                    file: escaped_excerpt(&file.path),
+                });
+            }
+        }
+        Ok(())
     }
 
     fn greet(
         &self,
         mut program: ChildProcess,
-        asked: u64,
+        question_count: u64,
         hello: &Arc<[u8]>,
     ) -> Result<ConnectedProcess, ControllerFailure> {
-        let within = Duration::from_secs_f64(self.setup.start_within_s);
+        let timeout = Duration::from_secs_f64(self.setup.start_within_s);
         let greeting = program
-            .query(hello, within)
+            .query(hello, timeout)
             .and_then(protocol::parse_hello_reply);
         match greeting.and_then(|greeting| self.check_greeting(greeting)) {
             Ok(greeting) => Ok(ConnectedProcess {
                 program,
                 hello: Arc::clone(hello),
                 greeting,
-                question_count: asked,
+                question_count,
             }),
             Err(problem) => Err(self.end_with_failure(problem, Some(program))),
         }
@@ -423,8 +412,8 @@ impl ProcessPool {
         }
     }
 
-    fn release(&self, greeted: ConnectedProcess) {
-        self.state().idle.push(greeted);
+    fn release(&self, process: ConnectedProcess) {
+        self.state().idle.push(process);
     }
 
     /// Counts a run and selects it for the determinism check by its number and the scenario's seed.
@@ -433,30 +422,30 @@ impl ProcessPool {
             return false;
         }
         let mut state = self.state();
-        let place = state
+        let index = state
             .runs
             .iter()
-            .position(|(known, _)| *known == vehicle)
+            .position(|(counted, _)| *counted == vehicle)
             .unwrap_or_else(|| {
                 state.runs.push((vehicle, VehicleRunCounts::default()));
                 state.runs.len() - 1
             });
-        let Some((_, runs)) = state.runs.get_mut(place) else {
+        let Some((_, runs)) = state.runs.get_mut(index) else {
             return false;
         };
-        let made = if reused {
+        let count = if reused {
             &mut runs.reused
         } else {
             &mut runs.fresh
         };
-        let number = *made;
-        *made += 1;
+        let number = *count;
+        *count += 1;
         if number < ALWAYS_CHECKED_RUNS {
             return true;
         }
         // Nondeterminism of fresh processes shows in the first runs; left-over state of reused ones may show late.
-        let drawn = random::stream(seed, Purpose::DeterminismCheck, number).next_u64();
-        reused && drawn % number.next_power_of_two() < CHECKED_RUNS_PER_TWO_DOUBLINGS
+        let random = random::stream(seed, Purpose::DeterminismCheck, number).next_u64();
+        reused && random % number.next_power_of_two() < CHECKED_RUNS_PER_TWO_DOUBLINGS
     }
 
     /// Records a permanent failure: no process is started any more.
@@ -470,32 +459,26 @@ impl ProcessPool {
         program: Option<ChildProcess>,
     ) -> ControllerFailure {
         // A program that still answers may end by itself, so that an FMU host can remove its extraction folder.
-        let last_words = match &problem {
+        let stderr_tail = match &problem {
             ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => {
                 program.map(ChildProcess::terminate)
             }
             _ => program.map(ChildProcess::shut_down),
         };
-        let last_words = last_words.unwrap_or_default();
-        let command = || {
-            let words: Vec<_> = self
-                .setup
-                .command
-                .iter()
-                .map(|word| ShellWord(word).to_string())
-                .collect();
-            escaped_excerpt(&words.join(" "))
-        };
-        let name = self
-            .state()
-            .greeting
-            .as_ref()
-            .map(|greeting| greeting.name.clone());
+        let greeting = self.state().greeting.clone();
+        let name = greeting.map(|greeting| greeting.name);
         ControllerFailure::Process(Box::new(ProcessFailure {
-            controller: name.unwrap_or_else(command),
+            controller: name.unwrap_or_else(|| self.command_line()),
             problem,
-            stderr_tail: last_words,
+            stderr_tail: stderr_tail.unwrap_or_default(),
         }))
+    }
+
+    /// Returns the command as a shell would accept it, shortened.
+    fn command_line(&self) -> String {
+        let words = self.setup.command.iter();
+        let words: Vec<_> = words.map(|word| ShellWord(word).to_string()).collect();
+        escaped_excerpt(&words.join(" "))
     }
 }
 
@@ -515,24 +498,38 @@ impl Drop for ProcessPool {
         state
             .idle
             .iter_mut()
-            .for_each(|greeted| greeted.program.close_stdin());
+            .for_each(|process| process.program.close_stdin());
     }
 }
 
-/// Returns the SHA-256 of a regular file in hexadecimal, and its size in bytes.
-fn file_sha256(path: &Path) -> io::Result<(String, u64)> {
-    let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
+/// Digest and size of a file.
+struct FileDigest {
+    /// SHA-256 in hexadecimal.
+    sha256: String,
+    bytes: u64,
+}
+
+/// Returns the digest of a regular file.
+fn file_digest(path: &Path) -> io::Result<FileDigest> {
     let mut file = regular_file::open(path)?.take(MAX_FILE_BYTES + 1);
-    let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
+    let mut digest = Sha256::default();
+    let mut chunk = vec![0; 1 << 16];
+    let mut bytes = 0;
     loop {
         let read = file.read(&mut chunk)?;
-        length += read as u64;
-        if length > MAX_FILE_BYTES {
-            return Err(refused("holds more than 1024 MiB"));
+        bytes += read as u64;
+        if bytes > MAX_FILE_BYTES {
+            let problem = "holds more than 1024 MiB";
+            return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
         }
         match chunk.get(..read) {
             Some(new @ [_, ..]) => digest.update(new),
-            _ => return Ok((digest.hexadecimal(), length)),
+            _ => {
+                return Ok(FileDigest {
+                    sha256: digest.hexadecimal(),
+                    bytes,
+                });
+            }
         }
     }
 }

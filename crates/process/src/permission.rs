@@ -27,17 +27,19 @@ pub enum NameOrigin {
 pub struct StartPermission(());
 
 impl NameOrigin {
-    /// Returns the permission to start a program; `place` describes where it is named.
+    /// Returns the permission to start a program; `location` describes where it is named.
     ///
     /// # Errors
     /// [`StartRefusal`] for a name from a file, unless the user allows external programs.
     pub fn permission(
         self,
-        place: impl FnOnce() -> String,
+        location: impl FnOnce() -> String,
     ) -> Result<StartPermission, StartRefusal> {
         match self {
             Self::User | Self::File(ExternalPrograms::Allowed) => Ok(StartPermission(())),
-            Self::File(ExternalPrograms::Refused) => Err(StartRefusal { location: place() }),
+            Self::File(ExternalPrograms::Refused) => Err(StartRefusal {
+                location: location(),
+            }),
         }
     }
 }

@@ -109,10 +109,10 @@ pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProble
     struct Version {
         crumple: serde_json::Value,
     }
-    let Version { crumple: found } = parse_message(line)?;
-    if found != VERSION {
+    let Version { crumple: version } = parse_message(line)?;
+    if version != VERSION {
         return Err(ProcessProblem::Version {
-            found: escaped_excerpt(&found.to_string()),
+            found: escaped_excerpt(&version.to_string()),
         });
     }
     let greeting: HelloReply = parse_message(line)?;
@@ -122,10 +122,10 @@ pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProble
     })
 }
 
-/// Checks that the process is ready for a run, in reply to query `asked`.
-pub(crate) fn parse_reset_reply(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
+/// Checks that the process is ready for a run, in reply to query `request_id`.
+pub(crate) fn parse_reset_reply(line: &[u8], request_id: u64) -> Result<(), ProcessProblem> {
     let ResetReply { id, ready } = parse_message(line)?;
-    check_id(id, asked)?;
+    check_id(id, request_id)?;
     if ready {
         Ok(())
     } else {
@@ -133,25 +133,25 @@ pub(crate) fn parse_reset_reply(line: &[u8], asked: u64) -> Result<(), ProcessPr
     }
 }
 
-pub(crate) fn parse_decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
+pub(crate) fn parse_decision(line: &[u8], request_id: u64) -> Result<f64, ProcessProblem> {
     let DecisionReply {
         id,
         acceleration_mps2,
     } = parse_message(line)?;
-    check_id(id, asked)?;
+    check_id(id, request_id)?;
     Ok(acceleration_mps2)
 }
 
 pub(crate) fn parse_decisions(
     line: &[u8],
-    asked: u64,
+    request_id: u64,
     count: usize,
 ) -> Result<Vec<f64>, ProcessProblem> {
     let DecisionReply::<Vec<f64>> {
         id,
         acceleration_mps2: answers,
     } = parse_message(line)?;
-    check_id(id, asked)?;
+    check_id(id, request_id)?;
     if answers.len() == count {
         Ok(answers)
     } else {
@@ -162,11 +162,14 @@ pub(crate) fn parse_decisions(
     }
 }
 
-fn check_id(found: u64, asked: u64) -> Result<(), ProcessProblem> {
-    if found == asked {
+fn check_id(id: u64, request_id: u64) -> Result<(), ProcessProblem> {
+    if id == request_id {
         Ok(())
     } else {
-        Err(ProcessProblem::WrongRequestId { found, asked })
+        Err(ProcessProblem::WrongRequestId {
+            found: id,
+            asked: request_id,
+        })
     }
 }
 
@@ -176,21 +179,22 @@ fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> 
         return Err(invalid_reply(line, "a line is a JSON object"));
     }
     serde_json::from_slice(line).map_err(|error| {
+        let error = error.to_string();
         // Python and others write these numbers, which JSON lacks.
-        let names = |number: &str| {
-            line.windows(number.len())
-                .any(|part| part == number.as_bytes())
-        };
-        let is_decision = names("\"acceleration_mps2\"");
-        let is_not_finite = ["NaN", "nan", "Infinity", "inf", "number out of range"]
-            .into_iter()
-            .any(names);
-        if is_decision && (is_not_finite || error.to_string().starts_with("number out of range")) {
+        let is_not_finite = error.starts_with("number out of range")
+            || ["NaN", "nan", "Infinity", "inf", "number out of range"]
+                .into_iter()
+                .any(|number| contains(line, number));
+        if contains(line, "\"acceleration_mps2\"") && is_not_finite {
             ProcessProblem::NotFinite
         } else {
-            invalid_reply(line, &error.to_string())
+            invalid_reply(line, &error)
         }
     })
+}
+
+fn contains(line: &[u8], text: &str) -> bool {
+    line.windows(text.len()).any(|part| part == text.as_bytes())
 }
 
 fn invalid_reply(line: &[u8], reason: &str) -> ProcessProblem {
@@ -211,8 +215,11 @@ mod tests {
             parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7),
             Ok(-1.5)
         );
-        let other = problem("{\"id\":6,\"acceleration_mps2\":1}");
-        assert_eq!(other, ProcessProblem::WrongRequestId { found: 6, asked: 7 });
+        let wrong_id = problem("{\"id\":6,\"acceleration_mps2\":1}");
+        assert_eq!(
+            wrong_id,
+            ProcessProblem::WrongRequestId { found: 6, asked: 7 }
+        );
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
             let found = problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}"));
             assert_eq!(found, ProcessProblem::NotFinite, "{line}");

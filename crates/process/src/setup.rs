@@ -50,37 +50,15 @@ impl ProcessSetup {
     }
 
     pub(super) fn check(&self) -> Result<(), InvalidMapping> {
-        let words = &self.command;
-        if !(1..=MAX_COMMAND_WORDS).contains(&words.len())
-            || words.first().is_none_or(String::is_empty)
-        {
-            return Err(InvalidMapping::new(
-                "command",
-                format!("must be a program and at most {MAX_COMMAND_WORDS} words in all"),
-            ));
-        }
-        if words.iter().any(|word| word.contains('\0')) {
-            return Err(InvalidMapping::new(
-                "command",
-                "a word of a command must not contain a NUL character",
-            ));
-        }
+        check_command(&self.command)?;
         if self.files.len() > MAX_FILES {
             return Err(InvalidMapping::new(
                 "files",
                 format!("must be at most {MAX_FILES}, found {}", self.files.len()),
             ));
         }
-        for (field, within_s) in [
-            ("start_within_s", self.start_within_s),
-            ("answer_within_s", self.answer_within_s),
-        ] {
-            if !(within_s > 0.0 && within_s <= MAX_TIMEOUT_S) {
-                let problem =
-                    format!("must be above 0 and at most {MAX_TIMEOUT_S}, found {within_s}");
-                return Err(InvalidMapping::new(field, problem));
-            }
-        }
+        check_timeout("start_within_s", self.start_within_s)?;
+        check_timeout("answer_within_s", self.answer_within_s)?;
         self.mapping.check()?;
         match self.mapping.output.answer {
             None | Some(0) => Ok(()),
@@ -90,4 +68,31 @@ impl ProcessSetup {
             )),
         }
     }
+}
+
+fn check_command(words: &[String]) -> Result<(), InvalidMapping> {
+    if !(1..=MAX_COMMAND_WORDS).contains(&words.len()) || words.first().is_none_or(String::is_empty)
+    {
+        return Err(InvalidMapping::new(
+            "command",
+            format!("must be a program and at most {MAX_COMMAND_WORDS} words in all"),
+        ));
+    }
+    if words.iter().any(|word| word.contains('\0')) {
+        return Err(InvalidMapping::new(
+            "command",
+            "a word of a command must not contain a NUL character",
+        ));
+    }
+    Ok(())
+}
+
+fn check_timeout(field: &str, timeout_s: f64) -> Result<(), InvalidMapping> {
+    if timeout_s > 0.0 && timeout_s <= MAX_TIMEOUT_S {
+        return Ok(());
+    }
+    Err(InvalidMapping::new(
+        field,
+        format!("must be above 0 and at most {MAX_TIMEOUT_S}, found {timeout_s}"),
+    ))
 }

@@ -10,11 +10,8 @@ const TAIL_BYTES: usize = 8 << 10;
 pub(super) struct StderrTail(Vec<u8>);
 
 impl StderrTail {
-    pub(super) fn push(&mut self, said: &[u8]) {
-        let said = said
-            .get(said.len().saturating_sub(TAIL_BYTES)..)
-            .unwrap_or(said);
-        self.0.extend_from_slice(said);
+    pub(super) fn push(&mut self, output: &[u8]) {
+        self.0.extend_from_slice(tail(output));
         if self.0.len() > 2 * TAIL_BYTES {
             self.0.drain(..self.0.len() - TAIL_BYTES);
         }
@@ -26,11 +23,7 @@ impl StderrTail {
 
     /// Returns the last lines, escaped for terminals.
     pub(super) fn lines(&self) -> Vec<String> {
-        let kept = self
-            .0
-            .get(self.0.len().saturating_sub(TAIL_BYTES)..)
-            .unwrap_or(&self.0);
-        let text = String::from_utf8_lossy(kept);
+        let text = String::from_utf8_lossy(tail(&self.0));
         let lines: Vec<_> = text
             .lines()
             .filter(|line| !line.trim().is_empty())
@@ -42,6 +35,13 @@ impl StderrTail {
     }
 }
 
+/// Returns the last bytes of an output.
+fn tail(output: &[u8]) -> &[u8] {
+    output
+        .get(output.len().saturating_sub(TAIL_BYTES)..)
+        .unwrap_or(output)
+}
+
 #[cfg(test)]
 mod tests {
     const MAX_CHARACTERS: usize = 300;
@@ -49,20 +49,20 @@ mod tests {
 
     #[test]
     fn the_last_lines_of_any_output_are_reported() {
-        let mut words = StderrTail::default();
-        assert!(words.lines().is_empty());
+        let mut tail = StderrTail::default();
+        assert!(tail.lines().is_empty());
         for number in 0..20_000 {
-            words.push(format!("line {number}\u{1b}\n\n").as_bytes());
-            assert!(words.0.len() <= 2 * TAIL_BYTES + 64);
+            tail.push(format!("line {number}\u{1b}\n\n").as_bytes());
+            assert!(tail.0.len() <= 2 * TAIL_BYTES + 64);
         }
         assert_eq!(
-            words.lines().first().map(String::as_str),
+            tail.lines().first().map(String::as_str),
             Some("line 19992\\u001b")
         );
-        assert_eq!(words.lines().len(), MAX_LINES);
-        words.push(&vec![b'x'; 1 << 20]);
-        assert_eq!(words.lines(), [format!("{}…", "x".repeat(MAX_CHARACTERS))]);
-        words.clear();
-        assert!(words.lines().is_empty());
+        assert_eq!(tail.lines().len(), MAX_LINES);
+        tail.push(&vec![b'x'; 1 << 20]);
+        assert_eq!(tail.lines(), [format!("{}…", "x".repeat(MAX_CHARACTERS))]);
+        tail.clear();
+        assert!(tail.lines().is_empty());
     }
 }

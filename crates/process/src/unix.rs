@@ -6,7 +6,7 @@
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
@@ -89,29 +89,26 @@ impl Drop for ProcessGroup {
 }
 
 impl ChildProcess {
-    /// Starts a program in `folder`. The path is `found`, or else the first of `words`.
+    /// Starts a program in `folder`. `program` is its path, if it differs from the first of `words`.
     pub(crate) fn start(
         words: &[String],
-        found: Option<&Path>,
+        program: Option<&Path>,
         folder: &Path,
     ) -> Result<Self, ProcessProblem> {
-        let failed = |error: std::io::Error| ProcessProblem::NotStarted {
-            reason: error.to_string(),
+        let [name, arguments @ ..] = words else {
+            return Err(missing_command());
         };
-        let missing = || ProcessProblem::NotStarted {
-            reason: "there is no command".to_owned(),
-        };
-        let (program, arguments) = words.split_first().ok_or_else(missing)?;
-        let starting = SPAWN_LOCK.lock().unwrap_or_else(PoisonError::into_inner);
-        let group = ProcessGroup::start().map_err(failed)?;
-        let mut command = match found {
-            Some(found) => Command::new(found),
+        let spawn_lock = SPAWN_LOCK.lock().unwrap_or_else(PoisonError::into_inner);
+        let group = ProcessGroup::start().map_err(start_problem)?;
+        let path = match program {
+            Some(program) => program.to_owned(),
             // Relative paths would otherwise be resolved against a system-dependent folder.
-            None if program.contains('/') => {
-                Command::new(std::path::absolute(folder.join(program)).map_err(failed)?)
+            None if name.contains('/') => {
+                std::path::absolute(folder.join(name)).map_err(start_problem)?
             }
-            None => Command::new(program),
+            None => PathBuf::from(name),
         };
+        let mut command = Command::new(path);
         command
             .args(arguments)
             .process_group(group.watchdog.id() as i32);
@@ -122,28 +119,28 @@ impl ChildProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        let mut child = pipes.spawn().map_err(failed)?;
-        drop(starting);
-        let (Some(input), Some(output), Some(error)) =
-            (child.stdin.take(), child.stdout.take(), child.stderr.take())
-        else {
-            return Err(missing());
-        };
-        let program = Self {
+        let child = pipes.spawn().map_err(start_problem)?;
+        drop(spawn_lock);
+        Self::new(child, group)
+    }
+
+    /// Takes the pipes of a child.
+    fn new(mut child: Child, group: ProcessGroup) -> Result<Self, ProcessProblem> {
+        let process = Self {
+            stdin: child.stdin.take(),
+            stdout: child.stdout.take().ok_or_else(missing_command)?,
+            stderr: child.stderr.take(),
             child,
-            stdin: Some(input),
-            stdout: output,
-            stderr: Some(error),
             received: Vec::new(),
             consumed: 0,
             chunk: vec![0; READ_BYTES].into(),
             stderr_tail: StderrTail::default(),
             group,
         };
-        program
+        process
             .set_nonblocking()
-            .map_err(|error| failed(error.into()))?;
-        Ok(program)
+            .map_err(|error| start_problem(error.into()))?;
+        Ok(process)
     }
 
     /// Makes crumple's ends of the pipes non-blocking; the program's own ends block.
@@ -161,12 +158,13 @@ impl ChildProcess {
     pub(crate) fn query(
         &mut self,
         request: &[u8],
-        within: Duration,
+        timeout: Duration,
     ) -> Result<&[u8], ProcessProblem> {
-        let end = Instant::now() + within;
+        let deadline = Instant::now() + timeout;
         self.received.drain(..self.consumed);
         self.consumed = 0;
-        let (mut rest, mut searched) = (request, 0);
+        let mut rest = request;
+        let mut searched = 0;
         loop {
             // A line that the program wrote too early counts as this reply. Whether it arrives before or after the
             // query depends on timing; the result must not.
@@ -190,7 +188,7 @@ impl ChildProcess {
                     Err(_) => return Err(self.exit_problem()),
                 }
             }
-            self.poll_pipes(!rest.is_empty(), end, within)?;
+            self.poll_pipes(!rest.is_empty(), deadline, timeout)?;
         }
     }
 
@@ -198,11 +196,11 @@ impl ChildProcess {
     fn poll_pipes(
         &mut self,
         wants_to_write: bool,
-        end: Instant,
-        within: Duration,
+        deadline: Instant,
+        timeout: Duration,
     ) -> Result<(), ProcessProblem> {
-        let Some(left) = end.checked_duration_since(Instant::now()) else {
-            return Err(self.timeout_problem(within));
+        let Some(left) = deadline.checked_duration_since(Instant::now()) else {
+            return Err(self.timeout_problem(timeout));
         };
         // The number of polled pipes is fixed: if nothing is to be written, stdout takes the place of stdin.
         let input = match &self.stdin {
@@ -219,23 +217,29 @@ impl ChildProcess {
             tv_nsec: left.subsec_nanos().into(),
         };
         match poll(&mut pipes, Some(&left)) {
-            Ok(0) => return Err(self.timeout_problem(within)),
+            Ok(0) => return Err(self.timeout_problem(timeout)),
             Ok(_) | Err(rustix::io::Errno::INTR) => {}
             Err(_) => return Err(ProcessProblem::Closed),
         }
-        let [output, error, _] = pipes.map(|pipe| !pipe.revents().is_empty());
-        if error {
+        let [has_output, has_error, _] = pipes.map(|pipe| !pipe.revents().is_empty());
+        if has_error {
             self.read_stderr();
         }
-        if output {
-            match self.stdout.read(&mut self.chunk) {
-                Ok(0) => return Err(self.exit_problem()),
-                Ok(read) => self
-                    .received
-                    .extend_from_slice(self.chunk.get(..read).unwrap_or_default()),
-                Err(error) if is_retryable(error.kind()) => {}
-                Err(_) => return Err(self.exit_problem()),
-            }
+        if has_output {
+            self.read_stdout()?;
+        }
+        Ok(())
+    }
+
+    /// Reads once from standard output.
+    fn read_stdout(&mut self) -> Result<(), ProcessProblem> {
+        match self.stdout.read(&mut self.chunk) {
+            Ok(0) => return Err(self.exit_problem()),
+            Ok(length) => self
+                .received
+                .extend_from_slice(self.chunk.get(..length).unwrap_or_default()),
+            Err(error) if is_retryable(error.kind()) => {}
+            Err(_) => return Err(self.exit_problem()),
         }
         Ok(())
     }
@@ -258,21 +262,21 @@ impl ChildProcess {
     }
 
     /// Returns the reason of a missing reply. Children may keep the output open after the program ended.
-    fn timeout_problem(&mut self, within: Duration) -> ProcessProblem {
+    fn timeout_problem(&mut self, timeout: Duration) -> ProcessProblem {
         match self.child.try_wait() {
             Ok(Some(status)) => ProcessProblem::Ended {
                 status: describe_exit(status),
             },
             _ => ProcessProblem::Timeout {
-                limit_s: within.as_secs_f64(),
+                limit_s: timeout.as_secs_f64(),
             },
         }
     }
 
     /// Returns the error for a program that closed its pipes.
     fn exit_problem(&mut self) -> ProcessProblem {
-        let end = Instant::now() + EXIT_CODE_TIMEOUT;
-        while Instant::now() < end {
+        let deadline = Instant::now() + EXIT_CODE_TIMEOUT;
+        while Instant::now() < deadline {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
                     return ProcessProblem::Ended {
@@ -304,8 +308,8 @@ impl ChildProcess {
 
     /// Reads pending standard error. The loop is bounded: the output may be endless.
     fn drain_stderr(&mut self) {
-        let most = 2 * MAX_LINE_BYTES / READ_BYTES;
-        let _ = (0..most).take_while(|_| self.read_stderr()).count();
+        let max_reads = 2 * MAX_LINE_BYTES / READ_BYTES;
+        let _ = (0..max_reads).take_while(|_| self.read_stderr()).count();
     }
 
     fn kill(&mut self) {
@@ -324,8 +328,8 @@ impl ChildProcess {
     /// Waits up to `SHUTDOWN_TIMEOUT` for the end of the process.
     fn wait_for_exit(&mut self) {
         self.close_stdin();
-        let end = Instant::now() + SHUTDOWN_TIMEOUT;
-        while self.poll_pipes(false, end, SHUTDOWN_TIMEOUT).is_ok() {
+        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
+        while self.poll_pipes(false, deadline, SHUTDOWN_TIMEOUT).is_ok() {
             self.received.clear();
         }
     }
@@ -337,6 +341,18 @@ impl Drop for ChildProcess {
             self.wait_for_exit();
         }
         self.kill();
+    }
+}
+
+fn start_problem(error: std::io::Error) -> ProcessProblem {
+    ProcessProblem::NotStarted {
+        reason: error.to_string(),
+    }
+}
+
+fn missing_command() -> ProcessProblem {
+    ProcessProblem::NotStarted {
+        reason: "there is no command".to_owned(),
     }
 }
 

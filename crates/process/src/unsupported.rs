@@ -11,7 +11,7 @@ pub(crate) enum ChildProcess {}
 impl ChildProcess {
     pub(crate) fn start(
         _words: &[String],
-        _found: Option<&Path>,
+        _program: Option<&Path>,
         _folder: &Path,
     ) -> Result<Self, ProcessProblem> {
         Err(ProcessProblem::NotStarted {
@@ -24,7 +24,7 @@ impl ChildProcess {
     pub(crate) fn query(
         &mut self,
         _request: &[u8],
-        _within: Duration,
+        _timeout: Duration,
     ) -> Result<&[u8], ProcessProblem> {
         match *self {}
     }

@@ -64,47 +64,20 @@ impl ParameterDistributionFile {
             element: &root,
             parameters: &none,
         };
-        if node.optional("Storyboard").is_some() {
-            return Err(node.refuse("is a scenario, not a file of distributions"));
-        }
-        node.only(&["FileHeader", "ParameterValueDistribution"], &[])?;
-        let holder = node.child("ParameterValueDistribution")?;
-        holder.only(&["ScenarioFile", "Deterministic", "Stochastic"], &[])?;
-        let file = holder.child("ScenarioFile")?;
-        let stated = file.text("filepath")?;
-        if Path::new(&stated).file_name() != scenario.file_name() {
-            return Err(file.refuse(format!(
-                "the distributions are for `{stated}`, not for `{}`",
-                scenario.display()
-            )));
-        }
+        let holder = distribution_holder(node, scenario)?;
         let distributions = ["Deterministic", "Stochastic"]
             .iter()
             .filter_map(|kind| holder.optional(kind));
         let count = distributions.map(|list| list.children().count()).sum();
         ensure_at_most(holder, count, MAX_DISTRIBUTIONS, "distributions")?;
-        let (mut axes, mut random) = (Vec::new(), Vec::new());
-        let mut known = BTreeSet::new();
-        let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names
-            .intersection(&known)
-            .next()
-        {
-            Some(name) => Err(node.refuse(format!("the parameter `{name}` has two distributions"))),
-            None => {
-                known.extend(names);
-                Ok(())
-            }
-        };
+        let mut axes = Vec::new();
+        let mut random = Vec::new();
+        let mut names = DistinctNames::default();
         if let Some(list) = holder.optional("Deterministic") {
-            for one in list.children() {
-                let axis = read_deterministic(one)?;
-                add_names(
-                    one,
-                    axis.iter()
-                        .flatten()
-                        .map(|(name, _)| name.clone())
-                        .collect(),
-                )?;
+            for distribution in list.children() {
+                let axis = read_deterministic(distribution)?;
+                let parameters = axis.iter().flatten().map(|(name, _)| name.clone());
+                names.add(distribution, parameters.collect())?;
                 axes.push(axis);
             }
         }
@@ -113,14 +86,14 @@ impl ParameterDistributionFile {
                 &["StochasticDistribution"],
                 &["numberOfTestRuns", "randomSeed"],
             )?;
-            for one in list.children() {
-                one.only(
+            for distribution in list.children() {
+                distribution.only(
                     &["NormalDistribution", "UniformDistribution", "Histogram"],
                     &["parameterName"],
                 )?;
-                let name = one.text("parameterName")?;
-                add_names(one, BTreeSet::from([name.clone()]))?;
-                random.push((name, read_random(one.single()?)?));
+                let name = distribution.text("parameterName")?;
+                names.add(distribution, BTreeSet::from([name.clone()]))?;
+                random.push((name, read_random(distribution.single()?)?));
             }
         }
         if axes.is_empty() == random.is_empty() {
@@ -159,28 +132,29 @@ impl ParameterDistributionFile {
             return Err(self.root.refuse(problem));
         }
         self.check_texts(count)?;
-        let mut found: Vec<Variation> = vec![Vec::new()];
+        let mut variations: Vec<Variation> = vec![Vec::new()];
         for axis in &self.axes {
-            found = found
+            variations = variations
                 .iter()
                 .flat_map(|before| axis.iter().map(|more| [&before[..], more].concat()))
                 .collect();
         }
-        Ok(found)
+        Ok(variations)
     }
 
     /// Refuses more values than all variations may have together.
     fn check_texts(&self, variations: f64) -> Result<()> {
-        let (mut values, mut bytes) = (0.0, 0.0);
+        let mut values = 0.0;
+        let mut bytes = 0.0;
         for axis in &self.axes {
-            let each = variations / axis.len() as f64;
+            let repetitions = variations / axis.len() as f64;
             let text = axis
                 .iter()
                 .flatten()
                 .map(|(name, value)| name.len() + value.len())
                 .sum::<usize>();
-            values += each * axis.iter().map(Vec::len).sum::<usize>() as f64;
-            bytes += each * text as f64;
+            values += repetitions * axis.iter().map(Vec::len).sum::<usize>() as f64;
+            bytes += repetitions * text as f64;
         }
         if values > MAX_VARIED_VALUES || bytes > MAX_VARIED_BYTES {
             let problem = format!(
@@ -192,6 +166,40 @@ impl ParameterDistributionFile {
         }
         Ok(())
     }
+}
+
+/// Names of parameters, each of which may have one distribution.
+#[derive(Default)]
+struct DistinctNames(BTreeSet<String>);
+
+impl DistinctNames {
+    /// Adds the parameters of a distribution.
+    fn add(&mut self, node: Node<'_>, names: BTreeSet<String>) -> Result<()> {
+        if let Some(name) = names.intersection(&self.0).next() {
+            return Err(node.refuse(format!("the parameter `{name}` has two distributions")));
+        }
+        self.0.extend(names);
+        Ok(())
+    }
+}
+
+/// Returns the element with the distributions, which must be for the scenario file `scenario`.
+fn distribution_holder<'a>(root: Node<'a>, scenario: &Path) -> Result<Node<'a>> {
+    if root.optional("Storyboard").is_some() {
+        return Err(root.refuse("is a scenario, not a file of distributions"));
+    }
+    root.only(&["FileHeader", "ParameterValueDistribution"], &[])?;
+    let holder = root.child("ParameterValueDistribution")?;
+    holder.only(&["ScenarioFile", "Deterministic", "Stochastic"], &[])?;
+    let file = holder.child("ScenarioFile")?;
+    let stated = file.text("filepath")?;
+    if Path::new(&stated).file_name() != scenario.file_name() {
+        return Err(file.refuse(format!(
+            "the distributions are for `{stated}`, not for `{}`",
+            scenario.display()
+        )));
+    }
+    Ok(holder)
 }
 
 fn read_deterministic(node: Node<'_>) -> Result<Vec<Variation>> {
@@ -245,7 +253,8 @@ fn read_set(node: Node<'_>) -> Result<Vec<String>> {
 
 fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
     node.only(&["Range"], &["stepWidth"])?;
-    let ([low, high], width) = (read_range(node.child("Range")?)?, node.number("stepWidth")?);
+    let [low, high] = read_range(node.child("Range")?)?;
+    let width = node.number("stepWidth")?;
     let steps = ((high - low) / width + 1e-9).floor();
     if !(0.0..=MAX_VARIATIONS as f64).contains(&steps) {
         let [width, low, high] = [width, low, high].map(format_number);
@@ -254,13 +263,9 @@ fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
         )));
     }
     // Fifteen digits hide the rounding of the product.
-    let value = |step: usize| {
-        format!("{:.14e}", low + step as f64 * width)
-            .parse::<f64>()
-            .map(format_compact)
-    };
     Ok((0..=steps as usize)
-        .filter_map(|step| value(step).ok())
+        .map(|step| format!("{:.14e}", low + step as f64 * width))
+        .filter_map(|value| value.parse::<f64>().map(format_compact).ok())
         .collect())
 }
 
@@ -285,46 +290,47 @@ fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
             let [low, high] = read_range(node.child("Range")?)?;
             Ok(DistributionSpec::Uniform(UniformSpec { low, high }))
         }
-        "NormalDistribution" => {
-            node.only(&["Range"], &["expectedValue", "variance"])?;
-            let (mean, deviation) = (
-                node.number("expectedValue")?,
-                node.non_negative("variance")?.sqrt(),
-            );
-            let range = NORMAL_RANGE_DEVIATIONS * deviation;
-            let [low, high] = node
-                .optional("Range")
-                .map_or(Ok([mean - range, mean + range]), read_range)?;
-            Ok(DistributionSpec::Normal(NormalSpec {
-                mean,
-                deviation,
-                low,
-                high,
-            }))
-        }
-        _ => {
-            node.only(&["HistogramBin"], &[])?;
-            ensure_at_most(node, node.children().count(), MAX_BINS, "bins")?;
-            let (mut edges, mut weights): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-            for bin in node.children() {
-                bin.only(&["Range"], &["weight"])?;
-                let [low, high] = read_range(bin.child("Range")?)?;
-                match edges.last() {
-                    None => edges.push(low),
-                    Some(end) if *end < low => {
-                        edges.push(low);
-                        weights.push(0.0);
-                    }
-                    Some(end) if *end > low => return Err(bin.refuse("bins must increase")),
-                    Some(_) => {}
-                }
-                edges.push(high);
-                weights.push(bin.non_negative("weight")?);
-            }
-            Ok(DistributionSpec::Histogram(HistogramSpec {
-                edges,
-                weights,
-            }))
-        }
+        "NormalDistribution" => Ok(DistributionSpec::Normal(read_normal(node)?)),
+        _ => Ok(DistributionSpec::Histogram(read_histogram(node)?)),
     }
+}
+
+fn read_normal(node: Node<'_>) -> Result<NormalSpec> {
+    node.only(&["Range"], &["expectedValue", "variance"])?;
+    let mean = node.number("expectedValue")?;
+    let deviation = node.non_negative("variance")?.sqrt();
+    let range = NORMAL_RANGE_DEVIATIONS * deviation;
+    let [low, high] = node
+        .optional("Range")
+        .map_or(Ok([mean - range, mean + range]), read_range)?;
+    Ok(NormalSpec {
+        mean,
+        deviation,
+        low,
+        high,
+    })
+}
+
+/// Reads a histogram. Gaps between its bins become bins of weight 0.
+fn read_histogram(node: Node<'_>) -> Result<HistogramSpec> {
+    node.only(&["HistogramBin"], &[])?;
+    ensure_at_most(node, node.children().count(), MAX_BINS, "bins")?;
+    let mut edges: Vec<f64> = Vec::new();
+    let mut weights: Vec<f64> = Vec::new();
+    for bin in node.children() {
+        bin.only(&["Range"], &["weight"])?;
+        let [low, high] = read_range(bin.child("Range")?)?;
+        match edges.last() {
+            None => edges.push(low),
+            Some(end) if *end < low => {
+                edges.push(low);
+                weights.push(0.0);
+            }
+            Some(end) if *end > low => return Err(bin.refuse("bins must increase")),
+            Some(_) => {}
+        }
+        edges.push(high);
+        weights.push(bin.non_negative("weight")?);
+    }
+    Ok(HistogramSpec { edges, weights })
 }

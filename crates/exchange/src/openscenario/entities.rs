@@ -4,7 +4,7 @@ use super::error::ScenarioImportError;
 use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most};
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
-use super::xml::{ElementPlace, Node};
+use super::xml::{ElementLocation, Node};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::scenario::{Driver, VehicleClass};
 
@@ -36,34 +36,98 @@ pub(super) struct Entity<'a> {
     stated_driver: Option<String>,
     /// Content without influence on the motion.
     pub(super) notes: Vec<String>,
-    places: BodyPlaces,
+    locations: BodyLocations,
 }
 
 /// Elements that state the body of an entity, which may be in a catalogue.
 #[derive(Debug)]
-struct BodyPlaces {
-    body: ElementPlace,
-    center: ElementPlace,
-    dimensions: ElementPlace,
-    performance: Option<ElementPlace>,
+struct BodyLocations {
+    body: ElementLocation,
+    center: ElementLocation,
+    dimensions: ElementLocation,
+    performance: Option<ElementLocation>,
 }
 
 impl Entity<'_> {
+    /// Reads a controller, or that of the catalogue entry to which the element refers, and assigns it.
+    fn assign_controller(&mut self, node: Node<'_>, files: &SourceFiles<'_>) -> Result<()> {
+        let mut controller = match node.name() {
+            "CatalogReference" => {
+                files.with_catalog_entry(node, &["Controller"], read_controller)?
+            }
+            _ => read_controller(node)?,
+        };
+        self.notes.append(&mut controller.notes);
+        if let Some(driver) = &self.stated_driver
+            && *driver != controller.name
+        {
+            let name = &controller.name;
+            self.notes.push(node.note(format!(
+                "the property driver = `{driver}` contradicts the controller `{name}`, which drives"
+            )));
+        }
+        self.controller = Some(controller);
+        Ok(())
+    }
+
+    /// Reads the limits of a vehicle.
+    fn read_performance(&mut self, limits: Node<'_>) -> Result<()> {
+        limits.only(
+            &[],
+            &[
+                "maxSpeed",
+                "maxAcceleration",
+                "maxDeceleration",
+                "maxAccelerationRate",
+                "maxDecelerationRate",
+            ],
+        )?;
+        self.max_speed_mps = limits.non_negative("maxSpeed")?;
+        self.max_brake_mps2 = Some(limits.non_negative("maxDeceleration")?);
+        self.max_accel_mps2 = Some(limits.non_negative("maxAcceleration")?);
+        self.jerk_limit_mps3 = limits.optional_number("maxAccelerationRate")?;
+        if limits.optional_number("maxDecelerationRate")? == self.jerk_limit_mps3 {
+            Ok(())
+        } else {
+            Err(limits.refuse("maxAccelerationRate and maxDecelerationRate must be equal"))
+        }
+    }
+
+    /// Reads the properties in which crumple's export states delays and the driver.
+    fn read_body_properties(&mut self, body: Node<'_>) -> Result<()> {
+        let mut unused = Vec::new();
+        for (name, value) in read_properties(body)? {
+            let index = DELAY_PROPERTIES.iter().position(|delay| *delay == name);
+            if let Some(delay_s) = index.and_then(|index| self.delays_s.get_mut(index)) {
+                let number = value.parse().ok().filter(|number: &f64| number.is_finite());
+                *delay_s = number.ok_or_else(|| {
+                    body.refuse(format!("property `{name}`: `{value}` is not a number"))
+                })?;
+            } else if name == "driver" {
+                self.stated_driver = Some(value);
+            } else {
+                unused.push(name);
+            }
+        }
+        note_unused(body, unused, &mut self.notes);
+        Ok(())
+    }
+
     /// Returns the element that states a field of the vehicle.
-    pub(super) fn place_of(&self, field: &str) -> ElementPlace {
-        let places = &self.places;
+    pub(super) fn field_location(&self, field: &str) -> ElementLocation {
+        let locations = &self.locations;
         let is_center_far = self.front_m.abs() > MAX_USUAL_CENTER_M;
         match field {
-            "length_m" => places.dimensions.clone(),
-            "position_m" if is_center_far => places.center.clone(),
+            "length_m" => locations.dimensions.clone(),
+            "position_m" if is_center_far => locations.center.clone(),
             "mass_kg" | "reaction_delay_s" | "actuator_lag_s" | "actuator_delay_s" => {
-                places.body.clone()
+                locations.body.clone()
             }
             "max_brake_mps2" | "max_accel_mps2" | "jerk_limit_mps3" => {
-                let performance = places.performance.as_ref();
-                performance.unwrap_or(&places.body).clone()
+                let performance = locations.performance.as_ref();
+                performance.unwrap_or(&locations.body).clone()
             }
-            _ => self.node.place(),
+            _ => self.node.location(),
         }
     }
 }
@@ -77,6 +141,17 @@ pub(super) struct AssignedController {
     notes: Vec<String>,
 }
 
+impl AssignedController {
+    /// Returns the driver that the controller states; `None` if crumple does not know it.
+    fn stated_driver(&self) -> Option<Driver> {
+        match &self.built_in {
+            Some(spec) => Some(Driver::Controller(spec.clone())),
+            None if self.name == UNDER_TEST_CONTROLLER => Some(Driver::UnderTest),
+            None => None,
+        }
+    }
+}
+
 /// Names of the properties in which crumple's export states delays, in the order of `Entity::delays_s`.
 pub const DELAY_PROPERTIES: [&str; 3] = ["reaction_delay_s", "actuator_lag_s", "actuator_delay_s"];
 
@@ -86,15 +161,15 @@ pub(super) fn read_entities<'a>(
 ) -> Result<Vec<Entity<'a>>> {
     node.only(&["ScenarioObject"], &[])?;
     ensure_at_most(node, node.children().count(), MAX_ENTITIES, "entities")?;
-    let mut found: Vec<Entity<'a>> = Vec::new();
+    let mut entities: Vec<Entity<'a>> = Vec::new();
     for object in node.children() {
         let entity = read_object(object, files)?;
-        if found.iter().any(|other| other.name == entity.name) {
+        if entities.iter().any(|other| other.name == entity.name) {
             return Err(object.refuse(format!("there is another entity `{}`", entity.name)));
         }
-        found.push(entity);
+        entities.push(entity);
     }
-    Ok(found)
+    Ok(entities)
 }
 
 fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'a>> {
@@ -126,26 +201,8 @@ fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'
         holder.only(&["Controller", "CatalogReference"], &["name"])?;
         // OpenSCENARIO 1.3 allows several controllers, and a holder without one.
         let mut controllers = holder.children();
-        if let Some(one) = controllers.next() {
-            let mut controller = match one.name() {
-                "CatalogReference" => {
-                    files.with_catalog_entry(one, &["Controller"], read_controller)?
-                }
-                _ => read_controller(one)?,
-            };
-            entity.notes.append(&mut controller.notes);
-            if let Some(driver) = entity
-                .stated_driver
-                .as_ref()
-                .filter(|driver| **driver != controller.name)
-            {
-                let name = &controller.name;
-                let note = format!(
-                    "the property driver = `{driver}` contradicts the controller `{name}`, which drives"
-                );
-                entity.notes.push(one.note(note));
-            }
-            entity.controller = Some(controller);
+        if let Some(controller) = controllers.next() {
+            entity.assign_controller(controller, files)?;
         }
         let second = controllers
             .next()
@@ -162,7 +219,8 @@ fn read_controller(node: Node<'_>) -> Result<AssignedController> {
         &["Properties", "ParameterDeclarations"],
         &["name", "controllerType"],
     )?;
-    let (name, properties) = (node.text("name")?, read_properties(node)?);
+    let name = node.text("name")?;
+    let properties = read_properties(node)?;
     let settings = properties
         .iter()
         .map(|(property, value)| format!(",{property}={value}"));
@@ -171,14 +229,8 @@ fn read_controller(node: Node<'_>) -> Result<AssignedController> {
     let built_in = built_in.map_err(|invalid| node.refuse(invalid.to_string()))?;
     let mut notes = Vec::new();
     if built_in.is_none() {
-        note_unused(
-            node,
-            properties
-                .into_iter()
-                .map(|(property, _)| property)
-                .collect(),
-            &mut notes,
-        );
+        let names = properties.into_iter().map(|(property, _)| property);
+        note_unused(node, names.collect(), &mut notes);
     }
     Ok(AssignedController {
         name,
@@ -198,46 +250,26 @@ fn note_unused(node: Node<'_>, names: Vec<String>, notes: &mut Vec<String>) {
 }
 
 fn read_properties(node: Node<'_>) -> Result<Vec<(String, String)>> {
-    let properties = || node.named("Properties").flat_map(Node::children);
-    ensure_at_most(node, properties().count(), MAX_PROPERTIES, "properties")?;
-    let read = |one: Node<'_>| match one.name() {
-        "Property" => Ok((one.text("name")?, one.text("value")?)),
-        _ => Ok((one.name().to_owned(), one.text("filepath")?)),
-    };
-    properties().map(read).collect()
+    let properties: Vec<_> = node
+        .named("Properties")
+        .flat_map(Node::children)
+        .take(MAX_PROPERTIES + 1)
+        .collect();
+    ensure_at_most(node, properties.len(), MAX_PROPERTIES, "properties")?;
+    properties
+        .into_iter()
+        .map(|property| match property.name() {
+            "Property" => Ok((property.text("name")?, property.text("value")?)),
+            other => Ok((other.to_owned(), property.text("filepath")?)),
+        })
+        .collect()
 }
 
 fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
-    let is_vehicle = match body.name() {
-        "Vehicle" => true,
-        "Pedestrian" | "MiscObject" => false,
-        _ => return Err(body.refuse("is not supported as an entity")),
-    };
-    body.only(
-        &[
-            "ParameterDeclarations",
-            "BoundingBox",
-            "Performance",
-            "Axles",
-            "Properties",
-            "Role",
-        ],
-        &[
-            "name",
-            "vehicleCategory",
-            "pedestrianCategory",
-            "miscObjectCategory",
-            "mass",
-            "model",
-            "model3d",
-            "role",
-        ],
-    )?;
+    check_body_content(body)?;
     let bounding_box = body.child("BoundingBox")?;
-    let (center, dimensions) = (
-        bounding_box.child("Center")?,
-        bounding_box.child("Dimensions")?,
-    );
+    let center = bounding_box.child("Center")?;
+    let dimensions = bounding_box.child("Dimensions")?;
     if center.number("y")?.abs() > 0.01 {
         return Err(center.refuse("the bounding box must be centred on the lane"));
     }
@@ -262,65 +294,58 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         controller: None,
         stated_driver: None,
         notes: Vec::new(),
-        places: BodyPlaces {
-            body: body.place(),
-            center: center.place(),
-            dimensions: dimensions.place(),
-            performance: body.optional("Performance").map(Node::place),
+        locations: BodyLocations {
+            body: body.location(),
+            center: center.location(),
+            dimensions: dimensions.location(),
+            performance: body.optional("Performance").map(Node::location),
         },
     };
-    if is_vehicle {
-        let limits = body.child("Performance")?;
-        limits.only(
-            &[],
-            &[
-                "maxSpeed",
-                "maxAcceleration",
-                "maxDeceleration",
-                "maxAccelerationRate",
-                "maxDecelerationRate",
-            ],
-        )?;
-        entity.max_speed_mps = limits.non_negative("maxSpeed")?;
-        entity.max_brake_mps2 = Some(limits.non_negative("maxDeceleration")?);
-        entity.max_accel_mps2 = Some(limits.non_negative("maxAcceleration")?);
-        entity.jerk_limit_mps3 = limits.optional_number("maxAccelerationRate")?;
-        if limits.optional_number("maxDecelerationRate")? != entity.jerk_limit_mps3 {
-            return Err(limits.refuse("maxAccelerationRate and maxDecelerationRate must be equal"));
-        }
+    if body.name() == "Vehicle" {
+        entity.read_performance(body.child("Performance")?)?;
     }
-    let mut unused = Vec::new();
-    for (name, value) in read_properties(body)? {
-        let delay = DELAY_PROPERTIES.iter().position(|delay| *delay == name);
-        if let Some(place) = delay.and_then(|place| entity.delays_s.get_mut(place)) {
-            let number = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *place = number.ok_or_else(|| {
-                body.refuse(format!("property `{name}`: `{value}` is not a number"))
-            })?;
-        } else if name == "driver" {
-            entity.stated_driver = Some(value);
-        } else {
-            unused.push(name);
-        }
-    }
-    note_unused(body, unused, &mut entity.notes);
+    entity.read_body_properties(body)?;
     Ok(entity)
+}
+
+/// Refuses a body of an unknown kind or with unknown content.
+fn check_body_content(body: Node<'_>) -> Result<()> {
+    if !["Vehicle", "Pedestrian", "MiscObject"].contains(&body.name()) {
+        return Err(body.refuse("is not supported as an entity"));
+    }
+    body.only(
+        &[
+            "ParameterDeclarations",
+            "BoundingBox",
+            "Performance",
+            "Axles",
+            "Properties",
+            "Role",
+        ],
+        &[
+            "name",
+            "vehicleCategory",
+            "pedestrianCategory",
+            "miscObjectCategory",
+            "mass",
+            "model",
+            "model3d",
+            "role",
+        ],
+    )
 }
 
 /// Returns the values of the parameters of a catalogue entry.
 pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<Parameters> {
-    let assignments = || {
-        reference
-            .named("ParameterAssignments")
-            .flat_map(Node::children)
-    };
-    ensure_at_most(
-        reference,
-        assignments().count(),
-        MAX_PARAMETERS,
-        "assigned parameters",
-    )?;
-    let assigned = assignments()
+    let assignments: Vec<_> = reference
+        .named("ParameterAssignments")
+        .flat_map(Node::children)
+        .take(MAX_PARAMETERS + 1)
+        .collect();
+    let what = "assigned parameters";
+    ensure_at_most(reference, assignments.len(), MAX_PARAMETERS, what)?;
+    let assigned = assignments
+        .into_iter()
         .map(read_assignment)
         .collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
@@ -346,28 +371,22 @@ pub(super) fn assign_drivers(
         .iter()
         .filter(|entity| entity.controller.is_some())
         .count();
-    let driver = |entity: &Entity<'_>| {
-        let under_test = Ok(Some(Driver::UnderTest));
-        match &entity.controller {
-            _ if ego == Some(&entity.name) => under_test,
+    entities
+        .iter()
+        .map(|entity| match &entity.controller {
+            _ if ego == Some(&entity.name) => Ok(Some(Driver::UnderTest)),
             None => Ok(None),
-            Some(AssignedController {
-                built_in: Some(spec),
-                ..
-            }) => Ok(Some(Driver::Controller(spec.clone()))),
-            Some(controller) if controller.name == UNDER_TEST_CONTROLLER => under_test,
-            Some(_) if ego.is_none() && controlled == 1 => under_test,
-            Some(_) if ego.is_none() => Err(node.refuse(format!(
-                "{controlled} entities have a controller: name the vehicle under test with --ego"
-            ))),
-            Some(AssignedController { name, .. }) => {
-                let problem = format!(
-                    "`{}` has the controller `{name}`, which is none of crumple's",
-                    entity.name
-                );
-                Err(entity.node.refuse(problem))
-            }
-        }
-    };
-    entities.iter().map(driver).collect()
+            Some(controller) => match controller.stated_driver() {
+                Some(driver) => Ok(Some(driver)),
+                None if ego.is_some() => Err(entity.node.refuse(format!(
+                    "`{}` has the controller `{}`, which is none of crumple's",
+                    entity.name, controller.name
+                ))),
+                None if controlled == 1 => Ok(Some(Driver::UnderTest)),
+                None => Err(node.refuse(format!(
+                    "{controlled} entities have a controller: name the vehicle under test with --ego"
+                ))),
+            },
+        })
+        .collect()
 }

@@ -171,13 +171,13 @@ fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {
     ParameterDistributionFile::from_bytes(text.as_bytes()).map_err(|error| error.to_string())
 }
 
-/// Returns the elements that `one` makes of the numbers below `count`.
-fn repeated(count: usize, one: impl Fn(usize) -> String) -> String {
-    (0..count).map(one).collect()
+/// Returns the elements that `element` makes of the numbers below `count`.
+fn repeated(count: usize, element: impl Fn(usize) -> String) -> String {
+    (0..count).map(element).collect()
 }
 
 #[test]
-fn more_than_the_limits_is_refused_before_the_work_begins() {
+fn excess_content_is_refused_before_work_begins() {
     let good = file(
         same_lane(),
         &speed_action("linear", "rate", "$rate", 10.0),
@@ -349,7 +349,7 @@ fn more_than_the_limits_is_refused_before_the_work_begins() {
 }
 
 #[test]
-fn all_variations_share_the_work_that_an_import_may_do() {
+fn all_variations_share_one_work_budget() {
     let stop = r#"<StoryboardElementStateCondition storyboardElementType="action" storyboardElementRef="act"
 state="completeState"/>"#
         .replace('\n', " ");
@@ -359,8 +359,7 @@ state="completeState"/>"#
         &speed_action("linear", "rate", "$rate", 10.0),
         TIME,
     );
-    let found = text.contains(&stop);
-    assert!(found, "{text}");
+    assert!(text.contains(&stop), "{text}");
     let text = text.replace(&stop, condition);
     let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).unwrap();
     let began = Instant::now();
@@ -393,7 +392,7 @@ fn positions_that_depend_on_each_other_are_resolved_in_any_order() {
     let private = &text[start..text.find("</Actions>").unwrap()];
     // Each is 30 m behind the next one, in the order of the file.
     let chain = |last: &str| {
-        let place = |index: usize| {
+        let private_at = |index: usize| {
             let next = if index == 899 {
                 last.to_owned()
             } else {
@@ -408,7 +407,7 @@ fn positions_that_depend_on_each_other_are_resolved_in_any_order() {
         let objects = repeated(900, |index| {
             object.replace("\"other\"", &format!("\"v{index}\""))
         });
-        let privates = repeated(900, place);
+        let privates = repeated(900, private_at);
         let text = text.replace("</Entities>", &format!("{objects}</Entities>"));
         text.replace("</Actions>", &format!("{privates}</Actions>"))
             .replace("s=\"140\"", "s=\"4800\"")

@@ -30,6 +30,12 @@ pub(super) struct InitialState<'a> {
     pub(super) notes: Vec<String>,
 }
 
+impl InitialState<'_> {
+    fn along_m(&self, entity: usize) -> Option<f64> {
+        self.places.get(entity).map(|place| place.along_m)
+    }
+}
+
 pub(super) fn read_initial<'a>(
     init: Node<'a>,
     entities: &[Entity<'_>],
@@ -38,34 +44,21 @@ pub(super) fn read_initial<'a>(
     work: &WorkBudget,
 ) -> Result<InitialState<'a>> {
     init.only(&["Actions"], &[])?;
-    let (groups, count) = (init.child("Actions")?, entities.len());
-    let actions = groups
-        .children()
-        .map(|group| 1 + group.children().count())
-        .sum();
-    ensure_at_most(
-        groups,
-        actions,
-        MAX_INITIAL_ACTIONS,
-        "actions and groups of them",
-    )?;
-    ensure_at_most(
-        groups,
-        groups.named("GlobalAction").count(),
-        MAX_ENVIRONMENTS,
-        "environments",
-    )?;
+    let groups = init.child("Actions")?;
+    check_counts(groups)?;
     let mut state = InitialState {
         places: Vec::new(),
-        speeds_mps: vec![None; count],
+        speeds_mps: vec![None; entities.len()],
         transitions: Vec::new(),
-        is_active: vec![false; count],
+        is_active: vec![false; entities.len()],
         friction: 1.0,
         notes: Vec::new(),
     };
-    let (mut positions, mut distances): (Vec<Option<Node<'a>>>, Vec<(usize, Node<'a>)>) =
-        (vec![None; count], Vec::new());
-    let mut speeds = Vec::new();
+    let mut actions = InitialActions {
+        positions: vec![None; entities.len()],
+        speeds: Vec::new(),
+        distances: Vec::new(),
+    };
     for group in groups.children() {
         match group.name() {
             "GlobalAction" => read_environment(group.single()?, files, &mut state)?,
@@ -73,47 +66,77 @@ pub(super) fn read_initial<'a>(
                 group.only(&["PrivateAction"], &["entityRef"])?;
                 let entity = entity_index(group, "entityRef", entities)?;
                 for action in group.children() {
-                    let inner = action.single()?;
-                    match (inner.name(), inner.children().next().map(Node::name)) {
-                        ("TeleportAction", _) => {
-                            let position = inner.child("Position")?.single()?;
-                            if positions
-                                .get_mut(entity)
-                                .is_some_and(|place| place.replace(position).is_some())
-                            {
-                                return Err(inner.refuse("is a second position of the entity"));
-                            }
-                        }
-                        ("LongitudinalAction", Some("SpeedAction")) => {
-                            speeds.push((entity, read_speed(inner.single()?, entities)?));
-                        }
-                        ("LongitudinalAction", Some("LongitudinalDistanceAction")) => {
-                            distances.push((entity, inner.single()?));
-                        }
-                        ("ControllerAction" | "ActivateControllerAction", _) => {
-                            if let StoryAction::Activate = read_action(inner, entities)? {
-                                state
-                                    .is_active
-                                    .get_mut(entity)
-                                    .map(|active| std::mem::replace(active, true));
-                            }
-                        }
-                        ("LongitudinalAction", Some(_)) => {
-                            return Err(inner.single()?.refuse("is not supported in `Init`"));
-                        }
-                        _ => return Err(inner.refuse("is not supported in `Init`")),
-                    }
+                    actions.read(action.single()?, entity, entities, &mut state)?;
                 }
             }
             _ => return Err(group.refuse("is not supported")),
         }
     }
-    state.places = resolve_places(init, &positions, entities, roads)?;
-    resolve_speeds(speeds, &mut state, groups, work)?;
-    for (entity, node) in distances {
+    state.places = resolve_places(init, &actions.positions, entities, roads)?;
+    resolve_speeds(actions.speeds, &mut state, groups, work)?;
+    for (entity, node) in actions.distances {
         apply_distance(node, entity, entities, &mut state)?;
     }
     Ok(state)
+}
+
+/// Refuses more initial actions or environments than the limits.
+fn check_counts(groups: Node<'_>) -> Result<()> {
+    let actions = groups.children().map(|group| 1 + group.children().count());
+    let what = "actions and groups of them";
+    ensure_at_most(groups, actions.sum(), MAX_INITIAL_ACTIONS, what)?;
+    let environments = groups.named("GlobalAction").count();
+    ensure_at_most(groups, environments, MAX_ENVIRONMENTS, "environments")
+}
+
+/// Initial actions of the entities, some of which are relative to the state of others.
+struct InitialActions<'a> {
+    /// Position of each entity.
+    positions: Vec<Option<Node<'a>>>,
+    /// Entities and actions on their speeds.
+    speeds: Vec<(usize, SpeedAction<'a>)>,
+    /// Entities and actions that place them at a distance from another.
+    distances: Vec<(usize, Node<'a>)>,
+}
+
+impl<'a> InitialActions<'a> {
+    /// Reads a private action of an entity.
+    fn read(
+        &mut self,
+        action: Node<'a>,
+        entity: usize,
+        entities: &[Entity<'_>],
+        state: &mut InitialState<'_>,
+    ) -> Result<()> {
+        match (action.name(), action.children().next().map(Node::name)) {
+            ("TeleportAction", _) => {
+                let position = action.child("Position")?.single()?;
+                let slot = self.positions.get_mut(entity);
+                if slot.is_some_and(|slot| slot.replace(position).is_some()) {
+                    return Err(action.refuse("is a second position of the entity"));
+                }
+            }
+            ("LongitudinalAction", Some("SpeedAction")) => {
+                let speed = read_speed(action.single()?, entities)?;
+                self.speeds.push((entity, speed));
+            }
+            ("LongitudinalAction", Some("LongitudinalDistanceAction")) => {
+                self.distances.push((entity, action.single()?));
+            }
+            ("ControllerAction" | "ActivateControllerAction", _) => {
+                if let StoryAction::Activate = read_action(action, entities)?
+                    && let Some(is_active) = state.is_active.get_mut(entity)
+                {
+                    *is_active = true;
+                }
+            }
+            ("LongitudinalAction", Some(_)) => {
+                return Err(action.single()?.refuse("is not supported in `Init`"));
+            }
+            _ => return Err(action.refuse("is not supported in `Init`")),
+        }
+        Ok(())
+    }
 }
 
 fn read_environment(
@@ -146,16 +169,14 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
     for part in environment.children() {
         match part.name() {
             "RoadCondition" => {
-                let (friction, [least, most]) = (
-                    part.number("frictionScaleFactor")?,
-                    [FRICTION_RANGE.start(), FRICTION_RANGE.end()],
-                );
+                let friction = part.number("frictionScaleFactor")?;
                 if !FRICTION_RANGE.contains(&friction) {
-                    let problem = format!(
-                        "must be from {least} to {most}, found {}",
+                    return Err(part.refuse(format!(
+                        "attribute `frictionScaleFactor`: must be from {} to {}, found {}",
+                        FRICTION_RANGE.start(),
+                        FRICTION_RANGE.end(),
                         format_number(friction)
-                    );
-                    return Err(part.refuse(format!("attribute `frictionScaleFactor`: {problem}")));
+                    )));
                 }
                 state.friction = friction;
             }
@@ -175,12 +196,12 @@ fn resolve_places(
     entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
 ) -> Result<Vec<LanePlace>> {
-    let mut found: Vec<Option<LanePlace>> = vec![None; positions.len()];
+    let mut places: Vec<Option<LanePlace>> = vec![None; positions.len()];
     for index in 0..positions.len() {
         // Entities of which each is placed relative to the next one.
         let mut waiting = vec![index];
         while let Some(&entity) = waiting.last() {
-            if found.get(entity).is_some_and(Option::is_some) {
+            if places.get(entity).is_some_and(Option::is_some) {
                 waiting.pop();
                 continue;
             }
@@ -190,8 +211,8 @@ fn resolve_places(
                     .map_or("", |entity| entity.name.as_str());
                 init.refuse(format!("has no position of the entity `{name}`"))
             })?;
-            match resolve_place(position, &found, entities, roads)? {
-                Some(place) => drop(found.get_mut(entity).map(|slot| slot.replace(place))),
+            match resolve_place(position, &places, entities, roads)? {
+                Some(place) => drop(places.get_mut(entity).map(|slot| slot.replace(place))),
                 None if waiting.len() > positions.len() => {
                     return Err(
                         init.refuse("positions of entities are relative to each other in a circle")
@@ -201,49 +222,28 @@ fn resolve_places(
             }
         }
     }
-    let all: Vec<LanePlace> = found.into_iter().flatten().collect();
-    match all
-        .iter()
-        .zip(positions)
-        .find(|(place, _)| all.first().is_some_and(|first| first.road != place.road))
-    {
-        Some((_, Some(node))) => Err(node.refuse("entities must be on the same road")),
-        _ => Ok(all),
+    let places: Vec<LanePlace> = places.into_iter().flatten().collect();
+    check_same_road(&places, positions)?;
+    Ok(places)
+}
+
+fn check_same_road(places: &[LanePlace], positions: &[Option<Node<'_>>]) -> Result<()> {
+    let road = places.first().map(|place| &place.road);
+    let mut places = places.iter().zip(positions);
+    match places.find(|(place, _)| road != Some(&place.road)) {
+        Some((_, Some(position))) => Err(position.refuse("entities must be on the same road")),
+        _ => Ok(()),
     }
 }
 
-/// Returns the place of a position; `None` if it is relative to a position that is not known yet.
+/// Returns the place of a position; `None` if it is relative to a position that is not resolved yet.
 pub(super) fn resolve_place(
     node: Node<'_>,
-    known: &[Option<LanePlace>],
+    resolved: &[Option<LanePlace>],
     entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
 ) -> Result<Option<LanePlace>> {
-    let orientation = node.optional("Orientation").unwrap_or(node);
-    if orientation.name() == "Orientation" {
-        orientation.only(&[], &["type", "h", "p", "r"])?;
-    }
-    for angle in if node.name() == "WorldPosition" {
-        &["p", "r"][..]
-    } else {
-        &["h", "p", "r"]
-    } {
-        if orientation
-            .optional_number(angle)?
-            .is_some_and(|rad| rad.abs() > 1e-3)
-        {
-            return Err(
-                orientation.refuse(format!("`{angle}` differs from the direction of the lane"))
-            );
-        }
-    }
-    let in_middle = |node: Node<'_>| match node.optional_number("offset")? {
-        Some(offset_m) if offset_m != 0.0 => Err(node.refuse(format!(
-            "offset = {} is lateral: vehicles drive in the middle of a lane",
-            format_number(offset_m)
-        ))),
-        _ => Ok(()),
-    };
+    check_orientation(node)?;
     match node.name() {
         "WorldPosition" => {
             node.only(&[], &["x", "y", "z", "h", "p", "r"])?;
@@ -252,12 +252,12 @@ pub(super) fn resolve_place(
             // Without `h`, the heading is 0, but that of a trajectory is its direction.
             let heading_rad = node
                 .optional_number("h")?
-                .or((!known.is_empty()).then_some(0.0));
+                .or((!resolved.is_empty()).then_some(0.0));
             road.place_of_point(node, point_m, heading_rad).map(Some)
         }
         "LanePosition" => {
             node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
-            in_middle(node)?;
+            check_in_middle(node)?;
             let road = roads.find(node, Some(&node.text("roadId")?), [0.0; 2])?;
             road.place(node, lane_number(node, "laneId")?, node.number("s")?)
                 .map(Some)
@@ -267,21 +267,60 @@ pub(super) fn resolve_place(
                 &["Orientation"],
                 &["entityRef", "dLane", "ds", "dsLane", "offset"],
             )?;
-            in_middle(node)?;
-            let reference = known.get(entity_index(node, "entityRef", entities)?);
-            let Some(reference) = reference.and_then(Option::as_ref) else {
-                return Ok(None);
-            };
-            let road = roads.find(node, Some(&reference.road), [0.0; 2])?;
-            let lane = road.shifted_lane(reference.lane, lane_number(node, "dLane")?);
-            let ahead_m = match node.optional_number("dsLane")? {
-                Some(ahead_m) => ahead_m,
-                None => node.number("ds")?,
-            };
-            road.place_along(node, lane, reference.along_m + ahead_m)
-                .map(Some)
+            check_in_middle(node)?;
+            let reference = resolved.get(entity_index(node, "entityRef", entities)?);
+            match reference.and_then(Option::as_ref) {
+                Some(reference) => relative_place(node, reference, roads).map(Some),
+                None => Ok(None),
+            }
         }
         _ => Err(node.refuse("is not supported as a position")),
+    }
+}
+
+/// Returns the place at a distance and a number of lanes from another place.
+fn relative_place(node: Node<'_>, reference: &LanePlace, roads: &RoadMap<'_>) -> Result<LanePlace> {
+    let road = roads.find(node, Some(&reference.road), [0.0; 2])?;
+    let lane = road.shifted_lane(reference.lane, lane_number(node, "dLane")?);
+    let ahead_m = match node.optional_number("dsLane")? {
+        Some(ahead_m) => ahead_m,
+        None => node.number("ds")?,
+    };
+    road.place_along(node, lane, reference.along_m + ahead_m)
+}
+
+/// Refuses a direction other than that of the lane. `h` of a world position is checked with the lane.
+fn check_orientation(position: Node<'_>) -> Result<()> {
+    let orientation = position.optional("Orientation").unwrap_or(position);
+    if orientation.name() == "Orientation" {
+        orientation.only(&[], &["type", "h", "p", "r"])?;
+    }
+    let angles = if position.name() == "WorldPosition" {
+        &["p", "r"][..]
+    } else {
+        &["h", "p", "r"]
+    };
+    for angle in angles {
+        if orientation
+            .optional_number(angle)?
+            .is_some_and(|rad| rad.abs() > 1e-3)
+        {
+            return Err(
+                orientation.refuse(format!("`{angle}` differs from the direction of the lane"))
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a position beside the middle of its lane.
+fn check_in_middle(position: Node<'_>) -> Result<()> {
+    match position.optional_number("offset")? {
+        Some(offset_m) if offset_m != 0.0 => Err(position.refuse(format!(
+            "offset = {} is lateral: vehicles drive in the middle of a lane",
+            format_number(offset_m)
+        ))),
+        _ => Ok(()),
     }
 }
 
@@ -292,10 +331,12 @@ fn resolve_speeds<'a>(
     actions: Node<'a>,
     work: &WorkBudget,
 ) -> Result<()> {
-    let (mut waiting, mut rounds) = (speeds, 0);
+    let mut waiting = speeds;
+    let mut rounds = 0;
     while !waiting.is_empty() {
         work.spend(actions, WORK_PER_INITIAL_SPEED * waiting.len() as u64)?;
-        let (mut later, count) = (Vec::new(), waiting.len());
+        let count = waiting.len();
+        let mut later = Vec::new();
         for (entity, action) in waiting {
             if action.dynamics.shape != TransitionShape::Step {
                 state.transitions.push((entity, action));
@@ -304,7 +345,7 @@ fn resolve_speeds<'a>(
             let reference = action
                 .target
                 .reference
-                .map(|other| state.speeds_mps.get(other).copied().flatten());
+                .map(|entity| state.speeds_mps.get(entity).copied().flatten());
             match reference {
                 // A vehicle without an initial speed stands.
                 Some(None) if rounds <= count => later.push((entity, action)),
@@ -319,7 +360,8 @@ fn resolve_speeds<'a>(
                 }
             }
         }
-        (waiting, rounds) = (later, rounds + 1);
+        waiting = later;
+        rounds += 1;
     }
     Ok(())
 }
@@ -331,6 +373,40 @@ fn apply_distance(
     entities: &[Entity<'_>],
     state: &mut InitialState<'_>,
 ) -> Result<()> {
+    check_distance_action(node)?;
+    let reference = entity_index(node, "entityRef", entities)?;
+    let leads = match node.optional_text("displacement")?.as_deref() {
+        Some(displacement) => displacement == "leadingReferencedEntity",
+        None => state.along_m(entity) > state.along_m(reference),
+    };
+    let [front, rear] = if leads {
+        [entity, reference]
+    } else {
+        [reference, entity]
+    };
+    let rear_mps = state.speeds_mps.get(rear).copied().flatten().unwrap_or(0.0);
+    let mut distance_m = match node.optional_non_negative("timeGap")? {
+        Some(gap_s) => gap_s * rear_mps,
+        None => node.non_negative("distance")?,
+    };
+    if node.flag("freespace", false)?
+        && let (Some(front), Some(rear)) = (entities.get(front), entities.get(rear))
+    {
+        distance_m += rear.front_m + front.length_m - front.front_m;
+    }
+    let from_m = state.along_m(reference).unwrap_or(0.0);
+    if let Some(place) = state.places.get_mut(entity) {
+        place.along_m = if leads {
+            from_m + distance_m
+        } else {
+            from_m - distance_m
+        };
+    }
+    Ok(())
+}
+
+/// Refuses unknown attributes of a distance, and values that crumple cannot represent.
+fn check_distance_action(node: Node<'_>) -> Result<()> {
     node.only(
         &[],
         &[
@@ -348,40 +424,5 @@ fn apply_distance(
     node.expect(
         "displacement",
         &["leadingReferencedEntity", "trailingReferencedEntity"],
-    )?;
-    let reference = entity_index(node, "entityRef", entities)?;
-    let leads = match node.optional_text("displacement")?.as_deref() {
-        Some(displacement) => displacement == "leadingReferencedEntity",
-        None => {
-            state.places.get(entity).map(|place| place.along_m)
-                > state.places.get(reference).map(|place| place.along_m)
-        }
-    };
-    let (front, rear) = if leads {
-        (entity, reference)
-    } else {
-        (reference, entity)
-    };
-    let rear_mps = state.speeds_mps.get(rear).copied().flatten().unwrap_or(0.0);
-    let mut distance_m = match node.optional_non_negative("timeGap")? {
-        Some(gap_s) => gap_s * rear_mps,
-        None => node.non_negative("distance")?,
-    };
-    if node.flag("freespace", false)?
-        && let (Some(front), Some(rear)) = (entities.get(front), entities.get(rear))
-    {
-        distance_m += rear.front_m + front.length_m - front.front_m;
-    }
-    let from_m = state
-        .places
-        .get(reference)
-        .map_or(0.0, |place| place.along_m);
-    if let Some(place) = state.places.get_mut(entity) {
-        place.along_m = if leads {
-            from_m + distance_m
-        } else {
-            from_m - distance_m
-        };
-    }
-    Ok(())
+    )
 }

@@ -47,15 +47,15 @@ pub(super) const WORK_PER_INITIAL_SPEED: u64 = 20;
 /// Work for each sample of a motion: to make, check, write and compare it.
 pub(super) const WORK_PER_SAMPLE: u64 = 1000;
 
-/// Refuses an element that contains more than `most` things.
+/// Refuses an element that contains more than `max_count` things, which `what` names.
 pub(super) fn ensure_at_most(
     node: Node<'_>,
-    found: usize,
-    most: usize,
+    count: usize,
+    max_count: usize,
     what: &str,
 ) -> Result<(), ScenarioImportError> {
-    if found > most {
-        Err(node.refuse(format!("has more than {most} {what}")))
+    if count > max_count {
+        Err(node.refuse(format!("has more than {max_count} {what}")))
     } else {
         Ok(())
     }
@@ -98,16 +98,12 @@ pub(super) struct ConditionCount {
 impl ConditionCount {
     pub(super) fn add_group(&mut self, group: Node<'_>) -> Result<(), ScenarioImportError> {
         self.conditions += 1 + group.children().count();
-        let problem = || {
-            group.refuse(format!(
-                "there are more than {MAX_CONDITIONS} conditions and groups of them"
-            ))
-        };
-        if self.conditions > MAX_CONDITIONS {
-            Err(problem())
-        } else {
-            Ok(())
+        if self.conditions <= MAX_CONDITIONS {
+            return Ok(());
         }
+        Err(group.refuse(format!(
+            "there are more than {MAX_CONDITIONS} conditions and groups of them"
+        )))
     }
 
     pub(super) fn add_entities(
@@ -116,16 +112,12 @@ impl ConditionCount {
         count: usize,
     ) -> Result<(), ScenarioImportError> {
         self.entities += count;
-        let problem = || {
-            node.refuse(format!(
-                "there are more than {MAX_CONDITION_ENTITIES} entities in conditions"
-            ))
-        };
-        if self.entities > MAX_CONDITION_ENTITIES {
-            Err(problem())
-        } else {
-            Ok(())
+        if self.entities <= MAX_CONDITION_ENTITIES {
+            return Ok(());
         }
+        Err(node.refuse(format!(
+            "there are more than {MAX_CONDITION_ENTITIES} entities in conditions"
+        )))
     }
 
     pub(super) fn add_delay_s(
@@ -134,15 +126,11 @@ impl ConditionCount {
         delay_s: f64,
     ) -> Result<(), ScenarioImportError> {
         self.delay_s += delay_s.min(MAX_DURATION_S);
-        let problem = || {
-            node.refuse(format!(
-                "the delays of all conditions exceed {MAX_TOTAL_DELAY_S} s"
-            ))
-        };
         if self.delay_s > MAX_TOTAL_DELAY_S {
-            Err(problem())
-        } else {
-            Ok(())
+            return Err(node.refuse(format!(
+                "the delays of all conditions exceed {MAX_TOTAL_DELAY_S} s"
+            )));
         }
+        Ok(())
     }
 }

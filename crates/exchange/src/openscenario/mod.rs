@@ -47,7 +47,6 @@ use self::parameters::Parameters;
 use self::replay::Replay;
 use self::road::RoadMap;
 use self::source::{FileCache, SourceFiles};
-use self::storyboard::Stories;
 use self::xml::{Node, SourceElement};
 use crumple_sim::scenario::Scenario;
 
@@ -129,38 +128,14 @@ impl OpenScenarioSource {
         };
         self.work
             .spend(root, WORK_PER_ITEM * self.files.items() as u64)?;
-        let declarations = root.optional("ParameterDeclarations");
-        let parameters = Parameters::declare(declarations, assigned)?;
-        if let Some((name, _)) = assigned.iter().find(|(name, _)| !parameters.contains(name)) {
-            return Err(declarations
-                .unwrap_or(root)
-                .refuse(format!("there is no parameter `{name}`")));
-        }
+        let parameters = declared_parameters(root, assigned)?;
         let root = Node {
             parameters: &parameters,
             ..root
         };
-        if root.optional("ParameterValueDistribution").is_some() {
-            return Err(root.refuse(
-                "is a file of distributions: give it with --distribution, after its scenario",
-            ));
-        }
-        root.only(
-            &[
-                "FileHeader",
-                "ParameterDeclarations",
-                "CatalogLocations",
-                "RoadNetwork",
-                "Entities",
-                "Storyboard",
-            ],
-            &[],
-        )?;
+        check_content(root)?;
         let header = root.child("FileHeader")?;
-        let minor = header.number("revMinor")?;
-        if header.number("revMajor")? != 1.0 || !(0.0..=3.0).contains(&minor) {
-            return Err(header.refuse("only versions 1.0 to 1.3 are supported"));
-        }
+        check_version(header)?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let files = SourceFiles::new(&self.files, folder, root.optional("CatalogLocations"))?;
         let network = root.child("RoadNetwork")?;
@@ -171,70 +146,39 @@ impl OpenScenarioSource {
         let storyboard = root.child("Storyboard")?;
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
         let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
-        let initial = initial::read_initial(
-            storyboard.child("Init")?,
-            &entities,
-            &roads,
-            &files,
-            &self.work,
-        )?;
-        let Stories {
-            events,
-            mut event_triggers,
-            mut act_triggers,
-            mut conditions,
-            ..
-        } = storyboard::read_stories(storyboard, &entities)?;
+        let init = storyboard.child("Init")?;
+        let initial = initial::read_initial(init, &entities, &roads, &files, &self.work)?;
+        let stories = storyboard::read_stories(storyboard, &entities)?;
         let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
         let friction = initial.friction;
         let mut replay = Replay::new(
             &entities,
             initial,
             &is_controlled,
-            events,
+            stories.events,
             &roads,
             &self.work,
         )?;
-        let (stop_s, stop_depends) = replay.run(
-            &mut act_triggers,
-            &mut event_triggers,
-            &mut conditions,
-            storyboard,
-        )?;
-        let (name, about) = self.name_and_about(header)?;
+        let stop = replay.run(stories.triggers, stories.conditions, storyboard)?;
         LaneScenarioBuilder {
             storyboard,
             replay,
             drivers,
             friction,
-            stop_s,
-            stop_depends,
-            name,
-            about,
+            stop,
+            name: self.scenario_name(header),
+            about: purpose(header),
         }
         .build()
     }
 
-    /// Returns the name and the purpose of the scenario: those of crumple's export, or the file's name and description.
-    fn name_and_about(&self, header: Node<'_>) -> Result<(String, String)> {
-        let description = header.raw("description").unwrap_or_default();
-        let exported = description
-            .strip_prefix(DESCRIPTION_START)
-            .and_then(|rest| rest.split_once(": what "));
-        let (name, about) = match exported {
-            Some((name, rest)) => (
-                name.to_owned(),
-                rest.split_once(DESCRIPTION_ABOUT)
-                    .map_or("", |(_, about)| about),
-            ),
+    /// Returns the name of the scenario: that of crumple's export, or that of the file.
+    fn scenario_name(&self, header: Node<'_>) -> String {
+        let name = match exported_description(header) {
+            Some((name, _)) => name.to_owned(),
             None => {
-                let stem = self
-                    .path
-                    .file_stem()
-                    .unwrap_or_default()
-                    .to_string_lossy()
-                    .into_owned();
-                (stem, description)
+                let stem = self.path.file_stem().unwrap_or_default();
+                stem.to_string_lossy().into_owned()
             }
         };
         let name: String = name
@@ -242,13 +186,69 @@ impl OpenScenarioSource {
             .filter(|letter| !letter.is_control())
             .take(200)
             .collect();
-        Ok((
-            if name.is_empty() {
-                "imported".to_owned()
-            } else {
-                name
-            },
-            about.to_owned(),
-        ))
+        if name.is_empty() {
+            "imported".to_owned()
+        } else {
+            name
+        }
     }
+}
+
+/// Returns the values of the parameters, of which `assigned` replaces some.
+fn declared_parameters(root: Node<'_>, assigned: &[(String, String)]) -> Result<Parameters> {
+    let declarations = root.optional("ParameterDeclarations");
+    let parameters = Parameters::declare(declarations, assigned)?;
+    match assigned.iter().find(|(name, _)| !parameters.contains(name)) {
+        Some((name, _)) => Err(declarations
+            .unwrap_or(root)
+            .refuse(format!("there is no parameter `{name}`"))),
+        None => Ok(parameters),
+    }
+}
+
+/// Refuses a file that is no scenario, or has unknown elements at its top.
+fn check_content(root: Node<'_>) -> Result<()> {
+    if root.optional("ParameterValueDistribution").is_some() {
+        return Err(root.refuse(
+            "is a file of distributions: give it with --distribution, after its scenario",
+        ));
+    }
+    root.only(
+        &[
+            "FileHeader",
+            "ParameterDeclarations",
+            "CatalogLocations",
+            "RoadNetwork",
+            "Entities",
+            "Storyboard",
+        ],
+        &[],
+    )
+}
+
+fn check_version(header: Node<'_>) -> Result<()> {
+    let minor = header.number("revMinor")?;
+    if header.number("revMajor")? != 1.0 || !(0.0..=3.0).contains(&minor) {
+        return Err(header.refuse("only versions 1.0 to 1.3 are supported"));
+    }
+    Ok(())
+}
+
+/// Returns the name of the scenario and the rest of the description, if crumple has exported the file.
+fn exported_description<'a>(header: Node<'a>) -> Option<(&'a str, &'a str)> {
+    header
+        .raw("description")?
+        .strip_prefix(DESCRIPTION_START)?
+        .split_once(": what ")
+}
+
+/// Returns the purpose of the scenario: that of crumple's export, or the file's description.
+fn purpose(header: Node<'_>) -> String {
+    let about = match exported_description(header) {
+        Some((_, rest)) => rest
+            .split_once(DESCRIPTION_ABOUT)
+            .map_or("", |(_, about)| about),
+        None => header.raw("description").unwrap_or_default(),
+    };
+    about.to_owned()
 }

@@ -31,73 +31,69 @@ impl Parameters {
         let Some(node) = declarations else {
             return Ok(declared);
         };
-        node.only(&["ParameterDeclaration"], &[])?;
-        let groups = node.children().flat_map(Node::children);
-        let count = node.children().count()
-            + groups
-                .map(|group| 1 + group.children().count())
-                .sum::<usize>();
-        ensure_at_most(node, count, MAX_PARAMETERS, "parameters and constraints")?;
-        ensure_at_most(node, assigned.len(), MAX_PARAMETERS, "assigned parameters")?;
+        check_counts(node, assigned)?;
         let mut values: HashMap<&str, &str> = HashMap::new();
         for (name, value) in assigned {
             values.entry(name).or_insert(value);
         }
-        for one in node.children() {
-            one.only(&["ConstraintGroup"], &["name", "parameterType", "value"])?;
-            let name = one.text("name")?;
-            let text = match values.get(name.as_str()) {
-                Some(value) => (*value).to_owned(),
-                None => Node {
-                    parameters: &declared,
-                    ..one
-                }
-                .text("value")?,
-            };
-            if text.len() > MAX_VALUE_BYTES {
-                return Err(one.refuse(format!(
-                    "the value of `{name}` has more than {MAX_VALUE_BYTES} bytes"
-                )));
-            }
-            let number = text.trim().parse().ok();
-            declared.0.insert(name, DeclaredParameter { text, number });
+        for declaration in node.children() {
+            declared.add(declaration, &values)?;
         }
-        for one in node.children() {
-            let one = Node {
-                parameters: &declared,
-                ..one
-            };
-            let (parameter, value) = (
-                one.text("name")?,
-                declared.get(one.raw("name").unwrap_or_default()),
-            );
-            let value = value.unwrap_or_default().to_owned();
-            let mut is_allowed = one.children().next().is_none();
-            for group in one.children() {
-                group.only(&["ValueConstraint"], &[])?;
-                let mut holds = true;
-                for constraint in group.children() {
-                    constraint.only(&[], &["rule", "value"])?;
-                    holds &= compare(
-                        &value,
-                        &constraint.text("rule")?,
-                        &constraint.text("value")?,
-                    )
-                    .map_err(|why| constraint.refuse(why))?;
-                }
-                is_allowed |= holds;
-            }
-            if !is_allowed {
-                let (path, line) = (one.element.path.to_path_buf(), one.element.line);
-                return Err(ScenarioImportError::Constraint {
-                    path,
-                    line,
-                    parameter,
-                    value,
-                });
-            }
+        for declaration in node.children() {
+            declared.check_constraints(declaration)?;
         }
         Ok(declared)
+    }
+
+    /// Adds a declared parameter. Its value may refer to those before it.
+    fn add(
+        &mut self,
+        declaration: Node<'_>,
+        values: &HashMap<&str, &str>,
+    ) -> Result<(), ScenarioImportError> {
+        declaration.only(&["ConstraintGroup"], &["name", "parameterType", "value"])?;
+        let name = declaration.text("name")?;
+        let text = match values.get(name.as_str()) {
+            Some(value) => (*value).to_owned(),
+            None => Node {
+                parameters: self,
+                ..declaration
+            }
+            .text("value")?,
+        };
+        if text.len() > MAX_VALUE_BYTES {
+            return Err(declaration.refuse(format!(
+                "the value of `{name}` has more than {MAX_VALUE_BYTES} bytes"
+            )));
+        }
+        let number = text.trim().parse().ok();
+        self.0.insert(name, DeclaredParameter { text, number });
+        Ok(())
+    }
+
+    /// Refuses a value that violates a constraint in each group of its declaration.
+    fn check_constraints(&self, declaration: Node<'_>) -> Result<(), ScenarioImportError> {
+        let declaration = Node {
+            parameters: self,
+            ..declaration
+        };
+        let parameter = declaration.text("name")?;
+        let value = self
+            .get(declaration.raw("name").unwrap_or_default())
+            .unwrap_or_default();
+        let mut is_allowed = declaration.children().next().is_none();
+        for group in declaration.children() {
+            is_allowed |= satisfies_group(value, group)?;
+        }
+        if is_allowed {
+            return Ok(());
+        }
+        Err(ScenarioImportError::Constraint {
+            path: declaration.element.path.to_path_buf(),
+            line: declaration.element.line,
+            parameter,
+            value: value.to_owned(),
+        })
     }
 
     pub(super) fn contains(&self, name: &str) -> bool {
@@ -145,19 +141,53 @@ impl Parameters {
     }
 }
 
+/// Refuses more declarations with their constraints, or more assignments, than the limit.
+fn check_counts(
+    declarations: Node<'_>,
+    assigned: &[(String, String)],
+) -> Result<(), ScenarioImportError> {
+    declarations.only(&["ParameterDeclaration"], &[])?;
+    let groups = declarations.children().flat_map(Node::children);
+    let count = declarations.children().count()
+        + groups
+            .map(|group| 1 + group.children().count())
+            .sum::<usize>();
+    let what = "parameters and constraints";
+    ensure_at_most(declarations, count, MAX_PARAMETERS, what)?;
+    ensure_at_most(
+        declarations,
+        assigned.len(),
+        MAX_PARAMETERS,
+        "assigned parameters",
+    )
+}
+
+/// Returns true if a value satisfies all constraints of a group.
+fn satisfies_group(value: &str, group: Node<'_>) -> Result<bool, ScenarioImportError> {
+    group.only(&["ValueConstraint"], &[])?;
+    let mut holds = true;
+    for constraint in group.children() {
+        constraint.only(&[], &["rule", "value"])?;
+        let rule = constraint.text("rule")?;
+        let limit = constraint.text("value")?;
+        holds &= compare(value, &rule, &limit).map_err(|reason| constraint.refuse(reason))?;
+    }
+    Ok(holds)
+}
+
 /// Reads a parameter and its value.
 pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), ScenarioImportError> {
     node.only(&[], &["parameterRef", "value"])?;
     Ok((node.text("parameterRef")?, node.text("value")?))
 }
 
-fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
+fn compare(value: &str, rule: &str, limit: &str) -> Result<bool, String> {
     let numbers = value
         .trim()
         .parse::<f64>()
         .ok()
-        .zip(other.trim().parse::<f64>().ok());
-    let is_equal = numbers.map_or(value == other, |(a, b)| a == b);
+        .zip(limit.trim().parse::<f64>().ok());
+    let is_equal = numbers.map_or(value == limit, |(a, b)| a == b);
     match (rule, numbers) {
         ("equalTo", _) => Ok(is_equal),
         ("notEqualTo", _) => Ok(!is_equal),
@@ -166,7 +196,7 @@ fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
         ("greaterOrEqual", Some((a, b))) => Ok(a >= b),
         ("lessOrEqual", Some((a, b))) => Ok(a <= b),
         _ => Err(format!(
-            "cannot compare `{value}` and `{other}` by the rule `{rule}`"
+            "cannot compare `{value}` and `{limit}` by the rule `{rule}`"
         )),
     }
 }
@@ -178,7 +208,7 @@ struct ExpressionParser<'a> {
     depth: usize,
 }
 
-impl ExpressionParser<'_> {
+impl<'a> ExpressionParser<'a> {
     fn skip_blanks(&mut self) {
         self.rest = self.rest.trim_start();
     }
@@ -190,14 +220,11 @@ impl ExpressionParser<'_> {
         rest.is_some()
     }
 
-    fn take_while(&mut self, accepts: impl Fn(char) -> bool) -> &str {
-        let end = self
-            .rest
-            .find(|letter| !accepts(letter))
-            .unwrap_or(self.rest.len());
-        let (taken, rest) = self.rest.split_at(end);
+    fn take_while(&mut self, accepts: impl Fn(char) -> bool) -> &'a str {
+        let rest = self.rest.trim_start_matches(accepts);
+        let prefix = self.rest.strip_suffix(rest).unwrap_or_default();
         self.rest = rest;
-        taken
+        prefix
     }
 
     fn sum(&mut self) -> Result<f64, String> {
@@ -214,13 +241,13 @@ impl ExpressionParser<'_> {
     ) -> Result<f64, String> {
         let mut result = value(self)?;
         while let Some(operator) = operators.iter().find(|operator| self.take(**operator)) {
-            let other = value(self)?;
+            let operand = value(self)?;
             result = match operator {
-                '+' => result + other,
-                '-' => result - other,
-                '*' => result * other,
-                '/' => result / other,
-                _ => result % other,
+                '+' => result + operand,
+                '-' => result - operand,
+                '*' => result * operand,
+                '/' => result / operand,
+                _ => result % operand,
             };
         }
         Ok(result)
@@ -236,62 +263,68 @@ impl ExpressionParser<'_> {
         } else if self.take('(') {
             self.closed_list()?.pop().ok_or("an empty expression")?
         } else if self.take('$') {
-            let name = self
-                .take_while(|letter| letter.is_alphanumeric() || letter == '_')
-                .to_owned();
-            let value = self
-                .parameters
-                .0
-                .get(&name)
-                .ok_or_else(|| format!("there is no parameter `{name}`"))?;
-            value.number.ok_or_else(|| {
-                format!("the parameter `{name}` = `{}` is not a number", value.text)
-            })?
+            self.parameter_value()?
         } else if self
             .rest
             .starts_with(|letter: char| letter.is_ascii_alphabetic())
         {
-            let name = self
-                .take_while(|letter| letter.is_ascii_alphanumeric())
-                .to_owned();
-            let values = if self.take('(') {
-                self.closed_list()?
-            } else {
-                Vec::new()
-            };
-            match (name.as_str(), values.as_slice()) {
-                ("round", [a]) => a.round(),
-                ("floor", [a]) => a.floor(),
-                ("ceil", [a]) => a.ceil(),
-                ("sqrt", [a]) => a.sqrt(),
-                ("abs", [a]) => a.abs(),
-                ("sign", [a]) => f64::from(i8::from(*a > 0.0) - i8::from(*a < 0.0)),
-                ("pow", [a, b]) => libm::pow(*a, *b),
-                ("min", [a, b]) => a.min(*b),
-                ("max", [a, b]) => a.max(*b),
-                _ => {
-                    return Err(format!(
-                        "`{name}` with {} values is not supported in an expression",
-                        values.len()
-                    ));
-                }
-            }
+            self.function_value()?
         } else {
-            let digits = self
-                .take_while(|letter| letter.is_ascii_digit() || letter == '.')
-                .to_owned();
-            let mut number = digits;
-            if self.rest.starts_with(['e', 'E']) {
-                number += self.take_while(|letter| {
-                    matches!(letter, 'e' | 'E' | '+' | '-') || letter.is_ascii_digit()
-                });
-            }
-            number
-                .parse()
-                .map_err(|_| format!("a number was expected before `{}`", self.rest))?
+            self.number()?
         };
         self.depth -= 1;
         Ok(value)
+    }
+
+    /// Parses the name of a parameter, and returns its value.
+    fn parameter_value(&mut self) -> Result<f64, String> {
+        let name = self.take_while(|letter| letter.is_alphanumeric() || letter == '_');
+        let DeclaredParameter { text, number } = self
+            .parameters
+            .0
+            .get(name)
+            .ok_or_else(|| format!("there is no parameter `{name}`"))?;
+        number.ok_or_else(|| format!("the parameter `{name}` = `{text}` is not a number"))
+    }
+
+    /// Parses the name of a function and its arguments, and returns its value.
+    fn function_value(&mut self) -> Result<f64, String> {
+        let name = self.take_while(|letter| letter.is_ascii_alphanumeric());
+        let arguments = if self.take('(') {
+            self.closed_list()?
+        } else {
+            Vec::new()
+        };
+        Ok(match (name, arguments.as_slice()) {
+            ("round", [a]) => a.round(),
+            ("floor", [a]) => a.floor(),
+            ("ceil", [a]) => a.ceil(),
+            ("sqrt", [a]) => a.sqrt(),
+            ("abs", [a]) => a.abs(),
+            ("sign", [a]) => f64::from(i8::from(*a > 0.0) - i8::from(*a < 0.0)),
+            ("pow", [a, b]) => libm::pow(*a, *b),
+            ("min", [a, b]) => a.min(*b),
+            ("max", [a, b]) => a.max(*b),
+            _ => {
+                return Err(format!(
+                    "`{name}` with {} values is not supported in an expression",
+                    arguments.len()
+                ));
+            }
+        })
+    }
+
+    fn number(&mut self) -> Result<f64, String> {
+        let digits = self.take_while(|letter| letter.is_ascii_digit() || letter == '.');
+        let mut number = digits.to_owned();
+        if self.rest.starts_with(['e', 'E']) {
+            number += self.take_while(|letter| {
+                matches!(letter, 'e' | 'E' | '+' | '-') || letter.is_ascii_digit()
+            });
+        }
+        number
+            .parse()
+            .map_err(|_| format!("a number was expected before `{}`", self.rest))
     }
 
     fn closed_list(&mut self) -> Result<Vec<f64>, String> {

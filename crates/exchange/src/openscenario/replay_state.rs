@@ -4,8 +4,12 @@ use super::replay::{EntityMotion, Replay};
 use super::storyboard::StoryEvent;
 use crumple_sim::scenario::{Brake, BrakeToSpeed, LeadProfile, RecordedSpeeds};
 
-/// Start and end of an element, if they were reached, and whether they depend on a controller.
-type ElementTimes = ([Option<f64>; 2], bool);
+/// Start and end of an element of the storyboard, if they were reached.
+pub(super) struct ElementTimes {
+    pub(super) start_s: Option<f64>,
+    pub(super) end_s: Option<f64>,
+    pub(super) depends_on_controller: bool,
+}
 
 impl Replay<'_, '_> {
     pub(super) fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
@@ -23,46 +27,37 @@ impl Replay<'_, '_> {
 
     /// Returns the distance of the front and of the rear bumper from the reference point, in metres.
     pub(super) fn bumpers_m(&self, entity: usize) -> [f64; 2] {
-        self.entities
-            .get(entity)
-            .map_or([0.0; 2], |one| [one.front_m, one.length_m - one.front_m])
+        self.entities.get(entity).map_or([0.0; 2], |body| {
+            [body.front_m, body.length_m - body.front_m]
+        })
     }
 
     /// Returns the times of an element of the storyboard; `None` if there is no such element.
-    pub(super) fn element_times_s(&self, kind: &str, name: &str) -> Option<ElementTimes> {
+    pub(super) fn element_times(&self, kind: &str, name: &str) -> Option<ElementTimes> {
         if kind == "action" {
             return self.events.iter().find_map(|event| {
-                let place = event
+                let index = event
                     .actions
                     .iter()
                     .position(|(action, _)| action == name)?;
-                Some((
-                    [event.start_s, event.action_ends_s.get(place).copied()],
-                    event.depends,
-                ))
+                Some(ElementTimes {
+                    start_s: event.start_s,
+                    end_s: event.action_ends_s.get(index).copied(),
+                    depends_on_controller: event.depends_on_controller,
+                })
             });
         }
-        let level = ["story", "act", "maneuverGroup", "maneuver"]
-            .iter()
-            .position(|level| *level == kind);
-        let is_inside = |event: &&StoryEvent<'_>| match level {
-            Some(level) => event
-                .parents
-                .get(level)
-                .is_some_and(|parent| parent == name),
-            None => kind == "event" && event.name == name,
-        };
-        let inside: Vec<_> = self.events.iter().filter(is_inside).collect();
-        let start_s = inside
-            .iter()
-            .filter_map(|event| event.start_s)
-            .reduce(f64::min);
-        let end_s = inside
-            .iter()
-            .map(|event| event.end_s())
-            .reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b)))
-            .flatten();
-        (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|event| event.depends)))
+        let events = self.events.iter();
+        let inside: Vec<_> = events.filter(|event| event.is_inside(kind, name)).collect();
+        let starts_s = inside.iter().filter_map(|event| event.start_s);
+        let ends_s = inside.iter().map(|event| event.end_s());
+        (!inside.is_empty()).then(|| ElementTimes {
+            start_s: starts_s.reduce(f64::min),
+            end_s: ends_s
+                .reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b)))
+                .flatten(),
+            depends_on_controller: inside.iter().any(|event| event.depends_on_controller),
+        })
     }
 
     /// Returns true if the motion of an entity depends on a controller.
@@ -73,67 +68,97 @@ impl Replay<'_, '_> {
     }
 }
 
+impl StoryEvent<'_> {
+    /// Returns true if the event is the element of this kind and name, or a part of it.
+    fn is_inside(&self, kind: &str, name: &str) -> bool {
+        let level = ["story", "act", "maneuverGroup", "maneuver"]
+            .iter()
+            .position(|level| *level == kind);
+        match level {
+            Some(level) => self.parents.get(level).is_some_and(|parent| parent == name),
+            None => kind == "event" && self.name == name,
+        }
+    }
+}
+
 impl EntityMotion<'_> {
     /// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.
     pub(super) fn script(&self, start_s: f64, stop_s: f64) -> LeadProfile {
-        let start = self.plan.at(start_s);
-        let later = self
-            .plan
-            .knots()
-            .iter()
-            .filter(|knot| knot.time_s > start_s);
-        let mut knots: Vec<(f64, f64)> = vec![(0.0, start.speed_mps)];
-        for knot in later {
-            let time_s = knot.time_s - start_s;
-            match knots.as_slice() {
-                // Only changes of the slope matter.
-                [.., (_, before_mps), (last_s, last_mps)]
-                    if before_mps == last_mps && *last_mps == knot.speed_mps =>
-                {
-                    let last_s = last_s.max(time_s);
-                    knots.pop();
-                    knots.push((last_s, knot.speed_mps));
-                }
-                _ => knots.push((time_s, knot.speed_mps)),
+        let knots = self.speeds_after(start_s, stop_s);
+        if self.is_recorded {
+            return recorded_speeds(&knots);
+        }
+        let [start, ..] = knots.as_slice() else {
+            return LeadProfile::ConstantSpeed;
+        };
+        match knots.as_slice() {
+            knots if knots.iter().all(|knot| knot.speed_mps == start.speed_mps) => {
+                LeadProfile::ConstantSpeed
             }
+            [from, to] if to.speed_mps < from.speed_mps => braking(from, to),
+            [constant, from, to]
+                if constant.speed_mps == from.speed_mps && to.speed_mps < from.speed_mps =>
+            {
+                braking(from, to)
+            }
+            knots => recorded_speeds(knots),
+        }
+    }
+
+    /// Returns the speeds from `start_s` on at which the slope changes, until the first after `stop_s`.
+    fn speeds_after(&self, start_s: f64, stop_s: f64) -> Vec<TimedSpeed> {
+        let mut speeds = vec![TimedSpeed {
+            time_s: 0.0,
+            speed_mps: self.plan.at(start_s).speed_mps,
+        }];
+        let knots = self.plan.knots().iter();
+        for knot in knots.filter(|knot| knot.time_s > start_s) {
+            let mut speed = TimedSpeed {
+                time_s: knot.time_s - start_s,
+                speed_mps: knot.speed_mps,
+            };
+            if let [.., before, last] = speeds.as_slice()
+                && before.speed_mps == last.speed_mps
+                && last.speed_mps == speed.speed_mps
+            {
+                speed.time_s = last.time_s.max(speed.time_s);
+                speeds.pop();
+            }
+            speeds.push(speed);
             if knot.time_s >= stop_s {
                 break;
             }
         }
-        let braking = match knots.as_slice() {
-            _ if self.is_recorded => None,
-            knots if knots.iter().all(|(_, mps)| *mps == start.speed_mps) => {
-                return LeadProfile::ConstantSpeed;
-            }
-            [(from_s, from_mps), (to_s, to_mps)] if to_mps < from_mps => {
-                Some((*from_s, *from_mps, *to_s, *to_mps))
-            }
-            [(_, held_mps), (from_s, from_mps), (to_s, to_mps)]
-                if held_mps == from_mps && to_mps < from_mps =>
-            {
-                Some((*from_s, *from_mps, *to_s, *to_mps))
-            }
-            _ => None,
-        };
-        match braking {
-            Some((onset_s, from_mps, to_s, 0.0)) => LeadProfile::Brake(Brake {
-                onset_s,
-                rate_mps2: rounded(from_mps / (to_s - onset_s)),
-            }),
-            Some((onset_s, from_mps, to_s, final_speed_mps)) => {
-                let rate_mps2 = rounded((from_mps - final_speed_mps) / (to_s - onset_s));
-                LeadProfile::BrakeToSpeed(BrakeToSpeed {
-                    onset_s,
-                    rate_mps2,
-                    final_speed_mps,
-                })
-            }
-            None => {
-                let (time_s, speed_mps) = knots.into_iter().unzip();
-                LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
-            }
-        }
+        speeds
     }
+}
+
+/// A speed at a time of a script.
+struct TimedSpeed {
+    time_s: f64,
+    speed_mps: f64,
+}
+
+/// Returns the script that brakes at a constant rate from one speed to a lower one.
+fn braking(from: &TimedSpeed, to: &TimedSpeed) -> LeadProfile {
+    let onset_s = from.time_s;
+    let rate_mps2 = rounded((from.speed_mps - to.speed_mps) / (to.time_s - onset_s));
+    if to.speed_mps == 0.0 {
+        LeadProfile::Brake(Brake { onset_s, rate_mps2 })
+    } else {
+        LeadProfile::BrakeToSpeed(BrakeToSpeed {
+            onset_s,
+            rate_mps2,
+            final_speed_mps: to.speed_mps,
+        })
+    }
+}
+
+fn recorded_speeds(speeds: &[TimedSpeed]) -> LeadProfile {
+    LeadProfile::Recorded(RecordedSpeeds {
+        time_s: speeds.iter().map(|speed| speed.time_s).collect(),
+        speed_mps: speeds.iter().map(|speed| speed.speed_mps).collect(),
+    })
 }
 
 /// Removes the rounding errors of a quotient.

@@ -38,6 +38,13 @@ struct Lane {
     width_m: f64,
 }
 
+impl Lane {
+    /// Returns the distance of its middle from a lateral position.
+    fn distance_m(&self, lateral_m: f64) -> f64 {
+        (lateral_m - self.middle_m).abs()
+    }
+}
+
 /// A place in the middle of a lane.
 #[derive(Debug, Clone)]
 pub(super) struct LanePlace {
@@ -51,7 +58,8 @@ pub(super) struct LanePlace {
 pub(super) struct RoadMap<'a> {
     file: &'a SourceElement,
     work: &'a WorkBudget,
-    known: RefCell<Vec<Rc<StraightRoad>>>,
+    /// Roads that the scenario uses.
+    used: RefCell<Vec<Rc<StraightRoad>>>,
     /// Roads that were read, by their index in the file; `None` for one that is not supported.
     read: RefCell<HashMap<usize, Option<Rc<StraightRoad>>>>,
 }
@@ -61,7 +69,7 @@ impl<'a> RoadMap<'a> {
         Self {
             file,
             work,
-            known: RefCell::default(),
+            used: RefCell::default(),
             read: RefCell::default(),
         }
     }
@@ -73,53 +81,48 @@ impl<'a> RoadMap<'a> {
         id: Option<&str>,
         point_m: [f64; 2],
     ) -> Result<Rc<StraightRoad>> {
-        let is_wanted = |road: &StraightRoad| {
-            id.map_or_else(|| road.project(point_m).is_some(), |id| road.id == id)
-        };
-        if let Some(found) = self.known.borrow().iter().find(|road| is_wanted(road)) {
-            return Ok(found.clone());
+        let used = self.used.borrow();
+        if let Some(road) = used.iter().find(|road| road.is_wanted(id, point_m)) {
+            return Ok(road.clone());
         }
+        drop(used);
         self.work
             .spend(node, WORK_PER_ROAD * self.file.children().len() as u64)?;
-        let mut refused = None;
-        for (index, road) in (Node {
+        let file = Node {
             element: self.file,
             ..node
-        })
-        .named("road")
-        .enumerate()
-        {
-            if id.is_some_and(|id| road.raw("id") != Some(id)) {
+        };
+        let mut unsupported = None;
+        for (index, element) in file.named("road").enumerate() {
+            if id.is_some_and(|id| element.raw("id") != Some(id)) {
                 continue;
             }
             let mut read = self.read.borrow_mut();
-            match read
+            let road = read
                 .entry(index)
-                .or_insert_with(|| StraightRoad::read(road).ok().map(Rc::new))
-            {
-                Some(found) if is_wanted(found) => return self.add_known(road, found.clone()),
+                .or_insert_with(|| StraightRoad::read(element).ok().map(Rc::new));
+            match road {
+                Some(road) if road.is_wanted(id, point_m) => {
+                    return self.add_used(element, road.clone());
+                }
                 Some(_) => {}
-                None => refused = refused.or(Some(road)),
+                None => unsupported = unsupported.or(Some(element)),
             }
         }
-        match (refused, id) {
-            (Some(road), _) => StraightRoad::read(road).map(Rc::new),
+        match (unsupported, id) {
+            (Some(element), _) => StraightRoad::read(element).map(Rc::new),
             (None, Some(id)) => Err(node.refuse(format!("there is no road `{id}`"))),
-            (None, None) => Err(node.refuse(format!(
-                "no road contains the point x = {}, y = {}",
-                format_number(point_m[0]),
-                format_number(point_m[1])
-            ))),
+            (None, None) => Err(refuse_point(node, point_m)),
         }
     }
 
     /// Adds a road in use, which must be the only one of its identifier.
-    fn add_known(&self, node: Node<'_>, road: Rc<StraightRoad>) -> Result<Rc<StraightRoad>> {
-        let mut known = self.known.borrow_mut();
-        if known.iter().any(|other| other.id == road.id) {
-            return Err(node.refuse(format!("there are two roads `{}`", road.id)));
+    fn add_used(&self, element: Node<'_>, road: Rc<StraightRoad>) -> Result<Rc<StraightRoad>> {
+        let mut used = self.used.borrow_mut();
+        if used.iter().any(|other| other.id == road.id) {
+            return Err(element.refuse(format!("there are two roads `{}`", road.id)));
         }
-        known.push(road.clone());
+        used.push(road.clone());
         Ok(road)
     }
 }
@@ -132,63 +135,35 @@ impl StraightRoad {
         {
             return Err(road.refuse("is part of a junction"));
         }
-        for (name, what) in [
-            ("elevationProfile", "elevation"),
-            ("lateralProfile", "superelevation"),
-        ] {
-            let entries = road.named(name).flat_map(Node::children);
-            for entry in entries {
-                let is_flat = entry.name() == what && is_zero(entry, &["a", "b", "c", "d"]);
-                if !is_flat {
-                    return Err(entry.refuse("the road must be level"));
-                }
-            }
-        }
+        check_level(road)?;
         let length_m = road.number("length")?;
-        let (mut start, mut end_m): (Option<([f64; 2], f64)>, f64) = (None, 0.0);
-        for geometry in road.child("planView")?.children() {
-            let shape = geometry.single()?;
-            if shape.name() != "line" {
-                return Err(shape.refuse("the road must be straight"));
-            }
-            let [s_m, x_m, y_m] = [
-                geometry.number("s")?,
-                geometry.number("x")?,
-                geometry.number("y")?,
-            ];
-            let heading_rad = geometry.number("hdg")?;
-            let (origin_m, first_rad) = *start.get_or_insert(([x_m, y_m], heading_rad));
-            let (sine, cosine) = (libm::sin(first_rad), libm::cos(first_rad));
-            let off_m =
-                (x_m - origin_m[0] - s_m * cosine).abs() + (y_m - origin_m[1] - s_m * sine).abs();
-            if (heading_rad - first_rad).abs() > HEADING_TOLERANCE_RAD
-                || off_m > LATERAL_TOLERANCE_M
-            {
-                return Err(geometry.refuse("the road must be straight"));
-            }
-            end_m = s_m + geometry.number("length")?;
-        }
-        let (origin_m, heading_rad) = start.ok_or_else(|| road.refuse("has no geometry"))?;
-        if (end_m - length_m).abs() > 1.0 {
+        let line = ReferenceLine::read(road)?;
+        if (line.end_m - length_m).abs() > 1.0 {
             return Err(road.refuse(format!(
                 "is {} m long, but its geometry ends at {} m",
                 format_number(length_m),
-                format_number(end_m)
+                format_number(line.end_m)
             )));
         }
         let is_right_hand = road.raw("rule") != Some("LHT");
         let lanes = read_lanes(road.child("lanes")?)?;
-        let id = road.text("id")?;
-        let direction = [libm::cos(heading_rad), libm::sin(heading_rad)];
         Ok(Self {
-            id,
-            origin_m,
-            heading_rad,
-            direction,
+            id: road.text("id")?,
+            origin_m: line.origin_m,
+            heading_rad: line.heading_rad,
+            direction: line.direction,
             length_m,
             is_right_hand,
             lanes,
         })
+    }
+
+    /// Returns true for the road with an identifier, or, without one, if the road contains a point of the world.
+    fn is_wanted(&self, id: Option<&str>, point_m: [f64; 2]) -> bool {
+        match id {
+            Some(id) => self.id == id,
+            None => self.project(point_m).is_some(),
+        }
     }
 
     /// Returns the position along the road and the lateral position of a point on the road.
@@ -196,13 +171,21 @@ impl StraightRoad {
         let [cosine, sine] = self.direction;
         let [dx_m, dy_m] = [x_m - self.origin_m[0], y_m - self.origin_m[1]];
         let [s_m, lateral_m] = [dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine];
-        let is_inside = |lane: &Lane| (lateral_m - lane.middle_m).abs() <= lane.width_m / 2.0;
-        let is_on_road = (0.0..=self.length_m).contains(&s_m) && self.lanes.iter().any(is_inside);
+        let is_on_road = (0.0..=self.length_m).contains(&s_m)
+            && self
+                .lanes
+                .iter()
+                .any(|lane| lane.distance_m(lateral_m) <= lane.width_m / 2.0);
         is_on_road.then_some([s_m, lateral_m])
     }
 
     fn lane(&self, id: i32) -> Option<&Lane> {
         self.lanes.iter().find(|lane| lane.id == id)
+    }
+
+    fn require_lane(&self, node: Node<'_>, id: i32) -> Result<&Lane> {
+        self.lane(id)
+            .ok_or_else(|| node.refuse(format!("the road `{}` has no lane {id}", self.id)))
     }
 
     /// Returns 1 for lanes in the direction of the road, and -1 for the opposite direction.
@@ -256,11 +239,13 @@ impl StraightRoad {
         let [s_m, lateral_m] = self
             .project(point_m)
             .ok_or_else(|| node.refuse("is outside the road"))?;
-        let distance_m = |lane: &&Lane| (lateral_m - lane.middle_m).abs();
-        let nearest = self.lanes.iter().filter(|lane| lane.id != 0);
-        let nearest = nearest.min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        let lanes = self.lanes.iter().filter(|lane| lane.id != 0);
+        let nearest = lanes.min_by(|a, b| {
+            let [a_m, b_m] = [a, b].map(|lane| lane.distance_m(lateral_m));
+            a_m.total_cmp(&b_m)
+        });
         let lane = nearest.ok_or_else(|| node.refuse("the road has no lanes"))?;
-        if distance_m(&lane) > LATERAL_TOLERANCE_M {
+        if lane.distance_m(lateral_m) > LATERAL_TOLERANCE_M {
             let off_m = lateral_m - lane.middle_m;
             return Err(node.refuse(format!(
                 "is {} m beside the middle of lane {}",
@@ -296,12 +281,72 @@ impl StraightRoad {
 
     /// Returns the distance between the middles of two lanes, and the width of the second, in metres.
     pub(super) fn lane_distance_m(&self, node: Node<'_>, from: i32, to: i32) -> Result<[f64; 2]> {
-        let lane = |id| {
-            self.lane(id)
-                .ok_or_else(|| node.refuse(format!("the road `{}` has no lane {id}", self.id)))
-        };
-        let (from, to) = (lane(from)?, lane(to)?);
-        Ok([(from.middle_m - to.middle_m).abs(), to.width_m])
+        let from = self.require_lane(node, from)?;
+        let to = self.require_lane(node, to)?;
+        Ok([to.distance_m(from.middle_m), to.width_m])
+    }
+}
+
+/// Refuses a road with slopes or superelevation.
+fn check_level(road: Node<'_>) -> Result<()> {
+    for (profile, shape) in [
+        ("elevationProfile", "elevation"),
+        ("lateralProfile", "superelevation"),
+    ] {
+        for entry in road.named(profile).flat_map(Node::children) {
+            let is_flat = entry.name() == shape && is_zero(entry, &["a", "b", "c", "d"]);
+            if !is_flat {
+                return Err(entry.refuse("the road must be level"));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn refuse_point(node: Node<'_>, point_m: [f64; 2]) -> ScenarioImportError {
+    let [x_m, y_m] = point_m.map(format_number);
+    node.refuse(format!("no road contains the point x = {x_m}, y = {y_m}"))
+}
+
+/// A straight reference line.
+struct ReferenceLine {
+    origin_m: [f64; 2],
+    heading_rad: f64,
+    /// Cosine and sine of the heading.
+    direction: [f64; 2],
+    /// Position along the line at which the geometry ends, in metres.
+    end_m: f64,
+}
+
+impl ReferenceLine {
+    /// Reads the geometries of a road, which must be lines that continue the first one.
+    fn read(road: Node<'_>) -> Result<Self> {
+        let mut line: Option<Self> = None;
+        for geometry in road.child("planView")?.children() {
+            let shape = geometry.single()?;
+            if shape.name() != "line" {
+                return Err(shape.refuse("the road must be straight"));
+            }
+            let s_m = geometry.number("s")?;
+            let [x_m, y_m] = [geometry.number("x")?, geometry.number("y")?];
+            let heading_rad = geometry.number("hdg")?;
+            let line = line.get_or_insert_with(|| Self {
+                origin_m: [x_m, y_m],
+                heading_rad,
+                direction: [libm::cos(heading_rad), libm::sin(heading_rad)],
+                end_m: 0.0,
+            });
+            let [cosine, sine] = line.direction;
+            let off_m = (x_m - line.origin_m[0] - s_m * cosine).abs()
+                + (y_m - line.origin_m[1] - s_m * sine).abs();
+            if (heading_rad - line.heading_rad).abs() > HEADING_TOLERANCE_RAD
+                || off_m > LATERAL_TOLERANCE_M
+            {
+                return Err(geometry.refuse("the road must be straight"));
+            }
+            line.end_m = s_m + geometry.number("length")?;
+        }
+        line.ok_or_else(|| road.refuse("has no geometry"))
     }
 }
 
@@ -313,52 +358,31 @@ fn is_zero(node: Node<'_>, attributes: &[&str]) -> bool {
 }
 
 fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
-    if let Some(offset) = lanes
-        .named("laneOffset")
-        .find(|offset| !is_zero(*offset, &["a", "b", "c", "d"]))
-    {
+    let mut offsets = lanes.named("laneOffset");
+    if let Some(offset) = offsets.find(|offset| !is_zero(*offset, &["a", "b", "c", "d"])) {
         return Err(offset.refuse("lanes must not be offset from the reference line"));
     }
     let section = lanes.child("laneSection")?;
     if let Some(second) = lanes.named("laneSection").nth(1) {
         return Err(second.refuse("the lanes must be the same along the road"));
     }
-    let mut found = Vec::new();
+    let mut lanes = Vec::new();
     for side in section.children() {
         let sign = match side.name() {
             "left" => 1.0,
             "right" => -1.0,
             _ => continue,
         };
-        ensure_at_most(
-            side,
-            found.len() + side.children().count(),
-            MAX_LANES,
-            "lanes",
-        )?;
-        let mut ordered = Vec::new();
-        for lane in side.named("lane") {
-            let id = lane.number("id")?;
-            let width = lane.child("width")?;
-            if let Some(changed) = lane
-                .named("width")
-                .nth(1)
-                .or_else(|| (!is_zero(width, &["b", "c", "d"])).then_some(width))
-            {
-                return Err(changed.refuse("the width of a lane must be constant"));
-            }
-            if id.fract() != 0.0 || id.abs() > 1000.0 || id * sign <= 0.0 {
-                return Err(lane.refuse(format!(
-                    "`{id}` is not the number of a lane in `{}`",
-                    side.name()
-                )));
-            }
-            ordered.push((id as i32, width.non_negative("a")?));
-        }
+        let count = lanes.len() + side.children().count();
+        ensure_at_most(side, count, MAX_LANES, "lanes")?;
+        let mut ordered = side
+            .named("lane")
+            .map(|lane| read_lane(side, sign, lane))
+            .collect::<Result<Vec<_>>>()?;
         ordered.sort_by_key(|(id, _)| id.abs());
         let mut inner_m = 0.0;
         for (id, width_m) in ordered {
-            found.push(Lane {
+            lanes.push(Lane {
                 id,
                 middle_m: sign * (inner_m + width_m / 2.0),
                 width_m,
@@ -366,5 +390,23 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
             inner_m += width_m;
         }
     }
-    Ok(found)
+    Ok(lanes)
+}
+
+/// Reads the number and the width of a lane; `sign` is that of the numbers of its side.
+fn read_lane(side: Node<'_>, sign: f64, lane: Node<'_>) -> Result<(i32, f64)> {
+    let id = lane.number("id")?;
+    let width = lane.child("width")?;
+    let second = lane.named("width").nth(1);
+    let changing = second.or_else(|| (!is_zero(width, &["b", "c", "d"])).then_some(width));
+    if let Some(changing) = changing {
+        return Err(changing.refuse("the width of a lane must be constant"));
+    }
+    if id.fract() != 0.0 || id.abs() > 1000.0 || id * sign <= 0.0 {
+        return Err(lane.refuse(format!(
+            "`{id}` is not the number of a lane in `{}`",
+            side.name()
+        )));
+    }
+    Ok((id as i32, width.non_negative("a")?))
 }

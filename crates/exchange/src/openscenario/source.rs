@@ -46,18 +46,15 @@ struct ParsedFile {
 struct CatalogIndex {
     name: Option<String>,
     /// Index of the catalogue among the children of the root.
-    place: usize,
+    position: usize,
     /// Index of the first entry of each name among the children of the catalogue.
     entries: HashMap<String, usize>,
 }
 
 impl CatalogIndex {
     fn new(root: Node<'_>) -> Self {
-        let (place, catalog) = root
-            .children()
-            .enumerate()
-            .find(|(_, child)| child.name() == "Catalog")
-            .unzip();
+        let position = root.children().position(|child| child.name() == "Catalog");
+        let catalog = root.optional("Catalog");
         let mut entries = HashMap::new();
         for (index, entry) in catalog.into_iter().flat_map(Node::children).enumerate() {
             if let Some(name) = entry.raw("name") {
@@ -69,9 +66,15 @@ impl CatalogIndex {
             .map(str::to_owned);
         Self {
             name,
-            place: place.unwrap_or_default(),
+            position: position.unwrap_or_default(),
             entries,
         }
+    }
+
+    fn entry<'r>(&self, root: Node<'r>, name: &str) -> Option<Node<'r>> {
+        let catalog = root.element.children().get(self.position)?;
+        let element = catalog.children().get(*self.entries.get(name)?)?;
+        Some(Node { element, ..root })
     }
 }
 
@@ -90,8 +93,8 @@ impl FileCache {
 
     /// Returns the parsed file, which is read at the first call.
     pub(super) fn load(&self, path: &Path, root: &str) -> Result<Rc<SourceElement>> {
-        if let Some(found) = self.parsed.borrow().get(path) {
-            return Ok(found.root.clone());
+        if let Some(file) = self.parsed.borrow().get(path) {
+            return Ok(file.root.clone());
         }
         if !self.reads_disk {
             return Err(ScenarioImportError::read(
@@ -135,12 +138,12 @@ impl FileCache {
     }
 }
 
-fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     regular_file::open(path)?
-        .take(most + 1)
+        .take(max_bytes + 1)
         .read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
+    if bytes.len() as u64 > max_bytes {
         let problem = format!(
             "the scenario with its road and its catalogues exceeds {} MiB",
             MAX_XML_BYTES >> 20
@@ -148,6 +151,63 @@ fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
     }
     Ok(bytes)
+}
+
+/// Files of catalogues in the folders of a scenario.
+struct CatalogFiles {
+    paths: Vec<PathBuf>,
+    /// Number of files that further folders may have.
+    entries_left: usize,
+    reads_disk: bool,
+}
+
+impl CatalogFiles {
+    /// Adds a catalogue, or those of a folder. The folder may be missing if no element refers to its catalogues.
+    fn add(&mut self, location: Node<'_>, path: PathBuf) -> Result<()> {
+        if is_catalog(&path) {
+            self.paths.push(path);
+        } else if let Some(entries) = fs::read_dir(&path).ok().filter(|_| self.reads_disk) {
+            let entries: Vec<_> = entries.take(self.entries_left + 1).collect();
+            self.entries_left = self
+                .entries_left
+                .checked_sub(entries.len())
+                .ok_or_else(|| {
+                    location.refuse(format!(
+                        "the folders of catalogues have more than {MAX_FOLDER_ENTRIES} files"
+                    ))
+                })?;
+            let paths = entries.into_iter().flatten().map(|entry| entry.path());
+            self.paths.extend(paths.filter(|path| is_catalog(path)));
+        }
+        if self.paths.len() > MAX_CATALOG_FILES {
+            return Err(location.refuse(format!(
+                "the folders have more than {MAX_CATALOG_FILES} catalogues"
+            )));
+        }
+        Ok(())
+    }
+}
+
+fn is_catalog(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension == "xosc")
+}
+
+/// Refuses an entry of a catalogue that is too large, or of another kind than an element may refer to.
+fn check_entry(entry: Node<'_>, kinds: &[&str]) -> Result<()> {
+    let size = entry.element.size();
+    ensure_at_most(
+        entry,
+        size.items,
+        MAX_ENTRY_ITEMS,
+        "elements and attributes",
+    )?;
+    ensure_at_most(entry, size.bytes, MAX_ENTRY_BYTES, "bytes of attributes")?;
+    if kinds.contains(&entry.name()) {
+        Ok(())
+    } else {
+        Err(entry.refuse(format!("expected {}", kinds.join(", "))))
+    }
 }
 
 /// Files to which a scenario refers.
@@ -164,51 +224,26 @@ impl<'a> SourceFiles<'a> {
         folder: &'a Path,
         locations: Option<Node<'_>>,
     ) -> Result<Self> {
-        let (mut catalog_files, mut entries_left) = (Vec::new(), MAX_FOLDER_ENTRIES);
+        let mut catalogs = CatalogFiles {
+            paths: Vec::new(),
+            entries_left: MAX_FOLDER_ENTRIES,
+            reads_disk: cache.reads_disk,
+        };
         if let Some(locations) = locations {
-            ensure_at_most(
-                locations,
-                locations.children().count(),
-                MAX_CATALOG_FOLDERS,
-                "folders of catalogues",
-            )?;
+            let count = locations.children().count();
+            let what = "folders of catalogues";
+            ensure_at_most(locations, count, MAX_CATALOG_FOLDERS, what)?;
         }
         for location in locations.into_iter().flat_map(Node::children) {
             location.only(&["Directory"], &[])?;
-            let place = folder.join(location.child("Directory")?.text("path")?);
-            let is_catalog = |path: &PathBuf| {
-                path.extension()
-                    .is_some_and(|extension| extension == "xosc")
-            };
-            if is_catalog(&place) {
-                catalog_files.push(place);
-            } else if let Some(entries) = fs::read_dir(&place).ok().filter(|_| cache.reads_disk) {
-                // A folder may be missing if no element refers to its catalogues.
-                let entries: Vec<_> = entries.take(entries_left + 1).collect();
-                entries_left = entries_left.checked_sub(entries.len()).ok_or_else(|| {
-                    location.refuse(format!(
-                        "the folders of catalogues have more than {MAX_FOLDER_ENTRIES} files"
-                    ))
-                })?;
-                catalog_files.extend(
-                    entries
-                        .into_iter()
-                        .flatten()
-                        .map(|entry| entry.path())
-                        .filter(is_catalog),
-                );
-            }
-            if catalog_files.len() > MAX_CATALOG_FILES {
-                return Err(location.refuse(format!(
-                    "the folders have more than {MAX_CATALOG_FILES} catalogues"
-                )));
-            }
+            let path = folder.join(location.child("Directory")?.text("path")?);
+            catalogs.add(location, path)?;
         }
-        catalog_files.sort();
+        catalogs.paths.sort();
         Ok(Self {
             cache,
             folder,
-            catalog_files,
+            catalog_files: catalogs.paths,
         })
     }
 
@@ -234,7 +269,8 @@ impl<'a> SourceFiles<'a> {
         read: impl FnOnce(Node<'_>) -> Result<T>,
     ) -> Result<T> {
         reference.only(&["ParameterAssignments"], &["catalogName", "entryName"])?;
-        let (catalog, name) = (reference.text("catalogName")?, reference.text("entryName")?);
+        let catalog = reference.text("catalogName")?;
+        let name = reference.text("entryName")?;
         let none = Parameters::default();
         for path in &self.catalog_files {
             let root = self.load(reference, path, "OpenSCENARIO")?;
@@ -243,28 +279,13 @@ impl<'a> SourceFiles<'a> {
                 parameters: &none,
             };
             let index = self.cache.catalog(path, root);
-            let found = root
-                .element
-                .children()
-                .get(index.place)
-                .filter(|_| index.name.as_ref() == Some(&catalog));
-            let Some(found) = found else { continue };
-            let entry = index
-                .entries
-                .get(&name)
-                .and_then(|index| found.children().get(*index));
-            let entry = entry
-                .ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{name}`")))?;
-            let entry = Node {
-                element: entry,
-                ..root
-            };
-            let (items, bytes) = entry.element.size();
-            ensure_at_most(entry, items, MAX_ENTRY_ITEMS, "elements and attributes")?;
-            ensure_at_most(entry, bytes, MAX_ENTRY_BYTES, "bytes of attributes")?;
-            if !kinds.contains(&entry.name()) {
-                return Err(entry.refuse(format!("expected {}", kinds.join(", "))));
+            if index.name.as_ref() != Some(&catalog) {
+                continue;
             }
+            let entry = index
+                .entry(root, &name)
+                .ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{name}`")))?;
+            check_entry(entry, kinds)?;
             let parameters = entry_parameters(reference, entry)?;
             return read(Node {
                 parameters: &parameters,

@@ -4,7 +4,7 @@
 //! at three values of each parameter show which.
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
-use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::{NoDriverFiles, ScenarioSpec};
 use serde_json::Value;
 
 use super::distribution::ParameterDistributionFile;
@@ -35,138 +35,253 @@ impl OpenScenarioSource {
         distributions: &ParameterDistributionFile,
         progress: &dyn Observer<RunProgress>,
     ) -> Result<(ScenarioSpace, Vec<String>)> {
-        let refuse = |problem: String| distributions.root.refuse(problem);
-        let counter =
-            ProgressCounter::new(progress, Some(1 + 3 * distributions.random.len() as u64));
-        let means: Vec<(String, String)> = distributions
-            .random
+        let random = &distributions.random;
+        let counter = ProgressCounter::new(progress, Some(1 + 3 * random.len() as u64));
+        let middles: Vec<(String, String)> = random
             .iter()
-            .map(|(name, of)| (name.clone(), format_compact(middle(of))))
+            .map(|(name, distribution)| (name.clone(), format_compact(middle(distribution))))
             .collect();
-        let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &means)?;
+        let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &middles)?;
         counter.add(1)?;
         let mut base = scenario.spec().clone();
         let mut parameters = Vec::new();
-        for (name, distribution) in &distributions.random {
-            let [low, high] = range(distribution);
-            let at = |value: f64| {
-                let mut assigned = means.clone();
-                assigned
-                    .iter_mut()
-                    .filter(|(other, _)| other == name)
-                    .for_each(|(_, old)| *old = format_compact(value));
-                let imported = self.scenario(ego, &assigned)?;
-                counter.add(1)?;
-                Ok::<_, ScenarioImportError>(imported.scenario.spec().clone())
+        for (name, distribution) in random {
+            let importer = ParameterImporter {
+                source: self,
+                ego,
+                middles: &middles,
+                parameter: name,
+                counter: &counter,
             };
-            let (middle, mut first, mut last) = (0.5 * (low + high), at(low)?, at(high)?);
-            let mut between = at(middle)?;
-            base.duration_s = base.duration_s.max(first.duration_s).max(last.duration_s);
-            for spec in [&mut first, &mut between, &mut last] {
-                spec.duration_s = 0.0;
-            }
-            let mut changed = Vec::new();
-            let values = [&first, &between, &last]
-                .map(|spec| serde_json::to_value(spec).unwrap_or_default());
-            find_changes(
-                &values[0],
-                &values[1],
-                &values[2],
-                String::new(),
-                &mut changed,
-            );
-            let (field, [from, mid, to]) = match changed.as_slice() {
-                [(field, Some(found))] => (field, *found),
-                [] => return Err(refuse(format!("the parameter `{name}` changes nothing"))),
-                several => {
-                    let fields: Vec<_> = several
-                        .iter()
-                        .take(MAX_LISTED)
-                        .map(|(field, _)| field.as_str())
-                        .collect();
-                    let problem = format!(
-                        "the parameter `{name}` changes {}, not one number",
-                        fields.join(", ")
-                    );
-                    return Err(refuse(problem));
-                }
-            };
-            if (mid - 0.5 * (from + to)).abs() > PROPORTION_TOLERANCE * (to - from).abs() {
-                return Err(refuse(format!(
-                    "the parameter `{name}` changes {field}, but not in proportion"
-                )));
-            }
-            let factor = (to - from) / (high - low);
-            let map = |value: f64| from + factor * (value - low);
-            let unit = crumple_spaces::field_unit(field, &base)
-                .unwrap_or_default()
-                .to_owned();
-            let (name, field) = (identifier(name), field.clone());
-            parameters.push(ParameterSpec {
-                name,
-                field,
-                unit,
-                nominal: None,
-                distribution: mapped(distribution, &map),
-            });
+            let samples = importer.samples(range(distribution))?;
+            base.duration_s = base
+                .duration_s
+                .max(samples.at_low.duration_s)
+                .max(samples.at_high.duration_s);
+            let effect = samples.effect().map_err(|problem| {
+                distributions
+                    .root
+                    .refuse(format!("the parameter `{name}` {problem}"))
+            })?;
+            parameters.push(effect.parameter(name, distribution, &base));
         }
-        let spec = SpaceSpec {
-            version: SPACE_VERSION,
-            name: base.name.clone(),
-            about: std::mem::take(&mut base.about),
-            base: Base::Inline(Box::new(base)),
-            parameters,
-            dependence: None,
-            exposure: None,
-            observed: None,
-        };
-        let space = ScenarioSpace::new(spec, std::path::Path::new(""), &NoDriverFiles)
-            .map_err(|invalid| refuse(invalid.to_string()))?;
+        let space = ScenarioSpace::new(
+            space_spec(base, parameters),
+            std::path::Path::new(""),
+            &NoDriverFiles,
+        )
+        .map_err(|invalid| distributions.root.refuse(invalid.to_string()))?;
         Ok((space, notes))
     }
 }
 
-/// Lists the fields that differ, with their numbers; `None` for a field that is no number.
-fn find_changes(
-    a: &Value,
-    b: &Value,
-    c: &Value,
-    path: String,
-    found: &mut Vec<(String, Option<[f64; 3]>)>,
-) {
+/// Imports scenarios that differ in the value of one parameter.
+struct ParameterImporter<'a> {
+    source: &'a OpenScenarioSource,
+    ego: Option<&'a str>,
+    /// Values of all random parameters in the middle of their distributions.
+    middles: &'a [(String, String)],
+    parameter: &'a str,
+    counter: &'a ProgressCounter<'a>,
+}
+
+impl ParameterImporter<'_> {
+    /// Imports the scenario with a value of the parameter.
+    fn spec_at(&self, value: f64) -> Result<ScenarioSpec> {
+        let mut assigned = self.middles.to_vec();
+        assigned
+            .iter_mut()
+            .filter(|(name, _)| name == self.parameter)
+            .for_each(|(_, text)| *text = format_compact(value));
+        let imported = self.source.scenario(self.ego, &assigned)?;
+        self.counter.add(1)?;
+        Ok(imported.scenario.spec().clone())
+    }
+
+    /// Imports the scenarios at the ends and in the middle of the range of the parameter.
+    fn samples(&self, [low, high]: [f64; 2]) -> Result<ParameterSamples> {
+        Ok(ParameterSamples {
+            low,
+            high,
+            at_low: self.spec_at(low)?,
+            at_high: self.spec_at(high)?,
+            at_middle: self.spec_at(0.5 * (low + high))?,
+        })
+    }
+}
+
+/// Scenarios at three values of a parameter.
+struct ParameterSamples {
+    low: f64,
+    high: f64,
+    at_low: ScenarioSpec,
+    at_high: ScenarioSpec,
+    at_middle: ScenarioSpec,
+}
+
+impl ParameterSamples {
+    /// Returns the effect of the parameter on the scenario, apart from its duration. The error is a clause without
+    /// subject.
+    fn effect(mut self) -> std::result::Result<ParameterEffect, String> {
+        let specs = [&mut self.at_low, &mut self.at_middle, &mut self.at_high];
+        let [at_low, at_middle, at_high] = specs.map(|spec| {
+            spec.duration_s = 0.0;
+            serde_json::to_value(spec).unwrap_or_default()
+        });
+        let mut changes = Vec::new();
+        find_changes(&at_low, &at_middle, &at_high, String::new(), &mut changes);
+        match changes.as_slice() {
+            [
+                FieldChange {
+                    field,
+                    numbers: Some([from, middle, to]),
+                },
+            ] => {
+                if (middle - 0.5 * (from + to)).abs() > PROPORTION_TOLERANCE * (to - from).abs() {
+                    return Err(format!("changes {field}, but not in proportion"));
+                }
+                Ok(ParameterEffect {
+                    field: field.clone(),
+                    low: self.low,
+                    from: *from,
+                    factor: (to - from) / (self.high - self.low),
+                })
+            }
+            [] => Err("changes nothing".to_owned()),
+            several => {
+                let fields = several
+                    .iter()
+                    .take(MAX_LISTED)
+                    .map(|change| change.field.as_str());
+                let fields: Vec<_> = fields.collect();
+                Err(format!("changes {}, not one number", fields.join(", ")))
+            }
+        }
+    }
+}
+
+/// A linear dependence of a number of a scenario on a parameter.
+struct ParameterEffect {
+    /// Field of the number.
+    field: String,
+    /// Lower end of the range of the parameter, and the number there.
+    low: f64,
+    from: f64,
+    /// Change of the number by that of the parameter.
+    factor: f64,
+}
+
+impl ParameterEffect {
+    /// Returns the number at a value of the parameter.
+    fn number(&self, value: f64) -> f64 {
+        self.from + self.factor * (value - self.low)
+    }
+
+    /// Returns the parameter of the space that varies the number as the distribution of `name` does.
+    fn parameter(
+        &self,
+        name: &str,
+        distribution: &DistributionSpec,
+        base: &ScenarioSpec,
+    ) -> ParameterSpec {
+        ParameterSpec {
+            name: identifier(name),
+            field: self.field.clone(),
+            unit: crumple_spaces::field_unit(&self.field, base)
+                .unwrap_or_default()
+                .to_owned(),
+            nominal: None,
+            distribution: self.map(distribution),
+        }
+    }
+
+    /// Returns the distribution of the number, given that of the parameter.
+    fn map(&self, distribution: &DistributionSpec) -> DistributionSpec {
+        let [low, high] = range(distribution).map(|value| self.number(value));
+        let [low, high] = [low.min(high), low.max(high)];
+        match distribution {
+            DistributionSpec::Normal(normal) => {
+                let mean = self.number(normal.mean);
+                DistributionSpec::Normal(NormalSpec {
+                    mean,
+                    deviation: (self.number(normal.mean + normal.deviation) - mean).abs(),
+                    low,
+                    high,
+                })
+            }
+            DistributionSpec::Histogram(histogram) => {
+                let edges = histogram.edges.iter().map(|edge| self.number(*edge));
+                let mut edges: Vec<f64> = edges.collect();
+                let mut weights = histogram.weights.clone();
+                if edges.first() > edges.last() {
+                    edges.reverse();
+                    weights.reverse();
+                }
+                DistributionSpec::Histogram(HistogramSpec { edges, weights })
+            }
+            _ => DistributionSpec::Uniform(UniformSpec { low, high }),
+        }
+    }
+}
+
+/// Returns the specification of a space that varies `parameters` of `base`.
+fn space_spec(mut base: ScenarioSpec, parameters: Vec<ParameterSpec>) -> SpaceSpec {
+    SpaceSpec {
+        version: SPACE_VERSION,
+        name: base.name.clone(),
+        about: std::mem::take(&mut base.about),
+        base: Base::Inline(Box::new(base)),
+        parameters,
+        dependence: None,
+        exposure: None,
+        observed: None,
+    }
+}
+
+/// A field that differs between three scenarios.
+struct FieldChange {
+    field: String,
+    /// Values in the three scenarios; `None` if they are no numbers.
+    numbers: Option<[f64; 3]>,
+}
+
+/// Lists the fields that differ between three scenarios.
+fn find_changes(a: &Value, b: &Value, c: &Value, field: String, changes: &mut Vec<FieldChange>) {
     match (a, b, c) {
         (Value::Object(a), Value::Object(b), Value::Object(c))
             if a.keys().eq(b.keys()) && a.keys().eq(c.keys()) =>
         {
             for ((key, a), (b, c)) in a.iter().zip(b.values().zip(c.values())) {
-                let dot = if path.is_empty() { "" } else { "." };
-                find_changes(a, b, c, format!("{path}{dot}{key}"), found);
+                let dot = if field.is_empty() { "" } else { "." };
+                find_changes(a, b, c, format!("{field}{dot}{key}"), changes);
             }
         }
         (Value::Array(a), Value::Array(b), Value::Array(c))
             if a.len() == b.len() && a.len() == c.len() =>
         {
             for (index, (a, (b, c))) in a.iter().zip(b.iter().zip(c)).enumerate() {
-                find_changes(a, b, c, format!("{path}[{index}]"), found);
+                find_changes(a, b, c, format!("{field}[{index}]"), changes);
             }
         }
         _ if a == b && b == c => {}
-        _ => found.push((
-            path,
-            a.as_f64()
+        _ => changes.push(FieldChange {
+            field,
+            numbers: a
+                .as_f64()
                 .zip(b.as_f64())
                 .zip(c.as_f64())
                 .map(|((a, b), c)| [a, b, c]),
-        )),
+        }),
     }
 }
 
 fn range(distribution: &DistributionSpec) -> [f64; 2] {
     match distribution {
-        DistributionSpec::Uniform(of) => [of.low, of.high],
-        DistributionSpec::Normal(of) => [of.low, of.high],
-        DistributionSpec::Histogram(of) => {
-            [of.edges.first(), of.edges.last()].map(|edge| edge.copied().unwrap_or(0.0))
+        DistributionSpec::Uniform(uniform) => [uniform.low, uniform.high],
+        DistributionSpec::Normal(normal) => [normal.low, normal.high],
+        DistributionSpec::Histogram(histogram) => {
+            let ends = [histogram.edges.first(), histogram.edges.last()];
+            ends.map(|edge| edge.copied().unwrap_or(0.0))
         }
         _ => [0.0, 0.0],
     }
@@ -175,37 +290,8 @@ fn range(distribution: &DistributionSpec) -> [f64; 2] {
 fn middle(distribution: &DistributionSpec) -> f64 {
     let [low, high] = range(distribution);
     match distribution {
-        DistributionSpec::Normal(of) => of.mean.clamp(low, high),
+        DistributionSpec::Normal(normal) => normal.mean.clamp(low, high),
         _ => 0.5 * (low + high),
-    }
-}
-
-/// Returns the distribution of `map(value)`, which is linear.
-fn mapped(distribution: &DistributionSpec, map: &impl Fn(f64) -> f64) -> DistributionSpec {
-    let [low, high] = range(distribution).map(map);
-    let [low, high] = [low.min(high), low.max(high)];
-    match distribution {
-        DistributionSpec::Normal(of) => {
-            let deviation = (map(of.mean + of.deviation) - map(of.mean)).abs();
-            DistributionSpec::Normal(NormalSpec {
-                mean: map(of.mean),
-                deviation,
-                low,
-                high,
-            })
-        }
-        DistributionSpec::Histogram(of) => {
-            let (mut edges, mut weights): (Vec<f64>, _) = (
-                of.edges.iter().map(|edge| map(*edge)).collect(),
-                of.weights.clone(),
-            );
-            if edges.first() > edges.last() {
-                edges.reverse();
-                weights.reverse();
-            }
-            DistributionSpec::Histogram(HistogramSpec { edges, weights })
-        }
-        _ => DistributionSpec::Uniform(UniformSpec { low, high }),
     }
 }
 

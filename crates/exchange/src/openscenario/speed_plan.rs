@@ -93,12 +93,13 @@ impl TransitionDynamics {
         }
     }
 
-    /// Returns the share of the time after which the share `wanted` of the change is done.
-    pub(super) fn share_until(self, wanted: f64) -> f64 {
-        let (mut low, mut high) = (0.0, 1.0);
+    /// Returns the share of the time after which a share of the change is done.
+    pub(super) fn share_until(self, target_share: f64) -> f64 {
+        let mut low = 0.0;
+        let mut high = 1.0;
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if self.progress(middle) < wanted {
+            if self.progress(middle) < target_share {
                 low = middle
             } else {
                 high = middle
@@ -179,6 +180,13 @@ impl SpeedPlan {
         }
     }
 
+    /// Returns true if the speed differs at any knot of this plan.
+    pub(super) fn differs_from(&self, other: &Self) -> bool {
+        self.knots
+            .iter()
+            .any(|knot| other.at(knot.time_s).speed_mps != knot.speed_mps)
+    }
+
     /// Discards the plan after a time.
     pub(super) fn cut(&mut self, time_s: f64) {
         let last = self.at(time_s);
@@ -222,8 +230,9 @@ impl SpeedPlan {
     ) -> Result<f64> {
         self.cut(from_s);
         let from_mps = self.at(from_s).speed_mps;
-        let distance_s = |distance_m: f64| 2.0 * distance_m / (from_mps + to_mps);
-        let duration_s = dynamics.duration_s(to_mps - from_mps, distance_s);
+        let duration_s = dynamics.duration_s(to_mps - from_mps, |distance_m| {
+            2.0 * distance_m / (from_mps + to_mps)
+        });
         if duration_s == f64::INFINITY {
             let [from_mps, to_mps] = [from_mps, to_mps].map(format_number);
             return Err(node.refuse(format!(
@@ -256,7 +265,8 @@ impl SpeedPlan {
         if self.at(from_s + MAX_TRANSITION_S).position_m < goal_m {
             return f64::INFINITY;
         }
-        let (mut low_s, mut high_s) = (0.0, MAX_TRANSITION_S);
+        let mut low_s = 0.0;
+        let mut high_s = MAX_TRANSITION_S;
         for _ in 0..60 {
             let middle_s = 0.5 * (low_s + high_s);
             if self.at(from_s + middle_s).position_m < goal_m {
@@ -268,59 +278,105 @@ impl SpeedPlan {
         high_s
     }
 
-    /// Follows vertices of time and position from the first on.
+    /// Follows vertices from the first on.
     ///
     /// The shortest segment is the step of the simulation, except at the end, where a collision may cut it. Positions
     /// determine only mean speeds. Over segments of more than a step the speed is constant up to one step from each
     /// end. In shorter segments the speed at the end follows from that at the start; errors of the speed alternate and
     /// decay, and errors of the position are corrected in the next segment.
-    pub(super) fn follow(&mut self, vertices: &[(f64, f64)]) {
-        /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
-        const SPEED_TOLERANCE_MPS: f64 = 0.005;
-        /// Share of an alternating error that remains after a segment.
-        const REMAINING_RIPPLE: f64 = 0.99;
-        let Some(&(start_s, _)) = vertices.first() else {
+    pub(super) fn follow(&mut self, vertices: &[PathVertex]) {
+        let [start, later @ ..] = vertices else {
             return;
         };
-        self.cut(start_s);
-        let spans_s = vertices
-            .windows(2)
-            .rev()
-            .skip(2)
-            .filter_map(|pair| Some(pair.last()?.0 - pair.first()?.0));
-        let step_s = spans_s.fold(f64::INFINITY, f64::min);
-        let mean_mps = |index: usize| match vertices.get(index..index + 2) {
-            Some([(from_s, from_m), (to_s, to_m)]) => {
-                Some(((to_m - from_m) / (to_s - from_s), to_s - from_s))
-            }
-            _ => None,
-        };
-        for (index, &(to_s, to_m)) in vertices.iter().enumerate().skip(1) {
-            let Some((stated_mps, span_s)) = mean_mps(index - 1) else {
+        self.cut(start.time_s);
+        let step_s = shortest_step_s(vertices);
+        for (index, to) in later.iter().enumerate() {
+            let Some(segment) = PathSegment::starting_at(vertices, index) else {
                 return;
             };
-            let from = self.at(to_s - span_s);
-            let covered_m = to_m - from.position_m;
-            if span_s <= 1.5 * step_s {
-                let wanted_mps = (1.0 + REMAINING_RIPPLE) * covered_m / span_s
-                    - REMAINING_RIPPLE * from.speed_mps;
-                self.push(to_s, wanted_mps.max(0.0));
+            if segment.span_s <= 1.5 * step_s {
+                self.follow_step(to, segment.span_s);
                 continue;
             }
-            // A larger change is a jump, which begins at the vertex.
-            let next_mps = mean_mps(index)
-                .filter(|(_, span_s)| *span_s > 1.5 * step_s)
-                .map(|(mps, _)| mps);
-            let smooth_mps =
-                next_mps.filter(|mps| (mps - stated_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
-            let to_mps = 0.5 * (stated_mps + smooth_mps.unwrap_or(stated_mps));
-            let ramp_s = step_s.min(span_s / 2.0);
-            let held_mps = ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps))
-                / (span_s - ramp_s))
-                .max(0.0);
-            self.push(to_s - span_s + ramp_s, held_mps);
-            self.push(to_s - ramp_s, held_mps);
-            self.push(to_s, to_mps.max(0.0));
+            // After a step, the next mean speed says nothing about the speed at the vertex.
+            let next_mps = PathSegment::starting_at(vertices, index + 1)
+                .filter(|next| next.span_s > 1.5 * step_s)
+                .map(|next| next.mean_mps);
+            self.follow_long_segment(to, segment, next_mps, step_s);
         }
     }
+
+    /// Follows a segment of at most one step to a vertex. The speed at its end corrects the error of the position.
+    fn follow_step(&mut self, to: &PathVertex, span_s: f64) {
+        /// Share of an alternating error that remains after a segment.
+        const REMAINING_RIPPLE: f64 = 0.99;
+        let from = self.at(to.time_s - span_s);
+        let covered_m = to.position_m - from.position_m;
+        let wanted_mps =
+            (1.0 + REMAINING_RIPPLE) * covered_m / span_s - REMAINING_RIPPLE * from.speed_mps;
+        self.push(to.time_s, wanted_mps.max(0.0));
+    }
+
+    /// Follows a segment of more than one step to a vertex, at a constant speed between two ramps of one step.
+    fn follow_long_segment(
+        &mut self,
+        to: &PathVertex,
+        segment: PathSegment,
+        next_mps: Option<f64>,
+        step_s: f64,
+    ) {
+        /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
+        const SPEED_TOLERANCE_MPS: f64 = 0.005;
+        let PathSegment { mean_mps, span_s } = segment;
+        let from = self.at(to.time_s - span_s);
+        let covered_m = to.position_m - from.position_m;
+        // A larger change is a jump, which begins at the vertex.
+        let smooth_mps =
+            next_mps.filter(|next_mps| (next_mps - mean_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
+        let to_mps = 0.5 * (mean_mps + smooth_mps.unwrap_or(mean_mps));
+        let ramp_s = step_s.min(span_s / 2.0);
+        let constant_mps =
+            ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps)) / (span_s - ramp_s)).max(0.0);
+        self.push(to.time_s - span_s + ramp_s, constant_mps);
+        self.push(to.time_s - ramp_s, constant_mps);
+        self.push(to.time_s, to_mps.max(0.0));
+    }
+}
+
+/// A vertex of a trajectory.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PathVertex {
+    pub(super) time_s: f64,
+    pub(super) position_m: f64,
+}
+
+/// Mean speed and duration between two vertices.
+#[derive(Debug, Clone, Copy)]
+struct PathSegment {
+    mean_mps: f64,
+    span_s: f64,
+}
+
+impl PathSegment {
+    /// Returns the segment from a vertex to the next one.
+    fn starting_at(vertices: &[PathVertex], index: usize) -> Option<Self> {
+        let [from, to] = vertices.get(index..index + 2)? else {
+            return None;
+        };
+        let span_s = to.time_s - from.time_s;
+        Some(Self {
+            mean_mps: (to.position_m - from.position_m) / span_s,
+            span_s,
+        })
+    }
+}
+
+/// Returns the shortest time between vertices, without the last two, which a collision may move.
+fn shortest_step_s(vertices: &[PathVertex]) -> f64 {
+    vertices
+        .windows(2)
+        .rev()
+        .skip(2)
+        .filter_map(|pair| Some(pair.last()?.time_s - pair.first()?.time_s))
+        .fold(f64::INFINITY, f64::min)
 }

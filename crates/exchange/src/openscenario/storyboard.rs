@@ -16,14 +16,19 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 /// Events of the stories, and what they wait for.
 pub(super) struct Stories<'a> {
     pub(super) events: Vec<StoryEvent<'a>>,
-    /// Start triggers of the events, in their order.
-    pub(super) event_triggers: Vec<Trigger<'a>>,
-    /// Start triggers of the acts.
-    pub(super) act_triggers: Vec<Trigger<'a>>,
+    pub(super) triggers: StoryTriggers<'a>,
     /// Conditions of all triggers.
     pub(super) conditions: ConditionCount,
     /// Number of actions, each counted for each entity that does it.
     actions: usize,
+}
+
+/// Start triggers.
+#[derive(Default)]
+pub(super) struct StoryTriggers<'a> {
+    pub(super) acts: Vec<Trigger<'a>>,
+    /// Triggers of the events, in their order.
+    pub(super) events: Vec<Trigger<'a>>,
 }
 
 /// An event, and when it happened in the replay.
@@ -41,7 +46,7 @@ pub(super) struct StoryEvent<'a> {
     /// Ends of the actions, in their order.
     pub(super) action_ends_s: Vec<f64>,
     /// True if the start depends on a controller.
-    pub(super) depends: bool,
+    pub(super) depends_on_controller: bool,
 }
 
 impl StoryEvent<'_> {
@@ -67,7 +72,17 @@ pub(super) enum StoryAction<'a> {
     Activate,
 }
 
-impl StoryAction<'_> {
+impl<'a> StoryAction<'a> {
+    /// Returns the element of an action that has one of its own.
+    pub(super) fn node(&self) -> Option<Node<'a>> {
+        match self {
+            Self::Speed(speed) => Some(speed.node),
+            Self::LaneChange(change) => Some(change.node),
+            Self::Trajectory(trajectory) => Some(trajectory.node),
+            Self::SpeedProfile(_) | Self::Activate => None,
+        }
+    }
+
     pub(super) fn changes_speed(&self) -> bool {
         matches!(
             self,
@@ -92,6 +107,46 @@ pub(super) struct SpeedTarget {
 }
 
 impl SpeedTarget {
+    fn read(node: Node<'_>, entities: &[Entity<'_>]) -> Result<Self> {
+        match node.name() {
+            "AbsoluteTargetSpeed" => {
+                node.only(&[], &["value"])?;
+                Ok(Self {
+                    reference: None,
+                    factor: 0.0,
+                    offset_mps: node.non_negative("value")?,
+                })
+            }
+            "RelativeTargetSpeed" => Self::read_relative(node, entities),
+            _ => Err(node.refuse("is not supported as a target speed")),
+        }
+    }
+
+    fn read_relative(node: Node<'_>, entities: &[Entity<'_>]) -> Result<Self> {
+        node.only(
+            &[],
+            &["entityRef", "value", "speedTargetValueType", "continuous"],
+        )?;
+        if node.flag("continuous", false)? {
+            return Err(node.refuse("a continuous target is not supported"));
+        }
+        let reference = Some(entity_index(node, "entityRef", entities)?);
+        let value = node.number("value")?;
+        match node.text("speedTargetValueType")?.as_str() {
+            "delta" => Ok(Self {
+                reference,
+                factor: 1.0,
+                offset_mps: value,
+            }),
+            "factor" => Ok(Self {
+                reference,
+                factor: value,
+                offset_mps: 0.0,
+            }),
+            other => Err(node.refuse(format!("`{other}` is not supported"))),
+        }
+    }
+
     pub(super) fn speed_mps(self, node: Node<'_>, reference_mps: f64) -> Result<f64> {
         let mps = self.factor * reference_mps + self.offset_mps;
         if mps < 0.0 {
@@ -108,8 +163,8 @@ pub(super) fn entity_index(
     entities: &[Entity<'_>],
 ) -> Result<usize> {
     let name = node.text(attribute)?;
-    let found = entities.iter().position(|entity| entity.name == name);
-    found.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
+    let index = entities.iter().position(|entity| entity.name == name);
+    index.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
 }
 
 /// Reads all events with their triggers.
@@ -119,113 +174,146 @@ pub(super) fn read_stories<'a>(
 ) -> Result<Stories<'a>> {
     let mut stories = Stories {
         events: Vec::new(),
-        event_triggers: Vec::new(),
-        act_triggers: Vec::new(),
+        triggers: StoryTriggers::default(),
         conditions: ConditionCount::default(),
         actions: 0,
     };
     for story in storyboard.named("Story") {
         story.only(&["Act", "ParameterDeclarations"], &["name"])?;
-        if let Some(declared) = story
-            .named("ParameterDeclarations")
-            .find_map(|list| list.children().next())
-        {
+        let mut lists = story.named("ParameterDeclarations");
+        if let Some(declared) = lists.find_map(|list| list.children().next()) {
             return Err(declared.refuse("parameters of a story are not supported"));
         }
         for act in story.named("Act") {
-            act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
-            if let Some(stop) = act
-                .named("StopTrigger")
-                .find_map(|stop| stop.children().next())
-            {
-                return Err(stop.refuse("a stop trigger of an act is not supported"));
-            }
-            for group in act.named("ManeuverGroup") {
-                let names = [story.text("name")?, act.text("name")?, group.text("name")?];
-                read_group(group, names, entities, &mut stories)?;
-            }
-            let trigger = Trigger::read(
-                act.optional("StartTrigger"),
-                entities,
-                &mut stories.conditions,
-            )?;
-            stories.act_triggers.push(trigger);
-            ensure_at_most(storyboard, stories.act_triggers.len(), MAX_EVENTS, "acts")?;
+            stories.read_act(story, act, entities)?;
+            let acts = stories.triggers.acts.len();
+            ensure_at_most(storyboard, acts, MAX_EVENTS, "acts")?;
         }
     }
     Ok(stories)
 }
 
-fn read_group<'a>(
-    group: Node<'a>,
-    [story, act, group_name]: [String; 3],
-    entities: &[Entity<'_>],
-    stories: &mut Stories<'a>,
-) -> Result<()> {
-    group.only(&["Actors", "Maneuver"], &["name", "maximumExecutionCount"])?;
-    group.expect("maximumExecutionCount", &["1"])?;
-    let list = group.child("Actors")?;
-    list.only(&["EntityRef"], &["selectTriggeringEntities"])?;
-    if list.flag("selectTriggeringEntities", false)? {
-        return Err(list.refuse("triggering entities as actors are not supported"));
-    }
-    ensure_at_most(list, list.children().count(), MAX_ENTITIES, "entities")?;
-    let actors = list
-        .children()
-        .map(|actor| entity_index(actor, "entityRef", entities))
-        .collect::<Result<Vec<_>>>()?;
-    for maneuver in group.named("Maneuver") {
-        maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
-        for node in maneuver.named("Event") {
-            node.only(
-                &["Action", "StartTrigger"],
-                &["name", "priority", "maximumExecutionCount"],
-            )?;
-            node.expect("maximumExecutionCount", &["1"])?;
-            node.expect("priority", &["override", "overwrite", "parallel"])?;
-            if actors.is_empty() {
-                return Err(list.refuse("names no entity for the actions of the events"));
-            }
-            ensure_at_most(
-                group,
-                stories.events.len() + 1,
-                MAX_EVENTS,
-                "events, with those before it",
-            )?;
-            stories.actions += actors.len() * node.named("Action").count().max(1);
-            let what = "actions of events, each counted for each of its entities";
-            ensure_at_most(node, stories.actions, MAX_EVENT_ACTIONS, what)?;
-            let mut actions = Vec::new();
-            for action in node.named("Action") {
-                action.only(&["PrivateAction"], &["name"])?;
-                let inner = action.single()?.single()?;
-                actions.push((action.text("name")?, read_action(inner, entities)?));
-            }
-            let trigger = Trigger::read(
-                node.optional("StartTrigger"),
-                entities,
-                &mut stories.conditions,
-            )?;
-            stories.event_triggers.push(trigger);
-            stories.events.push(StoryEvent {
-                node,
-                name: node.text("name")?,
-                parents: [
-                    story.clone(),
-                    act.clone(),
-                    group_name.clone(),
-                    maneuver.text("name")?,
-                ],
-                act: stories.act_triggers.len(),
-                actors: actors.clone(),
-                actions: actions.into(),
-                start_s: None,
-                action_ends_s: Vec::new(),
-                depends: false,
-            });
+/// A maneuver group, with what is the same for all its events.
+struct ManeuverGroup<'a> {
+    node: Node<'a>,
+    /// Names of the story, the act and the group.
+    names: [String; 3],
+    /// Element that names the actors.
+    actor_list: Node<'a>,
+    actors: Vec<usize>,
+}
+
+impl<'a> Stories<'a> {
+    fn read_act(&mut self, story: Node<'a>, act: Node<'a>, entities: &[Entity<'_>]) -> Result<()> {
+        act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
+        let mut stops = act.named("StopTrigger");
+        if let Some(stop) = stops.find_map(|stop| stop.children().next()) {
+            return Err(stop.refuse("a stop trigger of an act is not supported"));
         }
+        for node in act.named("ManeuverGroup") {
+            let names = [story.text("name")?, act.text("name")?, node.text("name")?];
+            let group = ManeuverGroup::read(node, names, entities)?;
+            for maneuver in node.named("Maneuver") {
+                maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
+                for event in maneuver.named("Event") {
+                    self.read_event(&group, maneuver, event, entities)?;
+                }
+            }
+        }
+        let start = act.optional("StartTrigger");
+        let trigger = Trigger::read(start, entities, &mut self.conditions)?;
+        self.triggers.acts.push(trigger);
+        Ok(())
     }
-    Ok(())
+
+    fn read_event(
+        &mut self,
+        group: &ManeuverGroup<'a>,
+        maneuver: Node<'a>,
+        node: Node<'a>,
+        entities: &[Entity<'_>],
+    ) -> Result<()> {
+        node.only(
+            &["Action", "StartTrigger"],
+            &["name", "priority", "maximumExecutionCount"],
+        )?;
+        node.expect("maximumExecutionCount", &["1"])?;
+        node.expect("priority", &["override", "overwrite", "parallel"])?;
+        self.count_event(group, node)?;
+        let actions = read_event_actions(node, entities)?;
+        let start = node.optional("StartTrigger");
+        let trigger = Trigger::read(start, entities, &mut self.conditions)?;
+        self.triggers.events.push(trigger);
+        let [story, act, group_name] = group.names.clone();
+        self.events.push(StoryEvent {
+            node,
+            name: node.text("name")?,
+            parents: [story, act, group_name, maneuver.text("name")?],
+            act: self.triggers.acts.len(),
+            actors: group.actors.clone(),
+            actions: actions.into(),
+            start_s: None,
+            action_ends_s: Vec::new(),
+            depends_on_controller: false,
+        });
+        Ok(())
+    }
+
+    /// Refuses an event without actors, and more events or actions than the limits.
+    fn count_event(&mut self, group: &ManeuverGroup<'a>, event: Node<'a>) -> Result<()> {
+        if group.actors.is_empty() {
+            return Err(group
+                .actor_list
+                .refuse("names no entity for the actions of the events"));
+        }
+        let events = self.events.len() + 1;
+        ensure_at_most(
+            group.node,
+            events,
+            MAX_EVENTS,
+            "events, with those before it",
+        )?;
+        self.actions += group.actors.len() * event.named("Action").count().max(1);
+        let what = "actions of events, each counted for each of its entities";
+        ensure_at_most(event, self.actions, MAX_EVENT_ACTIONS, what)
+    }
+}
+
+fn read_event_actions<'a>(
+    event: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<Vec<(String, StoryAction<'a>)>> {
+    event
+        .named("Action")
+        .map(|action| {
+            action.only(&["PrivateAction"], &["name"])?;
+            let inner = action.single()?.single()?;
+            Ok((action.text("name")?, read_action(inner, entities)?))
+        })
+        .collect()
+}
+
+impl<'a> ManeuverGroup<'a> {
+    fn read(node: Node<'a>, names: [String; 3], entities: &[Entity<'_>]) -> Result<Self> {
+        node.only(&["Actors", "Maneuver"], &["name", "maximumExecutionCount"])?;
+        node.expect("maximumExecutionCount", &["1"])?;
+        let list = node.child("Actors")?;
+        list.only(&["EntityRef"], &["selectTriggeringEntities"])?;
+        if list.flag("selectTriggeringEntities", false)? {
+            return Err(list.refuse("triggering entities as actors are not supported"));
+        }
+        ensure_at_most(list, list.children().count(), MAX_ENTITIES, "entities")?;
+        let actors = list
+            .children()
+            .map(|actor| entity_index(actor, "entityRef", entities))
+            .collect::<Result<_>>()?;
+        Ok(Self {
+            node,
+            names,
+            actor_list: list,
+            actors,
+        })
+    }
 }
 
 /// Reads a private action.
@@ -288,60 +376,19 @@ fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
 
 pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<SpeedAction<'a>> {
     node.only(&["SpeedActionDynamics", "SpeedActionTarget"], &[])?;
-    let dynamics = TransitionDynamics::read(node.child("SpeedActionDynamics")?)?;
-    let target = node.child("SpeedActionTarget")?.single()?;
-    let target = match target.name() {
-        "AbsoluteTargetSpeed" => {
-            target.only(&[], &["value"])?;
-            SpeedTarget {
-                reference: None,
-                factor: 0.0,
-                offset_mps: target.non_negative("value")?,
-            }
-        }
-        "RelativeTargetSpeed" => {
-            target.only(
-                &[],
-                &["entityRef", "value", "speedTargetValueType", "continuous"],
-            )?;
-            if target.flag("continuous", false)? {
-                return Err(target.refuse("a continuous target is not supported"));
-            }
-            let (reference, value) = (
-                Some(entity_index(target, "entityRef", entities)?),
-                target.number("value")?,
-            );
-            match target.text("speedTargetValueType")?.as_str() {
-                "delta" => SpeedTarget {
-                    reference,
-                    factor: 1.0,
-                    offset_mps: value,
-                },
-                "factor" => SpeedTarget {
-                    reference,
-                    factor: value,
-                    offset_mps: 0.0,
-                },
-                other => return Err(target.refuse(format!("`{other}` is not supported"))),
-            }
-        }
-        _ => return Err(target.refuse("is not supported as a target speed")),
-    };
     Ok(SpeedAction {
         node,
-        dynamics,
-        target,
+        dynamics: TransitionDynamics::read(node.child("SpeedActionDynamics")?)?,
+        target: SpeedTarget::read(node.child("SpeedActionTarget")?.single()?, entities)?,
     })
 }
 
 fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
     node.only(&["SpeedProfileEntry"], &["followingMode"])?;
     node.expect("followingMode", &["position"])?;
-    let read = |entry: Node<'a>| {
+    let entries = node.children().map(|entry| {
         entry.only(&[], &["time", "speed"])?;
         Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
-    };
-    Ok(StoryAction::SpeedProfile(
-        node.children().map(read).collect::<Result<Vec<_>>>()?,
-    ))
+    });
+    Ok(StoryAction::SpeedProfile(entries.collect::<Result<_>>()?))
 }

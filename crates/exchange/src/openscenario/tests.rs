@@ -17,7 +17,7 @@ pub(super) const TIME: &str = r#"<ByValueCondition>
 <SimulationTimeCondition value="2" rule="greaterOrEqual"/></ByValueCondition>"#;
 
 /// Returns a file with a vehicle `other` that does an action when a condition is true, and the vehicle `ego` behind it.
-pub(super) fn file(place: &str, action: &str, condition: &str) -> String {
+pub(super) fn file(position: &str, action: &str, condition: &str) -> String {
     let vehicle = |name: &str, controller: &str| {
         format!(
             r#"<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><BoundingBox>
@@ -64,7 +64,7 @@ dynamicsDimension="time" value="0"/><SpeedActionTarget>{speed}</SpeedActionTarge
         ),
         private(
             "other",
-            place,
+            position,
             r#"<RelativeTargetSpeed entityRef="ego" value="0" speedTargetValueType="delta" continuous="false"/>"#
         ),
     )
@@ -175,10 +175,10 @@ fn speed_actions_of_all_shapes_become_scripts() {
 }
 
 #[test]
-fn lane_changes_cross_the_marking_with_the_side_of_the_body() {
+fn lane_changes_take_effect_when_the_side_of_the_body_crosses_the_marking() {
     // The vehicle of 1.5 m leaves 1 m on each side, and changes 3.5 m in 3.5 s.
-    let beside = same_lane().replace("\"-1\"", "\"-2\"");
-    let scenario = import(&file(&beside, &lane_change("-1"), TIME)).unwrap();
+    let other_lane = same_lane().replace("\"-1\"", "\"-2\"");
+    let scenario = import(&file(&other_lane, &lane_change("-1"), TIME)).unwrap();
     let Some(LaneChange::At(enters_s)) = scenario.vehicles()[0].enters else {
         panic!("{scenario:?}")
     };
@@ -198,7 +198,7 @@ coordinateSystem="lane" relativeDistanceType="longitudinal" rule="greaterThan"/>
             r#"entityRef="ego" value="5""#,
         )
     };
-    let scenario = import(&faster(&file(&beside, &lane_change("-1"), near))).unwrap();
+    let scenario = import(&faster(&file(&other_lane, &lane_change("-1"), near))).unwrap();
     let Some(LaneChange::Gap(gap_m)) = scenario.vehicles()[0].enters else {
         panic!("{scenario:?}")
     };
@@ -416,20 +416,20 @@ fn assumptions_and_content_without_influence_are_noted_with_their_lines() {
             "driver = `idm` contradicts the controller `mine`",
         ),
     ] {
-        let found = notes(old, &new, ROAD);
+        let messages = notes(old, &new, ROAD);
         assert!(
-            found
+            messages
                 .iter()
                 .any(|note| note.starts_with("f.xosc:") && note.contains(expected)),
-            "{expected}: {found:?}"
+            "{expected}: {messages:?}"
         );
     }
-    let found = notes("", "", &ROAD.replace("5000", "150"));
+    let messages = notes("", "", &ROAD.replace("5000", "150"));
     assert!(
-        found
+        messages
             .iter()
             .any(|note| note.contains("is outside the road `7` of 150 m, at the end")),
-        "{found:?}"
+        "{messages:?}"
     );
 }
 
@@ -469,22 +469,22 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
     assert_eq!(
         variations
             .iter()
-            .filter(|one| source.scenario(None, one).is_ok())
+            .filter(|variation| source.scenario(None, variation).is_ok())
             .count(),
         11,
         "one speed is too high"
     );
 
-    let stochastic = |name: &str, law: &str| {
+    let stochastic = |name: &str, distribution: &str| {
         distributions(&format!(
-            r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="{name}">{law}
+            r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="{name}">{distribution}
 </StochasticDistribution>
 </Stochastic>"#
         ))
     };
     let histogram = r#"<Histogram><HistogramBin weight="1"><Range lowerLimit="2" upperLimit="3"/></HistogramBin>
 <HistogramBin weight="3"><Range lowerLimit="4" upperLimit="6"/></HistogramBin></Histogram>"#;
-    for (law, mean_mps2) in [
+    for (distribution, mean_mps2) in [
         (histogram, 0.25 * 2.5 + 0.75 * 5.0),
         (
             r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#,
@@ -496,7 +496,7 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
         ),
     ] {
         let (space, _) = source
-            .space(None, &stochastic("rate", law).unwrap(), &Quiet)
+            .space(None, &stochastic("rate", distribution).unwrap(), &Quiet)
             .unwrap();
         assert_eq!(
             space.spec().parameters[0].field,
@@ -507,7 +507,7 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
             other => panic!("{other:?}"),
         };
         let mean = (0..2000).map(rate).sum::<f64>() / 2000.0;
-        assert!((mean - mean_mps2).abs() < 0.1, "{law}: {mean}");
+        assert!((mean - mean_mps2).abs() < 0.1, "{distribution}: {mean}");
     }
     let uniform =
         r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
@@ -549,7 +549,7 @@ fn refusal(good: &str, [old, new]: [&str; 2]) -> (String, usize) {
 /// ASAM OpenSCENARIO XML 1.3.1: delays, distances, headways and times to collision are from 0 on, and a transition
 /// reaches its target. A scenario ends after its start.
 #[test]
-fn values_that_no_scenario_can_have_are_refused_at_their_element() {
+fn values_out_of_range_are_refused_at_their_element() {
     let good = file(
         same_lane(),
         &speed_action("linear", "rate", "4", 10.0),

@@ -27,13 +27,21 @@ pub(super) struct Trigger<'a> {
     groups: Option<Vec<Vec<Condition<'a>>>>,
 }
 
+/// Start of an act or an event, or the end of the scenario.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Firing {
+    pub(super) time_s: f64,
+    /// True if the time depends on the motion of an entity with a controller.
+    pub(super) depends_on_controller: bool,
+}
+
 struct Condition<'a> {
     node: Node<'a>,
     kind: ConditionKind,
     edge: ConditionEdge,
     delay_s: f64,
     /// Margin at the step before; positive if the condition held.
-    before: Option<f64>,
+    margin_before: Option<f64>,
     /// Times from which the condition is true, delay included, and until which.
     pending_s: std::collections::VecDeque<f64>,
 }
@@ -53,7 +61,7 @@ enum ConditionKind {
         is_end: bool,
     },
     Entity {
-        who: Vec<usize>,
+        entities: Vec<usize>,
         needs_all: bool,
         quantity: EntityQuantity,
         threshold: ConditionThreshold,
@@ -64,7 +72,8 @@ enum ConditionKind {
 #[derive(Clone, Copy)]
 struct EntityQuantity {
     kind: QuantityKind,
-    to: Option<usize>,
+    /// Entity to which the quantity is relative.
+    reference: Option<usize>,
     /// True for distances between bumpers.
     is_free: bool,
 }
@@ -84,27 +93,33 @@ struct ConditionThreshold {
     is_strict: bool,
 }
 
+/// State of a condition at a time.
+struct ConditionState {
+    /// Positive if the condition holds.
+    margin: f64,
+    /// Time since which the condition holds, if that is known exactly.
+    since_s: Option<f64>,
+    depends_on_controller: bool,
+}
+
 impl ConditionThreshold {
     fn read(node: Node<'_>) -> Result<Self> {
-        let (is_lower, is_strict) = match node.text("rule")?.as_str() {
-            "greaterThan" => (true, true),
-            "greaterOrEqual" => (true, false),
-            "lessThan" => (false, true),
-            "lessOrEqual" => (false, false),
-            other => return Err(node.refuse(format!("the rule `{other}` is not supported"))),
-        };
+        let rule = node.text("rule")?;
+        if !["greaterThan", "greaterOrEqual", "lessThan", "lessOrEqual"].contains(&rule.as_str()) {
+            return Err(node.refuse(format!("the rule `{rule}` is not supported")));
+        }
         Ok(Self {
             value: node.number("value")?,
-            is_lower,
-            is_strict,
+            is_lower: rule.starts_with("greater"),
+            is_strict: rule.ends_with("Than"),
         })
     }
 
-    fn margin(self, found: f64) -> f64 {
+    fn margin(self, value: f64) -> f64 {
         let margin = if self.is_lower {
-            found - self.value
+            value - self.value
         } else {
-            self.value - found
+            self.value - value
         };
         // Conditions hold at positive margins.
         if margin == 0.0 && !self.is_strict {
@@ -142,38 +157,47 @@ impl<'a> Trigger<'a> {
     /// Returns the work of one evaluation: `elements` is the number of events and actions, `state_work` that of finding
     /// the state of an entity.
     pub(super) fn work(&self, elements: u64, state_work: u64) -> u64 {
-        let condition = |condition: &Condition<'_>| match &condition.kind {
-            ConditionKind::Time(_) => 5,
-            ConditionKind::Element { .. } => 5 + 4 * elements,
-            ConditionKind::Entity { who, .. } => 5 + 4 * state_work * who.len() as u64,
-        };
-        let group = |group: &Vec<Condition<'_>>| 2 + group.iter().map(condition).sum::<u64>();
-        2 + self.groups.iter().flatten().map(group).sum::<u64>()
+        let groups = self.groups.iter().flatten();
+        2 + groups
+            .map(|group| {
+                let conditions = group.iter();
+                2 + conditions
+                    .map(|condition| condition.work(elements, state_work))
+                    .sum::<u64>()
+            })
+            .sum::<u64>()
     }
 
-    /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`, and whether it depends on a
-    /// controller.
+    /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`.
     pub(super) fn fires(
         &mut self,
         state: &Replay<'_, '_>,
         before_s: f64,
         now_s: f64,
-    ) -> Result<Option<(f64, bool)>> {
+    ) -> Result<Option<Firing>> {
         let Some(groups) = &mut self.groups else {
-            return Ok(Some((before_s, false)));
+            return Ok(Some(Firing {
+                time_s: before_s,
+                depends_on_controller: false,
+            }));
         };
-        let mut first: Option<(f64, bool)> = None;
+        let mut first: Option<Firing> = None;
         for group in groups {
-            let (mut fired, mut depends) = (Some(before_s), false);
+            let mut fired_s = Some(before_s);
+            let mut depends_on_controller = false;
             for condition in group {
-                let (found, depends_too) = condition.evaluate(state, before_s, now_s)?;
-                fired = fired.zip(found).map(|(a, b)| a.max(b));
-                depends |= depends_too;
+                let state_now = condition.state(state, now_s)?;
+                let true_s = condition.evaluate(&state_now, before_s, now_s)?;
+                fired_s = fired_s.zip(true_s).map(|(a, b)| a.max(b));
+                depends_on_controller |= state_now.depends_on_controller;
             }
-            if let Some(time_s) = fired
-                && first.is_none_or(|(earlier_s, _)| time_s < earlier_s)
+            if let Some(time_s) = fired_s
+                && first.is_none_or(|earlier| time_s < earlier.time_s)
             {
-                first = Some((time_s, depends));
+                first = Some(Firing {
+                    time_s,
+                    depends_on_controller,
+                });
             }
         }
         Ok(first)
@@ -205,93 +229,108 @@ impl<'a> Condition<'a> {
             kind,
             edge,
             delay_s,
-            before: None,
+            margin_before: None,
             pending_s: Default::default(),
         })
     }
 
-    /// Returns a time in the step at which the condition is true, and whether it depends on a controller.
+    /// Returns the work of one evaluation.
+    fn work(&self, elements: u64, state_work: u64) -> u64 {
+        match &self.kind {
+            ConditionKind::Time(_) => 5,
+            ConditionKind::Element { .. } => 5 + 4 * elements,
+            ConditionKind::Entity { entities, .. } => 5 + 4 * state_work * entities.len() as u64,
+        }
+    }
+
+    /// Returns a time at which the condition, with its edge and its delay, is true in the step from `before_s` to
+    /// `now_s`.
     fn evaluate(
         &mut self,
-        state: &Replay<'_, '_>,
+        state: &ConditionState,
         before_s: f64,
         now_s: f64,
-    ) -> Result<(Option<f64>, bool)> {
-        let (margin, since_s, depends) = self.observe(state, now_s)?;
-        let before = self.before.replace(margin);
-        let (was, is) = (before.is_some_and(|before| before > 0.0), margin > 0.0);
-        let crossed_s = || {
-            let share = before.map_or(f64::NAN, |before| before / (before - margin));
-            let found_s = if share.is_finite() {
-                before_s + share * (now_s - before_s)
-            } else {
-                now_s
-            };
-            since_s.map_or(found_s, |since_s| since_s.max(before_s))
-        };
+    ) -> Result<Option<f64>> {
+        let margin_before = self.margin_before.replace(state.margin);
+        let held_before = margin_before.is_some_and(|margin| margin > 0.0);
+        let holds = state.margin > 0.0;
         let true_s = match self.edge {
-            ConditionEdge::None if is && was => Some(before_s),
-            ConditionEdge::Rising if before.is_none() && is => {
+            ConditionEdge::None if holds && held_before => Some(before_s),
+            ConditionEdge::Rising if margin_before.is_none() && holds => {
                 return Err(self
                     .node
                     .refuse("is true from the start, so that it never becomes true"));
             }
-            ConditionEdge::None | ConditionEdge::Rising if is && !was => Some(crossed_s()),
-            ConditionEdge::Falling if was && !is => Some(crossed_s()),
+            ConditionEdge::None | ConditionEdge::Rising if holds && !held_before => {
+                Some(state.crossed_s(margin_before, before_s, now_s))
+            }
+            ConditionEdge::Falling if held_before && !holds => {
+                Some(state.crossed_s(margin_before, before_s, now_s))
+            }
             _ => None,
         };
         self.pending_s
             .extend(true_s.map(|true_s| true_s + self.delay_s));
-        let mut found = None;
+        let mut first_due_s = None;
         while let Some(due_s) = self.pending_s.pop_front_if(|due_s| *due_s <= now_s + 1e-9) {
-            found = found.or(Some(due_s));
+            first_due_s = first_due_s.or(Some(due_s));
         }
-        Ok((found, depends))
+        Ok(first_due_s)
     }
 
-    /// Returns a number that is positive if the condition holds, the time since which it holds, if that is known
-    /// exactly, and whether it depends on a controller.
-    fn observe(&self, state: &Replay<'_, '_>, now_s: f64) -> Result<(f64, Option<f64>, bool)> {
+    /// Returns the state at the end of a step, without edge and delay.
+    fn state(&self, replay: &Replay<'_, '_>, now_s: f64) -> Result<ConditionState> {
         match &self.kind {
-            ConditionKind::Time(threshold) => {
-                Ok((threshold.margin(now_s), Some(threshold.value), false))
-            }
+            ConditionKind::Time(threshold) => Ok(ConditionState {
+                margin: threshold.margin(now_s),
+                since_s: Some(threshold.value),
+                depends_on_controller: false,
+            }),
             ConditionKind::Element { kind, name, is_end } => {
-                let missing = || {
+                let times = replay.element_times(kind, name).ok_or_else(|| {
                     self.node
                         .refuse(format!("there is no {kind} `{name}` in the stories"))
-                };
-                let (times_s, depends) = state.element_times_s(kind, name).ok_or_else(missing)?;
-                let at_s = times_s[usize::from(*is_end)];
-                Ok((
-                    if at_s.is_some_and(|at_s| at_s <= now_s) {
-                        1.0
-                    } else {
-                        -1.0
-                    },
-                    at_s,
-                    depends,
-                ))
+                })?;
+                let since_s = if *is_end { times.end_s } else { times.start_s };
+                let holds = since_s.is_some_and(|since_s| since_s <= now_s);
+                Ok(ConditionState {
+                    margin: if holds { 1.0 } else { -1.0 },
+                    since_s,
+                    depends_on_controller: times.depends_on_controller,
+                })
             }
             ConditionKind::Entity {
-                who,
+                entities,
                 needs_all,
                 quantity,
                 threshold,
             } => {
-                let margins = who
+                let margins = entities
                     .iter()
-                    .map(|one| threshold.margin(quantity.value(state, *one, now_s)));
-                let margin = margins
-                    .reduce(if *needs_all { f64::min } else { f64::max })
-                    .unwrap_or(-1.0);
-                let depends = who
-                    .iter()
-                    .copied()
-                    .chain(quantity.to)
-                    .any(|entity| state.is_controlled(entity));
-                Ok((margin, None, depends))
+                    .map(|entity| threshold.margin(quantity.value(replay, *entity, now_s)));
+                let margin = margins.reduce(if *needs_all { f64::min } else { f64::max });
+                let mut entities = entities.iter().copied().chain(quantity.reference);
+                Ok(ConditionState {
+                    margin: margin.unwrap_or(-1.0),
+                    since_s: None,
+                    depends_on_controller: entities.any(|entity| replay.is_controlled(entity)),
+                })
             }
+        }
+    }
+}
+
+impl ConditionState {
+    /// Returns the time in the step from `before_s` to `now_s` at which the condition begins or ends to hold.
+    fn crossed_s(&self, margin_before: Option<f64>, before_s: f64, now_s: f64) -> f64 {
+        if let Some(since_s) = self.since_s {
+            return since_s.max(before_s);
+        }
+        let share = margin_before.map_or(f64::NAN, |before| before / (before - self.margin));
+        if share.is_finite() {
+            before_s + share * (now_s - before_s)
+        } else {
+            now_s
         }
     }
 }
@@ -341,67 +380,74 @@ fn read_entity_condition(
     triggering.expect("triggeringEntitiesRule", &["any", "all"])?;
     count.add_entities(triggering, triggering.children().count())?;
     let needs_all = triggering.text("triggeringEntitiesRule")? == "all";
-    let who = triggering
+    let triggering_entities = triggering
         .children()
-        .map(|one| entity_index(one, "entityRef", entities))
+        .map(|entity| entity_index(entity, "entityRef", entities))
         .collect::<Result<Vec<_>>>()?;
     let condition = node.child("EntityCondition")?.single()?;
-    let (kind, attributes) = match condition.name() {
-        "SpeedCondition" => (QuantityKind::Speed, &["value", "rule"][..]),
-        "RelativeSpeedCondition" => (QuantityKind::Speed, &["entityRef", "value", "rule"][..]),
-        "RelativeDistanceCondition" => (QuantityKind::Distance, &DISTANCE_ATTRIBUTES[..]),
-        "TimeHeadwayCondition" => (QuantityKind::Headway, &DISTANCE_ATTRIBUTES[..]),
-        "TimeToCollisionCondition" => (QuantityKind::TimeToCollision, &DISTANCE_ATTRIBUTES[..]),
-        _ => return Err(condition.refuse("is not supported as a condition")),
-    };
-    let is_collision = condition.name() == "TimeToCollisionCondition";
-    condition.only(
-        if is_collision {
-            &["TimeToCollisionConditionTarget"]
-        } else {
-            &[]
-        },
-        attributes,
-    )?;
-    condition.expect("relativeDistanceType", &["longitudinal"])?;
-    condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
-    let is_free = condition.flag("freespace", false)?;
-    let to = match condition.name() {
-        "SpeedCondition" => None,
-        _ if is_collision => Some(
-            condition
-                .child("TimeToCollisionConditionTarget")?
-                .single()?,
-        ),
-        _ => Some(condition),
-    };
-    let to = to
-        .map(|node| entity_index(node, "entityRef", entities))
-        .transpose()?;
-    if !matches!(kind, QuantityKind::Speed) {
-        condition.non_negative("value")?;
-    }
-    let quantity = EntityQuantity { kind, to, is_free };
     Ok(ConditionKind::Entity {
-        who,
+        entities: triggering_entities,
         needs_all,
-        quantity,
+        quantity: EntityQuantity::read(condition, entities)?,
         threshold: ConditionThreshold::read(condition)?,
     })
 }
 
 impl EntityQuantity {
-    fn value(self, state: &Replay<'_, '_>, who: usize, now_s: f64) -> f64 {
-        let own_mps = state.speed_mps(who, now_s);
-        let Some(to) = self.to else { return own_mps };
-        let ahead_m = state.position_m(to, now_s) - state.position_m(who, now_s);
-        let faster_mps = own_mps - state.speed_mps(to, now_s);
-        let (front, rear, closing_mps) = if ahead_m >= 0.0 {
-            (to, who, faster_mps)
-        } else {
-            (who, to, -faster_mps)
+    /// Reads what a condition compares with its threshold.
+    fn read(condition: Node<'_>, entities: &[Entity<'_>]) -> Result<Self> {
+        let kind = match condition.name() {
+            "SpeedCondition" | "RelativeSpeedCondition" => QuantityKind::Speed,
+            "RelativeDistanceCondition" => QuantityKind::Distance,
+            "TimeHeadwayCondition" => QuantityKind::Headway,
+            "TimeToCollisionCondition" => QuantityKind::TimeToCollision,
+            _ => return Err(condition.refuse("is not supported as a condition")),
         };
-        let bodies_m = state.bumpers_m(rear)[0] + state.bumpers_m(front)[1];
+        let attributes = match condition.name() {
+            "SpeedCondition" => &["value", "rule"][..],
+            "RelativeSpeedCondition" => &["entityRef", "value", "rule"],
+            _ => &DISTANCE_ATTRIBUTES,
+        };
+        let target = "TimeToCollisionConditionTarget";
+        let has_target = matches!(kind, QuantityKind::TimeToCollision);
+        let children = if has_target { &[target][..] } else { &[] };
+        condition.only(children, attributes)?;
+        condition.expect("relativeDistanceType", &["longitudinal"])?;
+        condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
+        let is_free = condition.flag("freespace", false)?;
+        let reference = match condition.name() {
+            "SpeedCondition" => None,
+            _ if has_target => Some(condition.child(target)?.single()?),
+            _ => Some(condition),
+        };
+        let reference = reference
+            .map(|node| entity_index(node, "entityRef", entities))
+            .transpose()?;
+        if !matches!(kind, QuantityKind::Speed) {
+            condition.non_negative("value")?;
+        }
+        Ok(Self {
+            kind,
+            reference,
+            is_free,
+        })
+    }
+
+    fn value(self, replay: &Replay<'_, '_>, entity: usize, now_s: f64) -> f64 {
+        let own_mps = replay.speed_mps(entity, now_s);
+        let Some(reference) = self.reference else {
+            return own_mps;
+        };
+        let ahead_m = replay.position_m(reference, now_s) - replay.position_m(entity, now_s);
+        let faster_mps = own_mps - replay.speed_mps(reference, now_s);
+        let is_behind = ahead_m >= 0.0;
+        let [front, rear] = if is_behind {
+            [reference, entity]
+        } else {
+            [entity, reference]
+        };
+        let closing_mps = if is_behind { faster_mps } else { -faster_mps };
+        let bodies_m = replay.bumpers_m(rear)[0] + replay.bumpers_m(front)[1];
         let gap_m = if self.is_free {
             (ahead_m.abs() - bodies_m).max(0.0)
         } else {

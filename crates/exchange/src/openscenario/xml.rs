@@ -36,35 +36,19 @@ pub(super) struct SourceElement {
 }
 
 impl SourceElement {
-    /// Parses a file of at most `most_items` tags and attributes, and checks the name of its root.
-    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str, most_items: usize) -> Result<Self> {
+    /// Parses a file of at most `max_items` tags and attributes, and checks the name of its root.
+    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str, max_items: usize) -> Result<Self> {
         let path: Arc<Path> = path.into();
-        let syntax = |line, problem: String| {
-            let problem = shorten_message(&problem).into_owned();
-            ScenarioImportError::Syntax {
-                path: path.to_path_buf(),
-                line,
-                problem,
-            }
-        };
-        let text = std::str::from_utf8(bytes).map_err(|error| {
-            let before = bytes.get(..error.valid_up_to()).unwrap_or_default();
-            syntax(1 + count_lines(before), "the text is not UTF-8".to_owned())
-        })?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        // Counted before elements are built, which take more memory than their text.
-        let mut items = text.bytes().enumerate().filter(|(_, byte)| is_item(*byte));
-        if let Some((at, _)) = items.nth(most_items) {
-            let line = 1 + count_lines(text.as_bytes().get(..at).unwrap_or_default());
-            let problem = "tags and attributes, with the other files of the scenario";
-            return Err(syntax(
-                line,
-                format!("there are more than {MAX_XML_ITEMS} {problem}"),
-            ));
-        }
+        let text = decode_text(bytes, &path)?;
+        check_item_count(text, &path, max_items)?;
         let mut reader = Reader::from_str(text);
-        let (mut found, mut open): (Option<Self>, Vec<Self>) = (None, Vec::new());
-        let (mut line, mut counted) = (1, 0);
+        let mut tree = SourceTreeBuilder {
+            path: &path,
+            root: None,
+            open: Vec::new(),
+        };
+        let mut line = 1;
+        let mut counted_bytes = 0;
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
@@ -74,62 +58,27 @@ impl SourceElement {
                 start
             };
             let end = usize::try_from(end).unwrap_or(usize::MAX).min(text.len());
-            line += count_lines(text.as_bytes().get(counted..end).unwrap_or_default());
-            counted = counted.max(end);
-            let wrong = |problem: &str| syntax(line, problem.to_owned());
-            let done = match event.map_err(|error| wrong(&error.to_string()))? {
-                Event::Start(_) | Event::Empty(_) if open.is_empty() && found.is_some() => {
-                    return Err(wrong("there is a second root element"));
-                }
-                Event::Start(tag) => {
-                    if open.len() >= MAX_DEPTH {
-                        return Err(wrong(&format!(
-                            "elements are nested deeper than {MAX_DEPTH}"
-                        )));
-                    }
-                    open.push(
-                        Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?,
-                    );
-                    None
-                }
-                Event::Empty(tag) => {
-                    Some(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?)
-                }
-                Event::End(_) => open.pop(),
-                Event::DocType(_) => return Err(wrong("there is a document type declaration")),
-                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
-                Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) => {
-                    let around = open
-                        .last_mut()
-                        .ok_or_else(|| wrong("there is text outside of the root element"))?;
-                    around.has_text = true;
-                    None
-                }
-                Event::Eof if !open.is_empty() => {
-                    return Err(wrong("the text ends within an element"));
-                }
-                Event::Eof => {
-                    let found = found.ok_or_else(|| wrong("there is no element"))?;
-                    let expected = || {
-                        syntax(
-                            found.line,
-                            format!("the root is `{}`, expected `{root}`", found.name),
-                        )
-                    };
-                    return if found.name == root {
-                        Ok(found)
-                    } else {
-                        Err(expected())
-                    };
-                }
-                Event::Decl(_) | Event::Comment(_) | Event::PI(_) => None,
-            };
-            match (done, open.last_mut()) {
-                (Some(done), Some(parent)) => parent.children.push(done),
-                (Some(done), None) => found = Some(done),
-                (None, _) => {}
+            line += count_lines(text.as_bytes().get(counted_bytes..end).unwrap_or_default());
+            counted_bytes = counted_bytes.max(end);
+            let event = event.map_err(|error| syntax_error(&path, line, &error.to_string()))?;
+            if matches!(event, Event::Eof) {
+                let element = tree
+                    .finish()
+                    .map_err(|problem| syntax_error(&path, line, problem))?;
+                return element.check_name(root);
             }
+            tree.add(event, line)
+                .map_err(|problem| syntax_error(&path, line, &problem))?;
         }
+    }
+
+    /// Refuses a root of another name.
+    fn check_name(self, expected: &str) -> Result<Self> {
+        if self.name == expected {
+            return Ok(self);
+        }
+        let problem = format!("the root is `{}`, expected `{expected}`", self.name);
+        Err(syntax_error(&self.path, self.line, &problem))
     }
 
     fn from_tag(
@@ -137,11 +86,7 @@ impl SourceElement {
         line: u32,
         path: &Arc<Path>,
     ) -> std::result::Result<Self, String> {
-        let too_long =
-            || format!("a name or an attribute has more than {MAX_ATTRIBUTE_BYTES} bytes");
-        if tag.name().as_ref().len() > MAX_ATTRIBUTE_BYTES {
-            return Err(too_long());
-        }
+        check_length(tag.name().as_ref())?;
         let name = String::from_utf8_lossy(tag.local_name().as_ref()).into_owned();
         let mut attributes = Vec::new();
         for (index, attribute) in tag.attributes().enumerate() {
@@ -152,9 +97,8 @@ impl SourceElement {
                     "an element has more than {MAX_ATTRIBUTES} attributes"
                 ));
             }
-            if attribute.key.as_ref().len().max(attribute.value.len()) > MAX_ATTRIBUTE_BYTES {
-                return Err(too_long());
-            }
+            check_length(attribute.key.as_ref())?;
+            check_length(&attribute.value)?;
             let key = String::from_utf8_lossy(attribute.key.as_ref()).into_owned();
             let value = attribute.normalized_value(XmlVersion::Implicit1_0);
             let value = value
@@ -185,20 +129,18 @@ impl SourceElement {
         }
     }
 
-    /// Returns the number of elements and attributes, this element included, and the bytes of the attributes.
-    pub(super) fn size(&self) -> (usize, usize) {
-        let own_bytes: usize = self
-            .attributes
-            .iter()
-            .map(|(name, value)| name.len() + value.len())
-            .sum();
-        let own = (1 + self.attributes.len(), own_bytes);
-        self.children
-            .iter()
-            .map(Self::size)
-            .fold(own, |(items, bytes), (more, others)| {
-                (items + more, bytes + others)
-            })
+    /// Returns the size of this element with its children.
+    pub(super) fn size(&self) -> ElementSize {
+        let texts = self.attributes.iter();
+        let mut size = ElementSize {
+            items: 1 + self.attributes.len(),
+            bytes: texts.map(|(name, value)| name.len() + value.len()).sum(),
+        };
+        for child in self.children.iter().map(Self::size) {
+            size.items += child.items;
+            size.bytes += child.bytes;
+        }
+        size
     }
 
     pub(super) fn children(&self) -> &[Self] {
@@ -206,9 +148,109 @@ impl SourceElement {
     }
 }
 
+/// Refuses a name or an attribute that is longer than the limit.
+fn check_length(text: &[u8]) -> std::result::Result<(), String> {
+    if text.len() > MAX_ATTRIBUTE_BYTES {
+        return Err(format!(
+            "a name or an attribute has more than {MAX_ATTRIBUTE_BYTES} bytes"
+        ));
+    }
+    Ok(())
+}
+
+/// Elements that have been read, and those around the next event.
+struct SourceTreeBuilder<'a> {
+    path: &'a Arc<Path>,
+    root: Option<SourceElement>,
+    open: Vec<SourceElement>,
+}
+
+impl SourceTreeBuilder<'_> {
+    /// Adds what an event says, apart from the end of the text.
+    fn add(&mut self, event: Event<'_>, line: u32) -> std::result::Result<(), String> {
+        let closed = match event {
+            Event::Start(_) | Event::Empty(_) if self.open.is_empty() && self.root.is_some() => {
+                return Err("there is a second root element".to_owned());
+            }
+            Event::Start(tag) => {
+                if self.open.len() >= MAX_DEPTH {
+                    return Err(format!("elements are nested deeper than {MAX_DEPTH}"));
+                }
+                let element = SourceElement::from_tag(&tag, line, self.path)?;
+                self.open.push(element);
+                None
+            }
+            Event::Empty(tag) => Some(SourceElement::from_tag(&tag, line, self.path)?),
+            Event::End(_) => self.open.pop(),
+            Event::DocType(_) => return Err("there is a document type declaration".to_owned()),
+            Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
+            Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) => {
+                let around = self.open.last_mut();
+                around
+                    .ok_or("there is text outside of the root element")?
+                    .has_text = true;
+                None
+            }
+            Event::Eof | Event::Decl(_) | Event::Comment(_) | Event::PI(_) => None,
+        };
+        match (closed, self.open.last_mut()) {
+            (Some(element), Some(parent)) => parent.children.push(element),
+            (Some(element), None) => self.root = Some(element),
+            (None, _) => {}
+        }
+        Ok(())
+    }
+
+    /// Returns the root at the end of the text.
+    fn finish(self) -> std::result::Result<SourceElement, &'static str> {
+        if !self.open.is_empty() {
+            return Err("the text ends within an element");
+        }
+        self.root.ok_or("there is no element")
+    }
+}
+
+fn syntax_error(path: &Path, line: u32, problem: &str) -> ScenarioImportError {
+    ScenarioImportError::Syntax {
+        path: path.to_path_buf(),
+        line,
+        problem: shorten_message(problem).into_owned(),
+    }
+}
+
+/// Returns the text of a file without a byte order mark.
+fn decode_text<'a>(bytes: &'a [u8], path: &Path) -> Result<&'a str> {
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        let before = bytes.get(..error.valid_up_to()).unwrap_or_default();
+        syntax_error(path, 1 + count_lines(before), "the text is not UTF-8")
+    })?;
+    Ok(text.strip_prefix('\u{feff}').unwrap_or(text))
+}
+
+/// Refuses too many tags and attributes, before elements are built, which take more memory than their text.
+fn check_item_count(text: &str, path: &Path, max_items: usize) -> Result<()> {
+    let mut items = text.bytes().enumerate().filter(|(_, byte)| is_item(*byte));
+    let Some((excess_at, _)) = items.nth(max_items) else {
+        return Ok(());
+    };
+    let before = text.as_bytes().get(..excess_at).unwrap_or_default();
+    let problem = format!(
+        "there are more than {MAX_XML_ITEMS} tags and attributes, with the other files of the scenario"
+    );
+    Err(syntax_error(path, 1 + count_lines(before), &problem))
+}
+
+/// Size of an element in its file.
+pub(super) struct ElementSize {
+    /// Number of elements and attributes.
+    pub(super) items: usize,
+    /// Bytes of the attributes.
+    pub(super) bytes: usize,
+}
+
 /// File, line and name of an element, for errors after its parameters are forgotten.
 #[derive(Debug, Clone)]
-pub(super) struct ElementPlace {
+pub(super) struct ElementLocation {
     pub(super) path: Arc<Path>,
     pub(super) line: u32,
     pub(super) name: String,
@@ -240,8 +282,8 @@ impl<'a> Node<'a> {
         &self.element.name
     }
 
-    pub(super) fn place(self) -> ElementPlace {
-        ElementPlace {
+    pub(super) fn location(self) -> ElementLocation {
+        ElementLocation {
             path: self.element.path.clone(),
             line: self.element.line,
             name: shorten_message(&self.element.name).into_owned(),
@@ -317,17 +359,17 @@ impl<'a> Node<'a> {
         self.element
             .attributes
             .iter()
-            .find(|(other, _)| other == name)
+            .find(|(key, _)| key == name)
             .map(|(_, value)| value.as_str())
     }
 
     pub(super) fn optional_text(self, name: &str) -> Result<Option<String>> {
-        let value = |raw| {
-            self.parameters
-                .resolve(raw)
-                .map_err(|why| self.refuse(format!("attribute `{name}`: {why}")))
+        let Some(raw) = self.raw(name) else {
+            return Ok(None);
         };
-        self.raw(name).map(value).transpose()
+        let text = self.parameters.resolve(raw);
+        text.map(Some)
+            .map_err(|reason| self.refuse(format!("attribute `{name}`: {reason}")))
     }
 
     pub(super) fn text(self, name: &str) -> Result<String> {
@@ -336,13 +378,16 @@ impl<'a> Node<'a> {
     }
 
     pub(super) fn optional_number(self, name: &str) -> Result<Option<f64>> {
-        let parse = |text: String| match text.trim().parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(self.refuse(format!(
+        let Some(text) = self.optional_text(name)? else {
+            return Ok(None);
+        };
+        let number = text.trim().parse::<f64>().ok();
+        match number.filter(|number| number.is_finite()) {
+            Some(number) => Ok(Some(number)),
+            None => Err(self.refuse(format!(
                 "attribute `{name}`: `{text}` is not a finite number"
             ))),
-        };
-        self.optional_text(name)?.map(parse).transpose()
+        }
     }
 
     pub(super) fn number(self, name: &str) -> Result<f64> {
@@ -365,9 +410,9 @@ impl<'a> Node<'a> {
     }
 
     fn refuse_negative(self, name: &str, value: f64) -> ScenarioImportError {
-        let found = format_number(value);
         self.refuse(format!(
-            "attribute `{name}`: must not be negative, found {found}"
+            "attribute `{name}`: must not be negative, found {}",
+            format_number(value)
         ))
     }
 
@@ -385,8 +430,8 @@ impl<'a> Node<'a> {
     /// Refuses any value of an attribute but the expected ones; a missing attribute is accepted.
     pub(super) fn expect(self, name: &str, expected: &[&str]) -> Result<()> {
         match self.optional_text(name)? {
-            Some(found) if !expected.contains(&found.as_str()) => Err(self.refuse(format!(
-                "`{name}` = `{found}` is not supported, only {}",
+            Some(text) if !expected.contains(&text.as_str()) => Err(self.refuse(format!(
+                "`{name}` = `{text}` is not supported, only {}",
                 expected.join(", ")
             ))),
             _ => Ok(()),

@@ -228,11 +228,11 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
 #[test]
 fn descriptions_are_read_in_linear_time() {
     const BYTES: usize = 1 << 20;
-    let many = |one: &dyn Fn(usize) -> String| {
+    let many = |item: &dyn Fn(usize) -> String| {
         let mut text = String::with_capacity(BYTES + 100);
         let mut index = 0;
         while text.len() < BYTES {
-            text += &one(index);
+            text += &item(index);
             index += 1;
         }
         text

@@ -91,9 +91,6 @@ impl Fmi2 {
         folder: &Path,
         description: &ModelDescription,
     ) -> Result<Self, String> {
-        let text = |text: &str| {
-            CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"))
-        };
         let location = format!(
             "file://{}",
             percent_encode(&folder.join("resources").to_string_lossy())
@@ -114,8 +111,8 @@ impl Fmi2 {
             set_integer: load_symbol(&library, c"fmi2SetInteger")?,
             set_boolean: load_symbol(&library, c"fmi2SetBoolean")?,
             get_real: load_symbol(&library, c"fmi2GetReal")?,
-            token: text(&description.instantiation_token)?,
-            resources: text(&location)?,
+            token: c_string(&description.instantiation_token)?,
+            resources: c_string(&location)?,
             callbacks: Box::new(Fmi2Callbacks {
                 logger: log,
                 allocate_memory: calloc,
@@ -132,29 +129,22 @@ impl Fmi2 {
 impl FmiFunctions for Fmi2 {
     fn instantiate(&mut self) -> Result<(), String> {
         const CO_SIMULATION: c_int = 1;
-        let (token, resources, callbacks) = (
-            self.token.as_ptr(),
-            self.resources.as_ptr(),
-            &raw const *self.callbacks,
-        );
         // SAFETY: the texts end in NUL; they and the callbacks live as long as the instance, and do not move.
         self.component = unsafe {
             (self.instantiate)(
                 c"crumple".as_ptr(),
                 CO_SIMULATION,
-                token,
-                resources,
-                callbacks,
+                self.token.as_ptr(),
+                self.resources.as_ptr(),
+                &raw const *self.callbacks,
                 0,
                 0,
             )
         };
-        let problem = || "the FMU cannot be instantiated (fmi2Instantiate)".to_owned();
         if self.component.is_null() {
-            Err(problem())
-        } else {
-            Ok(())
+            return Err("the FMU cannot be instantiated (fmi2Instantiate)".to_owned());
         }
+        Ok(())
     }
 
     fn reset(&mut self) -> Result<(), String> {
@@ -162,25 +152,26 @@ impl FmiFunctions for Fmi2 {
         check_status("fmi2Reset", unsafe { (self.reset)(self.component) })
     }
 
-    fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
-        let reference = &raw const wire.value_reference;
+    fn set(&mut self, variable: VariableRef, value: f64) -> Result<(), String> {
+        let component = self.component;
+        let reference = &raw const variable.value_reference;
         let whole = value as c_int;
         // SAFETY: the call reads one reference and one value; both live until it returns.
-        let (call, status) = unsafe {
-            match wire.kind {
-                VariableType::Real => (
-                    "fmi2SetReal",
-                    (self.set_real)(self.component, reference, 1, &raw const value),
-                ),
-                VariableType::Integer => (
-                    "fmi2SetInteger",
-                    (self.set_integer)(self.component, reference, 1, &raw const whole),
-                ),
-                VariableType::Boolean => (
-                    "fmi2SetBoolean",
-                    (self.set_boolean)(self.component, reference, 1, &raw const whole),
-                ),
+        let status = unsafe {
+            match variable.kind {
+                VariableType::Real => (self.set_real)(component, reference, 1, &raw const value),
+                VariableType::Integer => {
+                    (self.set_integer)(component, reference, 1, &raw const whole)
+                }
+                VariableType::Boolean => {
+                    (self.set_boolean)(component, reference, 1, &raw const whole)
+                }
             }
+        };
+        let call = match variable.kind {
+            VariableType::Real => "fmi2SetReal",
+            VariableType::Integer => "fmi2SetInteger",
+            VariableType::Boolean => "fmi2SetBoolean",
         };
         check_status(call, status)
     }
@@ -210,13 +201,13 @@ impl FmiFunctions for Fmi2 {
         })
     }
 
-    fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
+    fn get(&mut self, variable: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
         let status = unsafe {
             (self.get_real)(
                 self.component,
-                &raw const wire.value_reference,
+                &raw const variable.value_reference,
                 1,
                 &raw mut value,
             )
@@ -250,19 +241,23 @@ pub(super) fn log_message(status: Fmi2Status, message: *const c_char) {
 /// Returns a function of a library, which must stay open while the function is used.
 pub(super) fn load_symbol<F: Copy>(library: &Library, name: &CStr) -> Result<F, String> {
     // SAFETY: the standard defines the signature of each name, and the caller keeps the library open.
-    let found: Symbol<'_, F> = unsafe { library.get(name.to_bytes_with_nul()) }
+    let symbol: Symbol<'_, F> = unsafe { library.get(name.to_bytes_with_nul()) }
         .map_err(|_| format!("its library has no function {}", name.to_string_lossy()))?;
-    Ok(*found)
+    Ok(*symbol)
+}
+
+/// Returns a text that ends in NUL.
+pub(super) fn c_string(text: &str) -> Result<CString, String> {
+    CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"))
 }
 
 fn percent_encode(path: &str) -> String {
-    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte);
-    let encode = |byte: u8| {
-        if plain(byte) {
-            char::from(byte).to_string()
-        } else {
-            format!("%{byte:02X}")
-        }
-    };
-    path.bytes().map(encode).collect()
+    path.bytes()
+        .map(|byte| match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' | b'/' => {
+                char::from(byte).to_string()
+            }
+            _ => format!("%{byte:02X}"),
+        })
+        .collect()
 }

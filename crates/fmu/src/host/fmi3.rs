@@ -8,7 +8,7 @@ use std::ptr;
 
 use libloading::Library;
 
-use super::fmi2::{load_symbol, log_message};
+use super::fmi2::{c_string, load_symbol, log_message};
 use super::instance::{FmiFunctions, VariableRef, check_status, load_error_message};
 use crate::{ModelDescription, VariableType};
 
@@ -82,9 +82,6 @@ impl Fmi3 {
         folder: &Path,
         description: &ModelDescription,
     ) -> Result<Self, String> {
-        let text = |text: &str| {
-            CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"))
-        };
         // The standard requires a separator at the end.
         let location = folder
             .join("resources")
@@ -106,8 +103,8 @@ impl Fmi3 {
             set_int32: load_symbol(&library, c"fmi3SetInt32")?,
             set_boolean: load_symbol(&library, c"fmi3SetBoolean")?,
             get_float64: load_symbol(&library, c"fmi3GetFloat64")?,
-            token: text(&description.instantiation_token)?,
-            resources: text(&location)?,
+            token: c_string(&description.instantiation_token)?,
+            resources: c_string(&location)?,
             instance: ptr::null_mut(),
             _library: library,
         })
@@ -116,31 +113,29 @@ impl Fmi3 {
 
 impl FmiFunctions for Fmi3 {
     fn instantiate(&mut self) -> Result<(), String> {
-        let (token, resources) = (self.token.as_ptr(), self.resources.as_ptr());
-        let (none, absent) = (ptr::null(), ptr::null_mut());
+        let no_variables = ptr::null();
+        let environment = ptr::null_mut();
         // SAFETY: the texts end in NUL and live as long as the instance; no variables need intermediate updates.
         self.instance = unsafe {
             (self.instantiate)(
                 c"crumple".as_ptr(),
-                token,
-                resources,
+                self.token.as_ptr(),
+                self.resources.as_ptr(),
                 false,
                 false,
                 false,
                 false,
-                none,
+                no_variables,
                 0,
-                absent,
+                environment,
                 log,
                 ptr::null(),
             )
         };
-        let problem = || "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)".to_owned();
         if self.instance.is_null() {
-            Err(problem())
-        } else {
-            Ok(())
+            return Err("the FMU cannot be instantiated (fmi3InstantiateCoSimulation)".to_owned());
         }
+        Ok(())
     }
 
     fn reset(&mut self) -> Result<(), String> {
@@ -148,25 +143,29 @@ impl FmiFunctions for Fmi3 {
         check_status("fmi3Reset", unsafe { (self.reset)(self.instance) })
     }
 
-    fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
-        let reference = &raw const wire.value_reference;
-        let (whole, truth) = (value as i32, value != 0.0);
+    fn set(&mut self, variable: VariableRef, value: f64) -> Result<(), String> {
+        let instance = self.instance;
+        let reference = &raw const variable.value_reference;
+        let whole = value as i32;
+        let truth = value != 0.0;
         // SAFETY: the call reads one reference and one value; both live until it returns.
-        let (call, status) = unsafe {
-            match wire.kind {
-                VariableType::Real => (
-                    "fmi3SetFloat64",
-                    (self.set_float64)(self.instance, reference, 1, &raw const value, 1),
-                ),
-                VariableType::Integer => (
-                    "fmi3SetInt32",
-                    (self.set_int32)(self.instance, reference, 1, &raw const whole, 1),
-                ),
-                VariableType::Boolean => (
-                    "fmi3SetBoolean",
-                    (self.set_boolean)(self.instance, reference, 1, &raw const truth, 1),
-                ),
+        let status = unsafe {
+            match variable.kind {
+                VariableType::Real => {
+                    (self.set_float64)(instance, reference, 1, &raw const value, 1)
+                }
+                VariableType::Integer => {
+                    (self.set_int32)(instance, reference, 1, &raw const whole, 1)
+                }
+                VariableType::Boolean => {
+                    (self.set_boolean)(instance, reference, 1, &raw const truth, 1)
+                }
             }
+        };
+        let call = match variable.kind {
+            VariableType::Real => "fmi3SetFloat64",
+            VariableType::Integer => "fmi3SetInt32",
+            VariableType::Boolean => "fmi3SetBoolean",
         };
         check_status(call, status)
     }
@@ -186,7 +185,10 @@ impl FmiFunctions for Fmi3 {
     }
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
-        let (mut event, mut ends, mut early, mut last_s) = (false, false, false, time_s + step_s);
+        let mut event = false;
+        let mut ends = false;
+        let mut early = false;
+        let mut last_s = time_s + step_s;
         // SAFETY: an initialized instance of this library, and room for all results of the step.
         let status = unsafe {
             (self.do_step)(
@@ -210,13 +212,13 @@ impl FmiFunctions for Fmi3 {
         }
     }
 
-    fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
+    fn get(&mut self, variable: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
         let status = unsafe {
             (self.get_float64)(
                 self.instance,
-                &raw const wire.value_reference,
+                &raw const variable.value_reference,
                 1,
                 &raw mut value,
                 1,

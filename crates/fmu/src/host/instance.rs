@@ -46,11 +46,11 @@ pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
 pub(super) trait FmiFunctions {
     fn instantiate(&mut self) -> Result<(), String>;
     fn reset(&mut self) -> Result<(), String>;
-    fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String>;
+    fn set(&mut self, variable: VariableRef, value: f64) -> Result<(), String>;
     fn enter_initialization(&mut self) -> Result<(), String>;
     fn exit_initialization(&mut self) -> Result<(), String>;
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String>;
-    fn get(&mut self, wire: VariableRef) -> Result<f64, String>;
+    fn get(&mut self, variable: VariableRef) -> Result<f64, String>;
     /// The returned status is ignored.
     fn terminate(&mut self);
     fn free(&mut self);
@@ -77,27 +77,21 @@ pub(super) struct Instance {
 }
 
 impl Instance {
+    /// Unpacks an FMU, loads its library, and connects its variables.
     pub(super) fn load(path: &Path, wiring: &VariableMap) -> Result<Self, String> {
         let mut fmu = Fmu::open(path).map_err(|error| error.to_string())?;
         let description = fmu.description();
-        let wire = |name: &str, causality| find_variable(description, name, causality);
         let inputs = wiring
             .inputs
             .iter()
-            .map(|name| wire(name, Causality::Input))
+            .map(|name| find_variable(description, name, Causality::Input))
             .collect::<Result<_, _>>()?;
-        let output = wire(&wiring.output, Causality::Output)?;
-        let parameters = wiring.parameters.iter().map(|(name, value)| {
-            let wire = wire(name, Causality::Parameter)?;
-            match wire.kind.accepts(*value) {
-                true => Ok((wire, *value)),
-                false => Err(format!(
-                    "{name}: {value} is no value of a variable that is {}",
-                    wire.kind.name()
-                )),
-            }
-        });
-        let parameters = parameters.collect::<Result<_, _>>()?;
+        let output = find_variable(description, &wiring.output, Causality::Output)?;
+        let parameters = wiring
+            .parameters
+            .iter()
+            .map(|(name, value)| Ok((find_parameter(description, name, *value)?, *value)))
+            .collect::<Result<_, String>>()?;
         let folder = UnpackedFolder::new()
             .map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
         let library = fmu
@@ -141,7 +135,7 @@ impl Instance {
         }
         self.parameters
             .iter()
-            .try_for_each(|(wire, value)| self.functions.set(*wire, *value))?;
+            .try_for_each(|(variable, value)| self.functions.set(*variable, *value))?;
         self.state = InstanceState::Instantiated;
         Ok(())
     }
@@ -150,7 +144,7 @@ impl Instance {
         &mut self,
         time_s: f64,
         interval_s: f64,
-        see: &[f64],
+        inputs: &[f64],
     ) -> Result<f64, String> {
         // The first observation initializes the FMU.
         let is_first = match std::mem::replace(&mut self.state, InstanceState::Failed) {
@@ -163,13 +157,13 @@ impl Instance {
         if is_first {
             self.functions.enter_initialization()?;
         }
-        for (wire, value) in self.inputs.iter().zip(see) {
-            let value = if wire.kind == VariableType::Integer {
+        for (variable, value) in self.inputs.iter().zip(inputs) {
+            let value = if variable.kind == VariableType::Integer {
                 value.round()
             } else {
                 *value
             };
-            self.functions.set(*wire, value)?;
+            self.functions.set(*variable, value)?;
         }
         if is_first {
             self.functions.exit_initialization()?;
@@ -204,15 +198,30 @@ fn find_variable(
     name: &str,
     causality: Causality,
 ) -> Result<VariableRef, String> {
-    let found = description
+    let variable = description
         .with_causality(causality)
-        .find(|variable| variable.name == name);
-    let found =
-        found.ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
+        .find(|variable| variable.name == name)
+        .ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
     Ok(VariableRef {
-        value_reference: found.value_reference,
-        kind: found.kind,
+        value_reference: variable.value_reference,
+        kind: variable.kind,
     })
+}
+
+/// Returns the parameter of a name, which must accept a value.
+fn find_parameter(
+    description: &ModelDescription,
+    name: &str,
+    value: f64,
+) -> Result<VariableRef, String> {
+    let parameter = find_variable(description, name, Causality::Parameter)?;
+    if parameter.kind.accepts(value) {
+        return Ok(parameter);
+    }
+    Err(format!(
+        "{name}: {value} is no value of a variable that is {}",
+        parameter.kind.name()
+    ))
 }
 
 /// True if the folder of the library holds other files, which it may load later.

@@ -16,7 +16,7 @@ mod instance;
 mod serve;
 mod unpacked_folder;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -63,46 +63,57 @@ enum HostCommand {
 fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     // Split at the last equal sign: the name of a variable may contain one, a number cannot.
     let (name, value) = text.rsplit_once('=').ok_or("must be VARIABLE=VALUE")?;
-    Ok((
-        name.to_owned(),
-        value
-            .parse()
-            .map_err(|_| format!("{value:?} is no number"))?,
-    ))
+    match value.parse() {
+        Ok(number) => Ok((name.to_owned(), number)),
+        Err(_) => Err(format!("{value:?} is no number")),
+    }
 }
 
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
-    let (fmu, done) = match HostArguments::parse().command {
-        HostCommand::Describe { fmu } => {
-            let described = Fmu::open(&fmu).map(|fmu| print!("{}", fmu.description()));
-            (fmu, described.map_err(|error| error.to_string()))
-        }
-        HostCommand::Drive {
-            fmu,
-            inputs,
-            output,
-            parameters,
-            interval_s,
-        } => {
-            let wiring = VariableMap {
-                inputs,
-                output,
-                parameters,
-                interval_s,
-            };
-            let served = serve::serve(&fmu, &wiring);
-            (fmu, served)
-        }
-    };
-    match done {
+    let command = HostArguments::parse().command;
+    let fmu = command.fmu().to_owned();
+    match command.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(problem) => {
             // At once: standard error has no buffer, and crumple reads its last lines.
             let line = format!("{}: {problem}\n", fmu.display());
             let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
             ExitCode::from(2)
+        }
+    }
+}
+
+impl HostCommand {
+    fn fmu(&self) -> &Path {
+        match self {
+            Self::Describe { fmu } | Self::Drive { fmu, .. } => fmu,
+        }
+    }
+
+    fn run(self) -> Result<(), String> {
+        match self {
+            Self::Describe { fmu } => {
+                let fmu = Fmu::open(&fmu).map_err(|error| error.to_string())?;
+                print!("{}", fmu.description());
+                Ok(())
+            }
+            Self::Drive {
+                fmu,
+                inputs,
+                output,
+                parameters,
+                interval_s,
+            } => {
+                let wiring = VariableMap {
+                    inputs,
+                    output,
+                    parameters,
+                    interval_s,
+                };
+                serve::serve(&fmu, &wiring)
+            }
         }
     }
 }

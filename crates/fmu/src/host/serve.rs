@@ -39,74 +39,101 @@ struct HelloBody {
     history: usize,
 }
 
+/// Answers requests from standard input until its end.
 pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
-    let io_failed = |error: io::Error| format!("standard input or output: {error}");
-    let mut answers = redirect_stdout().map_err(io_failed)?;
-    let mut instance = Instance::load(fmu, wiring)?;
-    let name =
-        serde_json::Value::from(fmu.file_name().unwrap_or(fmu.as_os_str()).to_string_lossy());
-    let mut interval_s = None;
-    let (mut questions, mut line) = (io::stdin().lock(), String::new());
+    let mut answers = redirect_stdout().map_err(describe_io_error)?;
+    let name = fmu.file_name().unwrap_or(fmu.as_os_str()).to_string_lossy();
+    let mut host = FmuHost {
+        instance: Instance::load(fmu, wiring)?,
+        wiring,
+        name: name.into(),
+        interval_s: None,
+    };
+    let mut requests = io::stdin().lock();
+    let mut line = String::new();
     loop {
         line.clear();
-        let read = io::Read::take(&mut questions, MAX_LINE_BYTES)
+        let bytes = io::Read::take(&mut requests, MAX_LINE_BYTES)
             .read_line(&mut line)
-            .map_err(io_failed)?;
-        if read == 0 {
+            .map_err(describe_io_error)?;
+        if bytes == 0 {
             return Ok(());
         }
-        let question = serde_json::from_str(&line)
-            .map_err(|error| format!("{error} in {}", line.trim_end()))?;
-        let answer = match question {
-            HostRequest::Hello {
-                version: crumple,
-                hello,
-            } => {
-                let HelloBody {
-                    step_s,
-                    inputs,
-                    history,
-                } = hello;
-                if crumple != 1 || history != 1 || inputs.len() != wiring.inputs.len() {
-                    return Err(format!("does not support the request {}", line.trim_end()));
-                }
-                interval_s = Some(wiring.interval_s.unwrap_or(step_s));
-                let stated = wiring
-                    .interval_s
-                    .map_or_else(String::new, |own_s| format!(",\"interval_s\":{own_s}"));
-                format!(
-                    "{{\"crumple\":1,\"name\":{name},\"deterministic\":true,\"inputs\":{}{stated}}}\n",
-                    wiring.inputs.len()
-                )
-            }
-            HostRequest::Reset { id, .. } => {
-                instance.start_run()?;
-                format!("{{\"id\":{id},\"ready\":true}}\n")
-            }
-            HostRequest::Decide {
-                id,
-                time_s,
-                inputs: see,
-            } => {
-                let interval_s = interval_s
-                    .ok_or("received a request for a decision before the request `hello`")?;
-                if see.len() != wiring.inputs.len() {
-                    return Err(format!(
-                        "received {} values for {} inputs",
-                        see.len(),
-                        wiring.inputs.len()
-                    ));
-                }
-                let answer = instance.decide(time_s, interval_s, &see)?;
-                let answer =
-                    serde_json::Number::from_f64(answer).ok_or("its output is not finite")?;
-                format!("{{\"id\":{id},\"acceleration_mps2\":{answer}}}\n")
-            }
-        };
+        let answer = host.answer(&line)?;
         answers
             .write_all(answer.as_bytes())
             .and_then(|()| answers.flush())
-            .map_err(io_failed)?;
+            .map_err(describe_io_error)?;
+    }
+}
+
+fn describe_io_error(error: io::Error) -> String {
+    format!("standard input or output: {error}")
+}
+
+/// An FMU that answers requests.
+struct FmuHost<'a> {
+    instance: Instance,
+    wiring: &'a VariableMap,
+    name: serde_json::Value,
+    /// Time between decisions, in seconds; none before the request `hello`.
+    interval_s: Option<f64>,
+}
+
+impl FmuHost<'_> {
+    /// Returns the line that answers a request.
+    fn answer(&mut self, line: &str) -> Result<String, String> {
+        let request = serde_json::from_str(line)
+            .map_err(|error| format!("{error} in {}", line.trim_end()))?;
+        match request {
+            HostRequest::Hello { version, hello } => self
+                .greet(version, &hello)
+                .ok_or_else(|| format!("does not support the request {}", line.trim_end())),
+            HostRequest::Reset { id, .. } => {
+                self.instance.start_run()?;
+                Ok(format!("{{\"id\":{id},\"ready\":true}}\n"))
+            }
+            HostRequest::Decide { id, time_s, inputs } => {
+                let command_mps2 = self.decide(time_s, &inputs)?;
+                Ok(format!(
+                    "{{\"id\":{id},\"acceleration_mps2\":{command_mps2}}}\n"
+                ))
+            }
+        }
+    }
+
+    /// Returns the answer to a greeting; none if this program does not support the request.
+    fn greet(&mut self, version: u32, hello: &HelloBody) -> Option<String> {
+        let count = self.wiring.inputs.len();
+        if version != 1 || hello.history != 1 || hello.inputs.len() != count {
+            return None;
+        }
+        let own_interval_s = self.wiring.interval_s;
+        self.interval_s = Some(own_interval_s.unwrap_or(hello.step_s));
+        let stated = own_interval_s.map_or_else(String::new, |interval_s| {
+            format!(",\"interval_s\":{interval_s}")
+        });
+        let name = &self.name;
+        Some(format!(
+            "{{\"crumple\":1,\"name\":{name},\"deterministic\":true,\"inputs\":{count}{stated}}}\n"
+        ))
+    }
+
+    /// Returns the commanded acceleration for values of the inputs.
+    fn decide(&mut self, time_s: f64, inputs: &[f64]) -> Result<serde_json::Number, String> {
+        let interval_s = self
+            .interval_s
+            .ok_or("received a request for a decision before the request `hello`")?;
+        let count = self.wiring.inputs.len();
+        if inputs.len() != count {
+            return Err(format!(
+                "received {} values for {count} inputs",
+                inputs.len()
+            ));
+        }
+        let command_mps2 = self.instance.decide(time_s, interval_s, inputs)?;
+        let command_mps2 = serde_json::Number::from_f64(command_mps2);
+        Ok(command_mps2.ok_or("its output is not finite")?)
     }
 }
 

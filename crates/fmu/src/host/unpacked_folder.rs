@@ -97,7 +97,7 @@ mod unix {
         }
         let locked = folder.metadata()?;
         let is_there = fs::symlink_metadata(path)
-            .is_ok_and(|found| (found.dev(), found.ino()) == (locked.dev(), locked.ino()));
+            .is_ok_and(|entry| (entry.dev(), entry.ino()) == (locked.dev(), locked.ino()));
         Ok(is_there.then_some(folder))
     }
 
@@ -115,7 +115,7 @@ mod unix {
             let path = entry.path();
             let Ok(folder) = open(&path) else { continue };
             let own = rustix::process::geteuid().as_raw();
-            if folder.metadata().is_ok_and(|found| found.uid() == own) && folder.try_lock().is_ok()
+            if folder.metadata().is_ok_and(|entry| entry.uid() == own) && folder.try_lock().is_ok()
             {
                 let _ = fs::remove_dir_all(&path);
             }
@@ -150,7 +150,7 @@ mod tests {
 
     /// Other users can create any entry in a shared temporary folder.
     #[test]
-    fn links_files_and_other_names_are_left_alone() {
+    fn only_abandoned_folders_are_removed() {
         let temporary = tempfile::tempdir().unwrap();
         let precious = tempfile::tempdir().unwrap();
         fs::write(precious.path().join("precious"), "precious").unwrap();
@@ -180,7 +180,7 @@ mod tests {
 
     /// Eight concurrent starts, repeated: each keeps its folder.
     #[test]
-    fn starts_at_the_same_time_keep_their_folders() {
+    fn concurrent_starts_keep_their_folders() {
         let temporary = tempfile::tempdir().unwrap();
         std::thread::scope(|scope| {
             for _ in 0..8 {

@@ -44,26 +44,23 @@ impl ProcessDriver {
         seed: u64,
     ) -> Result<Self, ControllerFailure> {
         let hello = pool.hello(ego);
-        let taken = pool.acquire(&hello)?;
-        let reused = taken.question_count > 0;
-        let first = pool.reset_for_run(taken, seed)?;
-        let checked = pool.is_selected_for_check(ego.vehicle, reused, seed);
-        let second = checked.then(|| {
-            pool.start(&hello)
-                .and_then(|second| pool.reset_for_run(second, seed))
-        });
-        let is_batch = first.greeting.batch;
-        let interval_s = pool
-            .setup
-            .mapping
-            .decision_interval_s
-            .or(first.greeting.interval_s);
+        let process = pool.acquire(&hello)?;
+        let is_reused = process.question_count > 0;
+        let process = pool.reset_for_run(process, seed)?;
+        let second_process = if pool.is_selected_for_check(ego.vehicle, is_reused, seed) {
+            Some(pool.reset_for_run(pool.start(&hello)?, seed)?)
+        } else {
+            None
+        };
+        let is_batch = process.greeting.batch;
+        let stated_interval_s = pool.setup.mapping.decision_interval_s;
+        let interval_s = stated_interval_s.or(process.greeting.interval_s);
         let mut driver = Self {
-            own_process: Some(first),
+            own_process: Some(process),
             hello,
             is_batch,
-            is_reused: reused,
-            second_process: second.transpose()?,
+            is_reused,
+            second_process,
             decision_timer: DecisionTimer::new(interval_s, ego.step_s),
             step_s: ego.step_s,
             steps: 0,
@@ -75,34 +72,39 @@ impl ProcessDriver {
             replaced_mps2: None,
             pool,
         };
-        if let Some(interval_s) =
-            interval_s.filter(|interval_s| !DecisionTimer::is_whole_steps(*interval_s, ego.step_s))
-        {
-            let wanted = format!("a multiple of the scenario's step of {} s", ego.step_s);
-            return Err(
-                driver.end_with_failure(ProcessProblem::Interval { interval_s, wanted }, None)
-            );
-        }
-        if is_batch && let Some(borrowed) = driver.own_process.take() {
-            driver.pool.release(borrowed);
+        driver.check_interval(interval_s)?;
+        if is_batch && let Some(process) = driver.own_process.take() {
+            driver.pool.release(process);
         }
         Ok(driver)
     }
 
-    fn ask(&mut self, greeted: &mut ConnectedProcess) -> Result<f64, ProcessProblem> {
-        let within = self.pool.answer_timeout();
-        let see = self.inputs.as_slice();
-        let id = greeted.next_id();
+    /// Refuses an interval between decisions that is not a whole number of steps.
+    fn check_interval(&mut self, interval_s: Option<f64>) -> Result<(), ControllerFailure> {
+        match interval_s {
+            Some(interval_s) if !DecisionTimer::is_whole_steps(interval_s, self.step_s) => {
+                let wanted = format!("a multiple of the scenario's step of {} s", self.step_s);
+                let problem = ProcessProblem::Interval { interval_s, wanted };
+                Err(self.end_with_failure(problem, None))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn ask(&mut self, process: &mut ConnectedProcess) -> Result<f64, ProcessProblem> {
+        let timeout = self.pool.answer_timeout();
+        let inputs = self.inputs.as_slice();
+        let id = process.next_id();
         let answer = if self.is_batch {
             protocol::write_line(
                 &mut self.line_buffer,
                 &BatchDecisionRequest {
                     id,
                     times_s: &[self.time_s],
-                    inputs: vec![see],
+                    inputs: vec![inputs],
                 },
             )?;
-            protocol::parse_decisions(greeted.program.query(&self.line_buffer, within)?, id, 1)?
+            protocol::parse_decisions(process.program.query(&self.line_buffer, timeout)?, id, 1)?
                 .first()
                 .copied()
                 .unwrap_or(f64::NAN)
@@ -112,10 +114,10 @@ impl ProcessDriver {
                 &DecisionRequest {
                     id,
                     time_s: self.time_s,
-                    inputs: see,
+                    inputs,
                 },
             )?;
-            protocol::parse_decision(greeted.program.query(&self.line_buffer, within)?, id)?
+            protocol::parse_decision(process.program.query(&self.line_buffer, timeout)?, id)?
         };
         checked_acceleration_mps2(&self.pool.setup.mapping, answer)
     }
@@ -123,12 +125,12 @@ impl ProcessDriver {
     fn end_with_failure(
         &mut self,
         problem: ProcessProblem,
-        program: Option<ConnectedProcess>,
+        process: Option<ConnectedProcess>,
     ) -> ControllerFailure {
         self.second_process = None;
-        let program = program.or_else(|| self.own_process.take());
+        let process = process.or_else(|| self.own_process.take());
         self.pool
-            .end_with_failure(problem, program.map(|greeted| greeted.program))
+            .end_with_failure(problem, process.map(|process| process.program))
     }
 }
 
@@ -151,13 +153,14 @@ impl ProcessPool {
     /// Resets a process for a run, unless it answers in batches and therefore has no state.
     fn reset_for_run(
         &self,
-        mut greeted: ConnectedProcess,
+        mut process: ConnectedProcess,
         seed: u64,
     ) -> Result<ConnectedProcess, ControllerFailure> {
-        if greeted.greeting.batch {
-            return Ok(greeted);
+        if process.greeting.batch {
+            return Ok(process);
         }
-        let (id, mut line) = (greeted.next_id(), Vec::new());
+        let id = process.next_id();
+        let mut line = Vec::new();
         let ready = protocol::write_line(
             &mut line,
             &ResetRequest {
@@ -166,20 +169,20 @@ impl ProcessPool {
             },
         )
         .and_then(|()| {
-            protocol::parse_reset_reply(greeted.program.query(&line, self.answer_timeout())?, id)
+            protocol::parse_reset_reply(process.program.query(&line, self.answer_timeout())?, id)
         });
         match ready {
             Ok(()) => {
-                greeted.program.clear_stderr();
-                Ok(greeted)
+                process.program.clear_stderr();
+                Ok(process)
             }
-            Err(problem) => Err(self.end_with_failure(problem, Some(greeted.program))),
+            Err(problem) => Err(self.end_with_failure(problem, Some(process.program))),
         }
     }
 }
 
 impl BatchQuery for ProcessDriver {
-    fn sample(&mut self, seen: &Observation) -> bool {
+    fn sample(&mut self, observation: &Observation) -> bool {
         self.time_s = self.steps as f64 * self.step_s;
         self.steps += 1;
         let due = self.decision_timer.tick();
@@ -189,7 +192,7 @@ impl BatchQuery for ProcessDriver {
             self.inputs.clear();
             self.history.push(
                 mapping,
-                mapping.input_values(seen, last_mps2),
+                mapping.input_values(observation, last_mps2),
                 &mut self.inputs,
             );
         }
@@ -235,7 +238,8 @@ impl BatchQuery for ProcessDriver {
             times_s: &times_s,
             inputs: inputs.collect(),
         };
-        let (id, mut line) = (request.id, Vec::new());
+        let id = request.id;
+        let mut line = Vec::new();
         protocol::write_line(&mut line, &request).ok()?;
         let line = process
             .program
@@ -280,8 +284,8 @@ impl BatchQuery for ProcessDriver {
 }
 
 impl Controller for ProcessDriver {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        decide_by_query(self, seen)
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        decide_by_query(self, observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {

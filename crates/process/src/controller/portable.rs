@@ -5,8 +5,7 @@ use std::path::{Component, Path};
 
 use crumple_core::regular_file;
 
-use super::{ListedFile, ProcessController, file_sha256};
-use crate::setup::ProcessSetup;
+use super::{ListedFile, ProcessController, file_digest};
 
 /// Maximum size of all listed files, in bytes.
 const MAX_BYTES: u64 = 64 << 20;
@@ -19,32 +18,30 @@ impl ProcessController {
     /// because a copy is not executable.
     #[must_use]
     pub fn portable_file(&self) -> Option<&str> {
-        let ProcessSetup {
-            command,
-            program,
-            folder,
-            file,
-            ..
-        } = &self.0.setup;
-        let name = file.as_ref()?.path().file_name()?.to_str()?;
-        let is_listed = |path: &str| {
-            self.0
-                .files
-                .iter()
-                .any(|listed| listed.path == path.trim_start_matches("./"))
+        let setup = &self.0.setup;
+        let name = setup.file.as_ref()?.path().file_name()?.to_str()?;
+        let [first, words @ ..] = setup.command.as_slice() else {
+            return None;
         };
-        let is_portable = |word: &String| {
-            is_listed(word) || !folder.join(word).is_file() || Path::new(word).is_absolute()
-        };
-        let (first, words) = command.split_first()?;
-        let is_program_elsewhere = program.is_some()
+        let is_program_elsewhere = setup.program.is_some()
             || Path::new(first).is_absolute()
             || Path::new(first).components().count() == 1;
         let is_small = self.0.files.iter().map(|listed| listed.bytes).sum::<u64>() <= MAX_BYTES;
         let names = self.0.files.iter().map(|listed| listed.path.as_str());
         let is_copied =
             self.0.identity.is_some() && is_small && names.chain([name]).all(is_plain_path);
-        (is_copied && is_program_elsewhere && words.iter().all(is_portable)).then_some(name)
+        let is_portable = is_copied
+            && is_program_elsewhere
+            && words.iter().all(|word| self.is_portable_word(word));
+        is_portable.then_some(name)
+    }
+
+    /// Returns true for a word of the command that means the same in another folder with copies of the listed files.
+    fn is_portable_word(&self, word: &str) -> bool {
+        let path = word.trim_start_matches("./");
+        self.0.files.iter().any(|listed| listed.path == path)
+            || !self.0.setup.folder.join(word).is_file()
+            || Path::new(word).is_absolute()
     }
 
     /// Reads the files to copy, each with its path in the folder; none without a [portable file](Self::portable_file).
@@ -55,27 +52,29 @@ impl ProcessController {
         let Some(name) = self.portable_file() else {
             return Ok(Vec::new());
         };
-        let read = |path: &str| -> io::Result<Vec<u8>> {
-            let mut bytes = Vec::new();
-            regular_file::open(&self.0.setup.folder.join(path))?
-                .take(MAX_BYTES)
-                .read_to_end(&mut bytes)?;
-            Ok(bytes)
-        };
+        let folder = &self.0.setup.folder;
         let mut files = Vec::new();
         for ListedFile { path, sha256, .. } in &self.0.files {
-            if file_sha256(&self.0.setup.folder.join(path))?.0 != *sha256 {
+            if file_digest(&folder.join(path))?.sha256 != *sha256 {
                 return Err(io::Error::other(format!(
                     "{path} has changed since it was read"
                 )));
             }
-            files.push((path.clone(), read(path)?));
+            files.push((path.clone(), read_file(&folder.join(path))?));
         }
         if !files.iter().any(|(path, _)| path == name) {
-            files.push((name.to_owned(), read(name)?));
+            files.push((name.to_owned(), read_file(&folder.join(name))?));
         }
         Ok(files)
     }
+}
+
+fn read_file(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    regular_file::open(path)?
+        .take(MAX_BYTES)
+        .read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// Returns true for a path below the folder that any system accepts in a listing of files.

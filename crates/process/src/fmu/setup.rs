@@ -29,7 +29,7 @@ impl ProcessSetup {
         let inputs = wiring
             .inputs
             .map_or_else(|| inputs_by_name(description), Ok)?;
-        let (inputs, variables) = connect_inputs(description, inputs)?;
+        let inputs = connect_inputs(description, inputs)?;
         let output = wiring
             .output
             .unwrap_or_else(|| plain.mapping.output.clone());
@@ -37,28 +37,19 @@ impl ProcessSetup {
         let output = convert_output(output, answer)
             .map_err(|problem| InvalidMapping::new("output.variable", problem))?;
         let mut command: Vec<String> = vec![HOST_PROGRAM.to_owned(), "drive".to_owned()];
-        let mut say = |option: &str, value: String| command.push(format!("--{option}={value}"));
-        variables
-            .into_iter()
-            .for_each(|variable| say("input", variable));
-        say("output", answer.name.clone());
+        command.extend(
+            inputs
+                .iter()
+                .map(|input| format!("--input={}", input.variable)),
+        );
+        command.push(format!("--output={}", answer.name));
         for (name, value) in &wiring.parameters {
-            let invalid = |problem| InvalidMapping::new(format!("parameters.{name}"), problem);
-            let variable =
-                find_variable(description, Causality::Parameter, name).map_err(invalid)?;
-            let value = convert_parameter(*value, variable).map_err(invalid)?;
-            if !variable.kind.accepts(value) {
-                let problem = format!(
-                    "{value} is not a value of a parameter that is {}",
-                    variable.kind.name()
-                );
-                return Err(invalid(problem).into());
-            }
-            say("parameter", format!("{name}={value}"));
+            let value = parameter_value(description, name, *value)
+                .map_err(|problem| InvalidMapping::new(format!("parameters.{name}"), problem))?;
+            command.push(format!("--parameter={name}={value}"));
         }
-        if let Some(interval_s) = wiring.decision_interval_s {
-            say("interval-s", interval_s.to_string());
-        }
+        let interval_s = wiring.decision_interval_s;
+        command.extend(interval_s.map(|interval_s| format!("--interval-s={interval_s}")));
         // `./` keeps the path from being parsed as an option.
         command.push(format!("./{path}"));
         Ok(Self {
@@ -66,9 +57,9 @@ impl ProcessSetup {
             program: Some(find_fmu_host().ok_or(FmuProblem::MissingHost)?),
             files: vec![path.to_owned()],
             mapping: Mapping {
-                inputs,
+                inputs: inputs.into_iter().map(|input| input.mapping).collect(),
                 output,
-                decision_interval_s: wiring.decision_interval_s,
+                decision_interval_s: interval_s,
                 ..plain.mapping.clone()
             },
             ..plain
@@ -97,39 +88,72 @@ fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, I
     }
 }
 
-/// Returns the inputs in the units of their variables, and the names of the variables.
+/// Returns the value of a parameter in the unit of its variable.
+fn parameter_value(
+    description: &ModelDescription,
+    name: &str,
+    si_value: f64,
+) -> Result<f64, String> {
+    let variable = find_variable(description, Causality::Parameter, name)?;
+    let value = convert_parameter(si_value, variable)?;
+    if variable.kind.accepts(value) {
+        return Ok(value);
+    }
+    Err(format!(
+        "{value} is not a value of a parameter that is {}",
+        variable.kind.name()
+    ))
+}
+
+/// An input of an FMU.
+struct ConnectedInput {
+    /// Name of its variable.
+    variable: String,
+    /// Mapping to values in the unit of the variable.
+    mapping: InputMapping,
+}
+
+/// Connects inputs to the variables of an FMU.
 fn connect_inputs(
     description: &ModelDescription,
     inputs: Vec<InputMapping>,
-) -> Result<(Vec<InputMapping>, Vec<String>), InvalidMapping> {
-    let mut names: Vec<String> = Vec::with_capacity(inputs.len());
-    let mut converted = Vec::with_capacity(inputs.len());
+) -> Result<Vec<ConnectedInput>, InvalidMapping> {
+    let mut connected: Vec<ConnectedInput> = Vec::with_capacity(inputs.len());
     for (index, input) in inputs.into_iter().enumerate() {
-        let invalid = |problem: String| InvalidMapping::new(format!("inputs[{index}]"), problem);
-        let name = match (&input.variable, input.quantity) {
-            (Some(variable), _) => variable,
-            (None, Some(quantity)) => quantity.name(),
-            (None, None) => {
-                return Err(invalid(
-                    "a constant needs a `variable` that is set to it".to_owned(),
-                ));
-            }
-        };
-        let variable = find_variable(description, Causality::Input, name).map_err(invalid)?;
-        if names.iter().any(|other| other == name) {
-            return Err(invalid(format!("the FMU's input `{name}` is set twice")));
-        }
-        names.push(name.to_owned());
-        converted.push(convert_input(input, variable).map_err(invalid)?);
+        let input = connect_input(description, input, &connected)
+            .map_err(|problem| InvalidMapping::new(format!("inputs[{index}]"), problem))?;
+        connected.push(input);
     }
-    Ok((converted, names))
+    Ok(connected)
+}
+
+/// Connects an input to a variable that none of the `connected` inputs has.
+fn connect_input(
+    description: &ModelDescription,
+    input: InputMapping,
+    connected: &[ConnectedInput],
+) -> Result<ConnectedInput, String> {
+    let name = match (&input.variable, input.quantity) {
+        (Some(variable), _) => variable.clone(),
+        (None, Some(quantity)) => quantity.name().to_owned(),
+        (None, None) => {
+            return Err("a constant needs a `variable` that is set to it".to_owned());
+        }
+    };
+    let variable = find_variable(description, Causality::Input, &name)?;
+    if connected.iter().any(|other| other.variable == name) {
+        return Err(format!("the FMU's input `{name}` is set twice"));
+    }
+    Ok(ConnectedInput {
+        mapping: convert_input(input, variable)?,
+        variable: name,
+    })
 }
 
 fn answer_variable<'d>(
     description: &'d ModelDescription,
     output: &OutputMapping,
 ) -> Result<&'d Variable, InvalidMapping> {
-    let invalid = |problem| InvalidMapping::new("output.variable", problem);
     let outputs: Vec<&Variable> = description
         .with_causality(Causality::Output)
         .filter(|variable| variable.kind == VariableType::Real)
@@ -139,14 +163,15 @@ fn answer_variable<'d>(
         (None, [only]) => &only.name,
         (None, _) => DEFAULT_OUTPUT,
     };
-    let found = find_variable(description, Causality::Output, name).map_err(invalid)?;
-    match found.kind {
-        VariableType::Real => Ok(found),
-        kind => Err(invalid(format!(
-            "`{name}` is {}, and an acceleration is real",
-            kind.name()
-        ))),
-    }
+    find_variable(description, Causality::Output, name)
+        .and_then(|variable| match variable.kind {
+            VariableType::Real => Ok(variable),
+            kind => Err(format!(
+                "`{name}` is {}, and an acceleration is real",
+                kind.name()
+            )),
+        })
+        .map_err(|problem| InvalidMapping::new("output.variable", problem))
 }
 
 fn find_variable<'a>(
@@ -154,8 +179,8 @@ fn find_variable<'a>(
     causality: Causality,
     name: &str,
 ) -> Result<&'a Variable, String> {
-    let of_kind = || description.with_causality(causality);
-    of_kind()
+    description
+        .with_causality(causality)
         .find(|variable| variable.name == name)
         .ok_or_else(|| {
             let what = match causality {
@@ -163,43 +188,52 @@ fn find_variable<'a>(
                 Causality::Output => "outputs",
                 Causality::Parameter => "parameters",
             };
-            let mut names: Vec<&str> = of_kind()
+            let mut names: Vec<&str> = description
+                .with_causality(causality)
                 .map(|variable| variable.name.as_str())
                 .take(13)
                 .collect();
             if names.len() == 13 {
                 names[12] = "…";
             }
-            let there = if names.is_empty() {
+            let list = if names.is_empty() {
                 "none".to_owned()
             } else {
                 names.join(", ")
             };
-            format!("the FMU has no `{name}` among its {what}: {there}")
+            format!("the FMU has no `{name}` among its {what}: {list}")
         })
 }
 
 /// Finds the program that runs FMUs: by the variable `CRUMPLE_FMU`, beside this program, or on the path.
 #[must_use]
 pub fn find_fmu_host() -> Option<PathBuf> {
-    let absolute = |path: PathBuf| std::path::absolute(path).ok().filter(|path| path.is_file());
     if let Some(text) = std::env::var_os(HOST_ENV_VAR) {
-        return absolute(text.into());
+        return absolute_file(text.into());
     }
     let name = format!("{HOST_PROGRAM}{}", std::env::consts::EXE_SUFFIX);
-    let own = std::env::current_exe().ok();
-    // Cargo places tests and examples in subfolders beside the programs.
-    let is_of_cargo = |folder: &Path| folder.ends_with("deps") || folder.ends_with("examples");
-    let beside = own.iter().flat_map(|own| {
-        let folder = own.parent();
-        let above = folder
-            .filter(|folder| is_of_cargo(folder))
-            .and_then(Path::parent);
-        folder.into_iter().chain(above)
-    });
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders = beside
-        .map(Path::to_owned)
-        .chain(std::env::split_paths(&path));
-    folders.map(|folder| folder.join(&name)).find_map(absolute)
+    program_folders()
+        .into_iter()
+        .chain(std::env::split_paths(&path))
+        .map(|folder| folder.join(&name))
+        .find_map(absolute_file)
+}
+
+/// Returns the folder of this program, and the one above if Cargo places tests or examples there.
+fn program_folders() -> Vec<PathBuf> {
+    let program = std::env::current_exe().ok();
+    let Some(folder) = program.as_deref().and_then(Path::parent) else {
+        return Vec::new();
+    };
+    let mut folders = vec![folder.to_owned()];
+    if folder.ends_with("deps") || folder.ends_with("examples") {
+        folders.extend(folder.parent().map(Path::to_owned));
+    }
+    folders
+}
+
+/// Returns the absolute path of a file; none for anything else.
+fn absolute_file(path: PathBuf) -> Option<PathBuf> {
+    std::path::absolute(path).ok().filter(|path| path.is_file())
 }

@@ -38,20 +38,17 @@ pub(super) fn convert_input(
     check_scale(variable, dimension, ("scale", input.scale))?;
     let [low, high] = [input.low, input.high].map(|limit| (limit - offset) / factor);
     // A negative factor swaps the limits.
-    let (low, high) = if factor < 0.0 {
-        (high, low)
+    let [low, high] = if factor < 0.0 {
+        [high, low]
     } else {
-        (low, high)
-    };
-    let scaled = InputMapping {
-        offset: input.offset + input.scale * offset,
-        scale: input.scale * factor,
-        ..input
+        [low, high]
     };
     Ok(InputMapping {
+        offset: input.offset + input.scale * offset,
+        scale: input.scale * factor,
         low,
         high,
-        ..scaled
+        ..input
     })
 }
 
@@ -123,11 +120,11 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
 fn check_dimension(
     variable: &Variable,
     unit: UnitDimension,
-    wanted: UnitDimension,
+    expected: UnitDimension,
     what: &str,
     (field, scale): (&str, f64),
 ) -> Result<(), String> {
-    if unit == wanted || (unit == UnitDimension::NONE && scale != 1.0) {
+    if unit == expected || (unit == UnitDimension::NONE && scale != 1.0) {
         return Ok(());
     }
     let hint = if unit == UnitDimension::NONE {
@@ -136,7 +133,7 @@ fn check_dimension(
         "choose another variable, or correct its unit in modelDescription.xml".to_owned()
     };
     Err(format!(
-        "{} ({unit} in SI units), and {what} is in {wanted}; {hint}",
+        "{} ({unit} in SI units), and {what} is in {expected}; {hint}",
         variable_with_unit(variable)
     ))
 }

@@ -10,7 +10,9 @@ use super::storyboard::{VehicleManeuver, write_speed_action};
 use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
-use crumple_sim::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec};
+use crumple_sim::scenario::{
+    BrakeToSpeed, Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec,
+};
 
 /// Maximum error of a speed profile, in m/s: one millimetre in a quarter of an hour.
 const PROFILE_TOLERANCE_MPS: f64 = 1e-6;
@@ -38,19 +40,14 @@ enum ScriptedAction {
 pub(super) fn scripted_vehicles(
     scenario: &Scenario,
 ) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
-    let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
-        Driver::Profile(profile) => Some(
-            scripted_action(scenario, index, profile)
-                .map(|action| ScriptedVehicle { index, action }),
-        ),
-        _ => None,
-    };
-    scenario
-        .vehicles()
-        .iter()
-        .enumerate()
-        .filter_map(scripted)
-        .collect()
+    let mut scripted = Vec::new();
+    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
+        if let Driver::Profile(profile) = &vehicle.driver {
+            let action = scripted_action(scenario, index, profile)?;
+            scripted.push(ScriptedVehicle { index, action });
+        }
+    }
+    Ok(scripted)
 }
 
 fn scripted_action(
@@ -58,89 +55,121 @@ fn scripted_action(
     index: usize,
     profile: &LeadProfile,
 ) -> Result<ScriptedAction, OpenScenarioError> {
-    let usable_mps2 = scenario.usable_brake_mps2(index);
+    match profile {
+        LeadProfile::ConstantSpeed => Ok(ScriptedAction::KeepSpeed),
+        LeadProfile::Brake(script) => Ok(braking_action(
+            scenario,
+            index,
+            BrakeToSpeed {
+                onset_s: script.onset_s,
+                rate_mps2: script.rate_mps2,
+                final_speed_mps: 0.0,
+            },
+        )),
+        LeadProfile::BrakeToSpeed(script) => Ok(braking_action(scenario, index, script.clone())),
+        LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) => {
+            Ok(simulate_alone(scenario, index)?.simplified_profile())
+        }
+        LeadProfile::Recorded(recorded) => {
+            let speeds = simulate_alone(scenario, index)?;
+            Ok(match recorded_entries(recorded, &speeds) {
+                Some(entries) => ScriptedAction::Profile(entries),
+                None => speeds.simplified_profile(),
+            })
+        }
+    }
+}
+
+/// Returns the braking of a vehicle as the simulation limits it. It keeps its speed if it never brakes.
+fn braking_action(scenario: &Scenario, index: usize, script: BrakeToSpeed) -> ScriptedAction {
+    let BrakeToSpeed {
+        onset_s,
+        rate_mps2: wanted_mps2,
+        final_speed_mps,
+    } = script;
     let start_mps = scenario
         .vehicles()
         .get(index)
         .map_or(0.0, |vehicle| vehicle.speed_mps);
-    let step_s = scenario.spec().step_s;
-    let brake = |onset_s: f64, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2)
-    {
-        // With a rate of 0 the action would never end; after the end of the scenario it would never begin.
-        rate_mps2
-            if rate_mps2 > 0.0
-                && final_speed_mps < start_mps
-                && onset_s < scenario.spec().duration_s =>
-        {
-            // In the step of the onset, the limit applies to the mean of the script: less braking is cut off.
-            let step_end_s = ((onset_s / step_s).floor() + 1.0) * step_s;
-            let braking_s = ((step_end_s - onset_s) * wanted_mps2 / rate_mps2).min(step_s);
-            let onset_s = if wanted_mps2 > rate_mps2 {
-                step_end_s - braking_s
-            } else {
-                onset_s
-            };
-            ScriptedAction::Brake {
-                onset_s,
-                rate_mps2,
-                final_speed_mps,
-            }
-        }
-        _ => ScriptedAction::KeepSpeed,
-    };
-    match profile {
-        LeadProfile::ConstantSpeed => Ok(ScriptedAction::KeepSpeed),
-        LeadProfile::Brake(script) => Ok(brake(script.onset_s, script.rate_mps2, 0.0)),
-        LeadProfile::BrakeToSpeed(script) => Ok(brake(
-            script.onset_s,
-            script.rate_mps2,
-            script.final_speed_mps,
-        )),
-        LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) | LeadProfile::Recorded(_) => {
-            let why = |why: String| OpenScenarioError::Script {
-                vehicle: index,
-                why,
-            };
-            let alone = isolate_vehicle(scenario, index).map_err(why)?;
-            let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()));
-            let run = Run::new(&alone, options).map_err(|error| why(error.to_string()))?;
-            let trace = simulate(&run, RecordingLevel::Trace).trace;
-            let motion = trace.and_then(|trace| {
-                Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps))
-            });
-            let (time_s, speed_mps) = motion.unwrap_or_default();
-            if let LeadProfile::Recorded(recorded) = profile
-                && let Some(entries) = recorded_entries(recorded, &time_s, &speed_mps)
-            {
-                return Ok(ScriptedAction::Profile(entries));
-            }
-            let kept = simplify_polyline(&time_s, &speed_mps, PROFILE_TOLERANCE_MPS, |_| None);
-            let mut before_s = 0.0;
-            let entries = kept.into_iter().filter_map(|sample| {
-                let (now_s, mps) = (*time_s.get(sample)?, *speed_mps.get(sample)?);
-                Some((now_s - std::mem::replace(&mut before_s, now_s), mps))
-            });
-            Ok(ScriptedAction::Profile(entries.collect()))
-        }
+    let rate_mps2 = wanted_mps2.min(scenario.usable_brake_mps2(index));
+    // With a rate of 0 the action would never end; after the end of the scenario it would never begin.
+    let brakes =
+        rate_mps2 > 0.0 && final_speed_mps < start_mps && onset_s < scenario.spec().duration_s;
+    if !brakes {
+        return ScriptedAction::KeepSpeed;
     }
+    // In the step of the onset, the limit applies to the mean of the script: less braking is cut off.
+    let step_s = scenario.spec().step_s;
+    let step_end_s = ((onset_s / step_s).floor() + 1.0) * step_s;
+    let braking_s = ((step_end_s - onset_s) * wanted_mps2 / rate_mps2).min(step_s);
+    ScriptedAction::Brake {
+        onset_s: if wanted_mps2 > rate_mps2 {
+            step_end_s - braking_s
+        } else {
+            onset_s
+        },
+        rate_mps2,
+        final_speed_mps,
+    }
+}
+
+/// Speeds of a simulation at its steps.
+#[derive(Default)]
+struct SimulatedSpeeds {
+    time_s: Vec<f64>,
+    speed_mps: Vec<f64>,
+}
+
+impl SimulatedSpeeds {
+    /// Returns a speed profile with as few entries as the tolerance permits.
+    fn simplified_profile(&self) -> ScriptedAction {
+        let samples =
+            simplify_polyline(&self.time_s, &self.speed_mps, PROFILE_TOLERANCE_MPS, |_| {
+                None
+            });
+        let mut before_s = 0.0;
+        let entries = samples.into_iter().filter_map(|sample| {
+            let now_s = *self.time_s.get(sample)?;
+            let speed_mps = *self.speed_mps.get(sample)?;
+            Some((now_s - std::mem::replace(&mut before_s, now_s), speed_mps))
+        });
+        ScriptedAction::Profile(entries.collect())
+    }
+}
+
+/// Simulates a scripted vehicle alone on the road.
+fn simulate_alone(scenario: &Scenario, index: usize) -> Result<SimulatedSpeeds, OpenScenarioError> {
+    let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()));
+    let run = isolate_vehicle(scenario, index)
+        .and_then(|alone| Run::new(&alone, options).map_err(|error| error.to_string()))
+        .map_err(|why| OpenScenarioError::Script {
+            vehicle: index,
+            why,
+        })?;
+    let trace = simulate(&run, RecordingLevel::Trace).trace;
+    let speeds = trace.and_then(|trace| {
+        Some(SimulatedSpeeds {
+            time_s: trace.time_s,
+            speed_mps: trace.vehicles.into_iter().next()?.speed_mps,
+        })
+    });
+    Ok(speeds.unwrap_or_default())
 }
 
 /// Returns the entries of recorded speeds as they are, if the vehicle follows them: an imported profile is exported
 /// unchanged.
 fn recorded_entries(
     recorded: &RecordedSpeeds,
-    time_s: &[f64],
-    speed_mps: &[f64],
+    simulated: &SimulatedSpeeds,
 ) -> Option<Vec<(f64, f64)>> {
-    let off_mps = |(time_s, mps): (&f64, &f64)| (recorded.speed_at_mps(*time_s) - mps).abs();
-    let follows = time_s
-        .iter()
-        .zip(speed_mps)
-        .map(off_mps)
-        .all(|off_mps| off_mps <= 2.0 * PROFILE_TOLERANCE_MPS);
-    let (first_s, last_s) = (recorded.time_s.first()?, recorded.time_s.last()?);
+    let mut samples = simulated.time_s.iter().zip(&simulated.speed_mps);
+    let follows = samples.all(|(time_s, mps)| {
+        (recorded.speed_at_mps(*time_s) - mps).abs() <= 2.0 * PROFILE_TOLERANCE_MPS
+    });
+    let first_s = recorded.time_s.first()?;
+    let last_s = recorded.time_s.last()?;
     // The recorded time is a sum of rounded durations.
-    if !follows || *first_s != 0.0 || *last_s > *time_s.last()? + 1e-9 {
+    if !follows || *first_s != 0.0 || *last_s > *simulated.time_s.last()? + 1e-9 {
         return None;
     }
     let before_s = std::iter::once(&0.0).chain(&recorded.time_s);
@@ -206,7 +235,7 @@ impl VehicleManeuver for ScriptedVehicle {
                 &[("followingMode", "position")],
                 |xml| {
                     entries.iter().try_for_each(|&(after_s, mps)| {
-                        let (time, speed) = (format_number(after_s), format_number(mps));
+                        let [time, speed] = [after_s, mps].map(format_number);
                         write_empty_element(
                             xml,
                             "SpeedProfileEntry",

@@ -13,12 +13,31 @@ pub(super) const REAR_OVERHANG_SHARE: f64 = 0.2;
 /// Maximum initial speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
 
-/// Returns the category of a vehicle class, and its width, height and wheel diameter in metres. crumple does not model
-/// them: a mid-size car, and a lorry of the maximum legal width.
-fn vehicle_shape(class: VehicleClass) -> (&'static str, [f64; 3]) {
-    match class {
-        VehicleClass::Light => ("car", [1.8, 1.5, 0.65]),
-        VehicleClass::Heavy => ("truck", [2.5, 3.5, 1.0]),
+/// Properties of a vehicle that crumple does not model.
+struct VehicleShape {
+    category: &'static str,
+    width_m: f64,
+    height_m: f64,
+    wheel_diameter_m: f64,
+}
+
+impl VehicleShape {
+    /// Returns the shape of a mid-size car, or of a lorry of the maximum legal width.
+    fn from_class(class: VehicleClass) -> Self {
+        match class {
+            VehicleClass::Light => Self {
+                category: "car",
+                width_m: 1.8,
+                height_m: 1.5,
+                wheel_diameter_m: 0.65,
+            },
+            VehicleClass::Heavy => Self {
+                category: "truck",
+                width_m: 2.5,
+                height_m: 3.5,
+                wheel_diameter_m: 1.0,
+            },
+        }
     }
 }
 
@@ -64,73 +83,91 @@ pub(super) fn write_entities(
 }
 
 fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
-    let (category, [width_m, height_m, wheel_m]) = vehicle_shape(vehicle.class);
+    let shape = VehicleShape::from_class(vehicle.class);
     // Rounded before use, so that an imported vehicle is exported as it was.
     let length_m = round(vehicle.length_m());
-    let (length, mass) = (format_number(length_m), format_number(vehicle.mass_kg()));
-    let wheelbase = format_number(length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE));
-    let [width, height, half_height] = [width_m, height_m, height_m / 2.0].map(format_number);
-    let [diameter, axle_height] = [wheel_m, wheel_m / 2.0].map(format_number);
-    let named = [
+    let mass = format_number(vehicle.mass_kg());
+    let attributes = [
         ("name", vehicle.class.name()),
-        ("vehicleCategory", category),
+        ("vehicleCategory", shape.category),
         ("mass", &mass),
     ];
-    write_element(xml, "Vehicle", &named, |xml| {
+    write_element(xml, "Vehicle", &attributes, |xml| {
         write_element(xml, "BoundingBox", &[], |xml| {
-            // All digits: the position of the front bumper follows from it.
-            let middle = (length_m * (0.5 - REAR_OVERHANG_SHARE)).to_string();
-            write_empty_element(
-                xml,
-                "Center",
-                &[("x", &middle), ("y", "0"), ("z", &half_height)],
-            )?;
-            write_empty_element(
-                xml,
-                "Dimensions",
-                &[("width", &width), ("length", &length), ("height", &height)],
-            )
+            write_bounding_box(xml, &shape, length_m)
         })?;
         write_performance(xml, vehicle)?;
+        let wheelbase_m = length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE);
         write_element(xml, "Axles", &[], |xml| {
-            let axle = |xml: &mut Xml, name: &str, steering: &str, x: &str| {
-                let wheels = [
-                    ("wheelDiameter", diameter.as_str()),
-                    ("trackWidth", &width),
-                    ("positionZ", &axle_height),
-                ];
-                write_empty_element(
-                    xml,
-                    name,
-                    &[&[("maxSteering", steering), ("positionX", x)], &wheels[..]].concat(),
-                )
-            };
-            axle(xml, "FrontAxle", "0.5", &wheelbase)?;
-            axle(xml, "RearAxle", "0", "0")
+            write_axle(xml, "FrontAxle", "0.5", wheelbase_m, &shape)?;
+            write_axle(xml, "RearAxle", "0", 0.0, &shape)
         })?;
         write_element(xml, "Properties", &[], |xml| {
-            let driver =
-                controller_name(vehicle).map_or_else(|| "script".to_owned(), attribute_text);
-            write_empty_element(xml, "Property", &[("name", "driver"), ("value", &driver)])?;
-            let delays_s = [
-                vehicle.reaction_delay_s,
-                vehicle.actuator_lag_s,
-                vehicle.actuator_delay_s,
-            ];
-            for (name, delay_s) in DELAY_PROPERTIES
-                .iter()
-                .zip(delays_s)
-                .filter(|(_, delay_s)| *delay_s > 0.0)
-            {
-                write_empty_element(
-                    xml,
-                    "Property",
-                    &[("name", name), ("value", &delay_s.to_string())],
-                )?;
-            }
-            Ok(())
+            write_driver_and_delays(xml, vehicle)
         })
     })
+}
+
+fn write_bounding_box(xml: &mut Xml, shape: &VehicleShape, length_m: f64) -> io::Result<()> {
+    // All digits: the position of the front bumper follows from it.
+    let middle = (length_m * (0.5 - REAR_OVERHANG_SHARE)).to_string();
+    let half_height = format_number(shape.height_m / 2.0);
+    write_empty_element(
+        xml,
+        "Center",
+        &[("x", &middle), ("y", "0"), ("z", &half_height)],
+    )?;
+    let [width, length, height] = [shape.width_m, length_m, shape.height_m].map(format_number);
+    write_empty_element(
+        xml,
+        "Dimensions",
+        &[("width", &width), ("length", &length), ("height", &height)],
+    )
+}
+
+/// Writes an axle at a distance from the reference point.
+fn write_axle(
+    xml: &mut Xml,
+    name: &str,
+    max_steering: &str,
+    x_m: f64,
+    shape: &VehicleShape,
+) -> io::Result<()> {
+    let diameter_m = shape.wheel_diameter_m;
+    let [x, diameter, width, height] =
+        [x_m, diameter_m, shape.width_m, diameter_m / 2.0].map(format_number);
+    write_empty_element(
+        xml,
+        name,
+        &[
+            ("maxSteering", max_steering),
+            ("positionX", &x),
+            ("wheelDiameter", &diameter),
+            ("trackWidth", &width),
+            ("positionZ", &height),
+        ],
+    )
+}
+
+/// Writes the driver and the delays, which OpenSCENARIO cannot state, as properties.
+fn write_driver_and_delays(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
+    let driver = controller_name(vehicle).map_or_else(|| "script".to_owned(), attribute_text);
+    write_empty_element(xml, "Property", &[("name", "driver"), ("value", &driver)])?;
+    let delays_s = [
+        vehicle.reaction_delay_s,
+        vehicle.actuator_lag_s,
+        vehicle.actuator_delay_s,
+    ];
+    for (name, delay_s) in DELAY_PROPERTIES.iter().zip(delays_s) {
+        if delay_s > 0.0 {
+            write_empty_element(
+                xml,
+                "Property",
+                &[("name", name), ("value", &delay_s.to_string())],
+            )?;
+        }
+    }
+    Ok(())
 }
 
 /// Writes the settings of a built-in controller that drives a vehicle.

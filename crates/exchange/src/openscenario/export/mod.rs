@@ -99,17 +99,19 @@ pub fn export_trajectories(
 ) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
-    let trajectory = |(index, track)| {
-        let vertex_indices = polyline::vertex_indices(&trace.time_s, track);
-        polyline::Trajectory {
+    let tracks = trace.vehicles.iter().enumerate();
+    let moves: Vec<_> = tracks
+        .map(|(index, track)| polyline::Trajectory {
             index,
             trace,
-            vertex_indices,
+            vertex_indices: polyline::vertex_indices(&trace.time_s, track),
             end_s,
-        }
-    };
-    let moves: Vec<_> = trace.vehicles.iter().enumerate().map(trajectory).collect();
-    let vertices = check_vertex_count(moves.iter().map(|one| one.vertex_indices.len()).sum())?;
+        })
+        .collect();
+    let vertices = moves
+        .iter()
+        .map(|trajectory| trajectory.vertex_indices.len());
+    let vertices = check_vertex_count(vertices.sum())?;
     let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
     let about = &format!("what every vehicle did{under}, as trajectories");
     let file = storyboard::OpenScenarioFile {
@@ -141,11 +143,11 @@ pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, O
     check_single_lane(scenario)?;
     let scenario = &round_as_written(scenario);
     let moves = actions::scripted_vehicles(scenario)?;
-    let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
+    let vertices = check_vertex_count(moves.iter().map(|vehicle| vehicle.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
     let scripts_mps = moves
         .iter()
-        .flat_map(|one| one.profile())
+        .flat_map(|vehicle| vehicle.profile())
         .map(|(_, mps)| *mps)
         .fold(0.0, f64::max);
     let file = storyboard::OpenScenarioFile {
@@ -182,11 +184,11 @@ fn round(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
 
-fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
-    if found > MAX_VERTICES {
-        Err(OpenScenarioError::TooLong { found })
+fn check_vertex_count(count: usize) -> Result<usize, OpenScenarioError> {
+    if count > MAX_VERTICES {
+        Err(OpenScenarioError::TooLong { found: count })
     } else {
-        Ok(found)
+        Ok(count)
     }
 }
 
@@ -230,8 +232,10 @@ fn write_inside(
     path: &str,
     write: impl FnOnce(&mut Xml, &str) -> io::Result<()>,
 ) -> io::Result<()> {
-    let (around, name) = path.rsplit_once('/').unwrap_or(("", path));
-    let around: Vec<&str> = around.split('/').filter(|name| !name.is_empty()).collect();
+    let names: Vec<&str> = path.split('/').collect();
+    let Some((name, around)) = names.split_last() else {
+        return Ok(());
+    };
     around
         .iter()
         .try_for_each(|name| xml.write_event(Event::Start(BytesStart::new(*name))))?;
@@ -249,8 +253,8 @@ fn format_number(value: f64) -> String {
 
 /// Returns text as an attribute value: one line of characters that XML allows. A leading dollar sign would start a
 /// parameter name in OpenSCENARIO, so a blank is put before it.
-fn attribute_text(written: &str) -> String {
-    let text = strip_unprintable(written);
+fn attribute_text(text: &str) -> String {
+    let text = strip_unprintable(text);
     if text.starts_with('$') {
         format!(" {text}")
     } else {

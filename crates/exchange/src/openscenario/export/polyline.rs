@@ -19,22 +19,20 @@ const HOLD_S: f64 = 1.0;
 
 /// Returns the indices of the samples that are vertices, always including the first and last.
 pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
-    let spread = |index: usize| {
-        track
-            .speed_mps
-            .get(index)
-            .map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS])
-    };
-    let mut kept = simplify_polyline(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
+    let mut vertices =
+        simplify_polyline(time_s, &track.position_m, POSITION_TOLERANCE_M, |index| {
+            let &mps = track.speed_mps.get(index)?;
+            Some([mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS])
+        });
     // A collision may be a nanosecond after a step.
-    if let [.., before, last] = *kept
+    if let [.., before, last] = *vertices
         && let (Some(from_s), Some(to_s)) = (time_s.get(before), time_s.get(last))
         && to_s - from_s < MIN_STEP_S
-        && kept.len() > 2
+        && vertices.len() > 2
     {
-        kept.remove(kept.len() - 2);
+        vertices.remove(vertices.len() - 2);
     }
-    kept
+    vertices
 }
 
 /// Returns the fewest samples, chosen greedily, such that each segment stays within `tolerance` of the values it
@@ -45,34 +43,60 @@ pub(super) fn simplify_polyline(
     tolerance: f64,
     slopes: impl Fn(usize) -> Option<[f64; 2]>,
 ) -> Vec<usize> {
-    let count = time_s.len().min(values.len());
-    let everything = [f64::NEG_INFINITY, f64::INFINITY];
-    let meet = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a.max(c), b.min(d)];
-    let own = |index: usize| slopes(index).unwrap_or(everything);
-    let slope = |from: usize, to: usize, off: f64| {
-        let at = |list: &[f64], index: usize| list.get(index).copied().unwrap_or(f64::NAN);
-        (at(values, to) + off - at(values, from)) / (at(time_s, to) - at(time_s, from))
+    let samples = Samples {
+        time_s,
+        values,
+        slopes,
     };
-    let mut kept: Vec<usize> = (0..count.min(1)).collect();
+    let count = time_s.len().min(values.len());
+    let mut vertices: Vec<usize> = (0..count.min(1)).collect();
     let mut from = 0;
-    let mut allowed = own(0);
+    let mut allowed = samples.allowed_slopes(0);
     for to in 1..count {
-        let [low, high] = meet(allowed, own(to));
-        let straight = slope(from, to, 0.0);
+        let [low, high] = intersect(allowed, samples.allowed_slopes(to));
+        let straight = samples.slope(from, to, 0.0);
         if to > from + 1 && !(low..=high).contains(&straight) {
             from = to - 1;
-            kept.push(from);
-            allowed = own(from);
+            vertices.push(from);
+            allowed = samples.allowed_slopes(from);
         }
-        allowed = meet(
-            meet(allowed, own(to)),
-            [slope(from, to, -tolerance), slope(from, to, tolerance)],
+        allowed = intersect(
+            intersect(allowed, samples.allowed_slopes(to)),
+            [-tolerance, tolerance].map(|offset| samples.slope(from, to, offset)),
         );
     }
     if count > 1 {
-        kept.push(count - 1);
+        vertices.push(count - 1);
     }
-    kept
+    vertices
+}
+
+/// Samples of a polyline, with the slopes that each allows.
+struct Samples<'a, F> {
+    time_s: &'a [f64],
+    values: &'a [f64],
+    slopes: F,
+}
+
+impl<F: Fn(usize) -> Option<[f64; 2]>> Samples<'_, F> {
+    /// Returns the range of slopes at a sample; all slopes if it states none.
+    fn allowed_slopes(&self, index: usize) -> [f64; 2] {
+        (self.slopes)(index).unwrap_or([f64::NEG_INFINITY, f64::INFINITY])
+    }
+
+    /// Returns the slope from a sample to a point at `offset` from another.
+    fn slope(&self, from: usize, to: usize, offset: f64) -> f64 {
+        let [from_value, to_value] =
+            [from, to].map(|index| self.values.get(index).copied().unwrap_or(f64::NAN));
+        let [from_s, to_s] =
+            [from, to].map(|index| self.time_s.get(index).copied().unwrap_or(f64::NAN));
+        (to_value + offset - from_value) / (to_s - from_s)
+    }
+}
+
+/// Returns the intersection of two ranges.
+fn intersect([a_low, a_high]: [f64; 2], [b_low, b_high]: [f64; 2]) -> [f64; 2] {
+    [a_low.max(b_low), a_high.min(b_high)]
 }
 
 /// A vehicle that follows its polyline.
@@ -128,18 +152,16 @@ impl Trajectory<'_> {
                 *track.position_m.get(index)?,
             ))
         });
-        let held = track
+        let end = track
             .position_m
             .last()
             .map(|&front_m| (self.end_s + HOLD_S, front_m));
         let mut lines = String::from("\n");
-        for (time_s, front_m) in samples.chain(held) {
-            let (time, x) = (
-                format_number(time_s),
-                format_number(reference_point_m(front_m, track.length_m)),
-            );
-            let place = format!("<Position><WorldPosition x=\"{x}\" y=\"0\"/></Position>");
-            lines += &format!("<Vertex time=\"{time}\">{place}</Vertex>\n");
+        for (time_s, front_m) in samples.chain(end) {
+            let x_m = reference_point_m(front_m, track.length_m);
+            let [time, x] = [time_s, x_m].map(format_number);
+            let position = format!("<Position><WorldPosition x=\"{x}\" y=\"0\"/></Position>");
+            lines += &format!("<Vertex time=\"{time}\">{position}</Vertex>\n");
         }
         xml.write_event(Event::Text(BytesText::from_escaped(lines)))
     }
@@ -150,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_straight_line_is_two_vertices_and_a_corner_is_kept() {
+    fn polylines_have_vertices_only_at_ends_and_corners() {
         let time_s: Vec<f64> = (0..=100).map(|k| f64::from(k) * 0.01).collect();
         let straight: Vec<f64> = time_s.iter().map(|t| 5.0 + 20.0 * t).collect();
         assert_eq!(

@@ -18,9 +18,13 @@ pub(super) fn road_for_trace(
     scenario: &Scenario,
     trace: &Trace,
 ) -> Result<Vec<u8>, OpenScenarioError> {
-    let tracks = || trace.vehicles.iter();
-    let rears_m = tracks().filter_map(|track| Some(track.position_m.first()? - track.length_m));
-    let fronts_m = tracks().filter_map(|track| track.position_m.last().copied());
+    let tracks = &trace.vehicles;
+    let rears_m = tracks
+        .iter()
+        .filter_map(|track| Some(track.position_m.first()? - track.length_m));
+    let fronts_m = tracks
+        .iter()
+        .filter_map(|track| track.position_m.last().copied());
     straight_road(scenario, rears_m, fronts_m)
 }
 
@@ -30,16 +34,18 @@ pub(super) fn road_for_scenario(
     scripts_mps: f64,
 ) -> Result<Vec<u8>, OpenScenarioError> {
     let duration_s = scenario.spec().duration_s;
-    let vehicles = || scenario.vehicles().iter();
-    let fastest_mps = vehicles()
+    let vehicles = scenario.vehicles();
+    let fastest_mps = vehicles
+        .iter()
         .map(|vehicle| vehicle.speed_mps)
         .fold(scripts_mps.max(30.0), f64::max);
-    let fronts_m = vehicles().map(|vehicle| vehicle.position_m + 2.0 * fastest_mps * duration_s);
-    straight_road(
-        scenario,
-        vehicles().map(|vehicle| vehicle.position_m - vehicle.length_m()),
-        fronts_m,
-    )
+    let rears_m = vehicles
+        .iter()
+        .map(|vehicle| vehicle.position_m - vehicle.length_m());
+    let fronts_m = vehicles
+        .iter()
+        .map(|vehicle| vehicle.position_m + 2.0 * fastest_mps * duration_s);
+    straight_road(scenario, rears_m, fronts_m)
 }
 
 fn straight_road(
@@ -47,17 +53,15 @@ fn straight_road(
     rears_m: impl Iterator<Item = f64>,
     fronts_m: impl Iterator<Item = f64>,
 ) -> Result<Vec<u8>, OpenScenarioError> {
-    let (from_m, to_m) = (
-        rears_m.fold(f64::INFINITY, f64::min),
-        fronts_m.fold(f64::NEG_INFINITY, f64::max),
-    );
-    let (from_m, to_m) = if from_m <= to_m {
-        (from_m, to_m)
+    let rearmost_m = rears_m.fold(f64::INFINITY, f64::min);
+    let foremost_m = fronts_m.fold(f64::NEG_INFINITY, f64::max);
+    let [rearmost_m, foremost_m] = if rearmost_m <= foremost_m {
+        [rearmost_m, foremost_m]
     } else {
-        (0.0, 0.0)
+        [0.0, 0.0]
     };
-    let from_m = (from_m - MARGIN_M).floor();
-    let length = format_number((to_m + MARGIN_M).ceil() - from_m);
+    let from_m = (rearmost_m - MARGIN_M).floor();
+    let length = format_number((foremost_m + MARGIN_M).ceil() - from_m);
     Ok(write_document(|xml| {
         write_road(xml, &attribute_text(&scenario.spec().name), from_m, &length)
     })?)
@@ -82,7 +86,7 @@ fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Resul
         ];
         write_element(xml, "road", &road, |xml| {
             // The right-hand lane is below the reference line, so that y = 0 is its middle.
-            let (x, y) = (format_number(from_m), format_number(LANE_WIDTH_M / 2.0));
+            let [x, y] = [from_m, LANE_WIDTH_M / 2.0].map(format_number);
             let start = [
                 ("s", "0"),
                 ("x", &x),
@@ -99,21 +103,11 @@ fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Resul
 }
 
 fn write_lanes(xml: &mut Xml) -> io::Result<()> {
-    let mark = |xml: &mut Xml| {
-        let solid = [
-            ("sOffset", "0"),
-            ("type", "solid"),
-            ("weight", "standard"),
-            ("color", "standard"),
-            ("width", "0.15"),
-        ];
-        write_empty_element(xml, "roadMark", &solid)
-    };
     write_element(
         xml,
         "center/lane",
         &[("id", "0"), ("type", "none"), ("level", "false")],
-        mark,
+        write_road_mark,
     )?;
     write_element(
         xml,
@@ -132,7 +126,18 @@ fn write_lanes(xml: &mut Xml) -> io::Result<()> {
                     ("d", "0"),
                 ],
             )?;
-            mark(xml)
+            write_road_mark(xml)
         },
     )
+}
+
+fn write_road_mark(xml: &mut Xml) -> io::Result<()> {
+    let solid = [
+        ("sOffset", "0"),
+        ("type", "solid"),
+        ("weight", "standard"),
+        ("color", "standard"),
+        ("width", "0.15"),
+    ];
+    write_empty_element(xml, "roadMark", &solid)
 }

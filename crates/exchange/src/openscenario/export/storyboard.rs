@@ -28,11 +28,15 @@ pub(super) trait VehicleManeuver {
 }
 
 impl OpenScenarioFile<'_> {
-    pub(super) fn write(&self, xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
+    pub(super) fn write(
+        &self,
+        xml: &mut Xml,
+        maneuvers: &[impl VehicleManeuver],
+    ) -> io::Result<()> {
         write_element(xml, "OpenSCENARIO", &[], |xml| {
             let description = describe_scenario(self.scenario, self.about);
             // A fixed date: the same scenario gives the same file.
-            let made = [
+            let origin = [
                 ("author", "crumple"),
                 ("date", "1970-01-01T00:00:00"),
                 ("description", &description),
@@ -40,7 +44,7 @@ impl OpenScenarioFile<'_> {
             write_empty_element(
                 xml,
                 "FileHeader",
-                &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat(),
+                &[&[("revMajor", "1"), ("revMinor", "2")], &origin[..]].concat(),
             )?;
             write_empty_element(xml, "ParameterDeclarations", &[])?;
             write_empty_element(xml, "CatalogLocations", &[])?;
@@ -48,7 +52,7 @@ impl OpenScenarioFile<'_> {
             entities::write_entities(xml, self.scenario, self.uses_controllers)?;
             write_element(xml, "Storyboard", &[], |xml| {
                 write_element(xml, "Init/Actions", &[], |xml| self.write_init(xml))?;
-                write_story(xml, moves)?;
+                write_story(xml, maneuvers)?;
                 write_time_trigger(xml, "StopTrigger", "over", "greaterThan", self.end_s)
             })
         })
@@ -91,52 +95,56 @@ impl OpenScenarioFile<'_> {
     }
 }
 
-fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
-    let moving = || {
-        moves
-            .iter()
-            .filter_map(|one| Some((one, one.start_event()?)))
-    };
-    if moving().next().is_none() {
+fn write_story(xml: &mut Xml, maneuvers: &[impl VehicleManeuver]) -> io::Result<()> {
+    if maneuvers
+        .iter()
+        .all(|maneuver| maneuver.start_event().is_none())
+    {
         return Ok(());
     }
     write_element(xml, "Story", &[("name", "story")], |xml| {
         write_element(xml, "Act", &[("name", "act")], |xml| {
-            for (one, (name, from_s)) in moving() {
-                let entity = entity_name(one.vehicle_index());
-                let named = |what: &str| format!("{entity}_{what}");
-                let group = [("maximumExecutionCount", "1"), ("name", &*named("group"))];
-                write_element(xml, "ManeuverGroup", &group, |xml| {
-                    write_element(
-                        xml,
-                        "Actors",
-                        &[("selectTriggeringEntities", "false")],
-                        |xml| write_empty_element(xml, "EntityRef", &[("entityRef", &entity)]),
-                    )?;
-                    write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
-                        write_element(
-                            xml,
-                            "Event",
-                            &[("name", &named("event")), ("priority", "override")],
-                            |xml| {
-                                write_element(xml, "Action", &[("name", &named(name))], |xml| {
-                                    write_element(xml, "PrivateAction", &[], |xml| {
-                                        one.write_action(xml)
-                                    })
-                                })?;
-                                write_time_trigger(
-                                    xml,
-                                    "StartTrigger",
-                                    &named("starts"),
-                                    "greaterOrEqual",
-                                    from_s,
-                                )
-                            },
-                        )
-                    })
-                })?;
+            for maneuver in maneuvers {
+                write_maneuver_group(xml, maneuver)?;
             }
             write_time_trigger(xml, "StartTrigger", "begin", "greaterOrEqual", 0.0)
+        })
+    })
+}
+
+/// Writes the maneuver of a vehicle, unless the vehicle keeps its speed.
+fn write_maneuver_group(xml: &mut Xml, maneuver: &impl VehicleManeuver) -> io::Result<()> {
+    let Some((event, start_s)) = maneuver.start_event() else {
+        return Ok(());
+    };
+    let entity = entity_name(maneuver.vehicle_index());
+    let [
+        group_name,
+        maneuver_name,
+        event_name,
+        action_name,
+        trigger_name,
+    ] = ["group", "maneuver", "event", event, "starts"].map(|part| format!("{entity}_{part}"));
+    let group = [("maximumExecutionCount", "1"), ("name", &*group_name)];
+    write_element(xml, "ManeuverGroup", &group, |xml| {
+        let actors = [("selectTriggeringEntities", "false")];
+        write_element(xml, "Actors", &actors, |xml| {
+            write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
+        })?;
+        write_element(xml, "Maneuver", &[("name", &maneuver_name)], |xml| {
+            let event = [("name", &*event_name), ("priority", "override")];
+            write_element(xml, "Event", &event, |xml| {
+                write_element(xml, "Action", &[("name", &action_name)], |xml| {
+                    write_element(xml, "PrivateAction", &[], |xml| maneuver.write_action(xml))
+                })?;
+                write_time_trigger(
+                    xml,
+                    "StartTrigger",
+                    &trigger_name,
+                    "greaterOrEqual",
+                    start_s,
+                )
+            })
         })
     })
 }
