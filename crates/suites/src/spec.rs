@@ -25,15 +25,15 @@ pub struct SuiteSpec {
     /// Edition of the document.
     pub edition: String,
     /// Source of the parameters.
-    #[serde(rename = "figures_from")]
+    #[serde(alias = "figures_from")]
     pub parameter_source: String,
     /// Requirements of the document that the model cannot represent.
     #[serde(default)]
-    #[serde(rename = "outside")]
+    #[serde(alias = "outside")]
     pub not_modelled: Vec<String>,
     /// Omitted parameters, each with the reason.
     #[serde(default)]
-    #[serde(rename = "left_out")]
+    #[serde(alias = "left_out")]
     pub omitted_parameters: Vec<String>,
     /// Clauses; 1 to 100.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
@@ -48,7 +48,7 @@ pub struct ClauseSpec {
     /// Number of the clause in the document.
     pub clause: String,
     /// Summary of the clause.
-    #[serde(rename = "says")]
+    #[serde(alias = "says")]
     pub summary: String,
     /// Tests; 1 to 100. A test passes if it ends without a collision, or with one at most as fast as `impact_at_most`.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
@@ -67,11 +67,11 @@ pub struct TestSpec {
     pub lead: Option<LeadManeuver>,
     /// Reason why the test cannot be run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "refused")]
+    #[serde(alias = "refused")]
     pub refusal_reason: Option<String>,
     /// Parameters. The test is run at every combination of their values.
     #[serde(default)]
-    #[serde(rename = "figures")]
+    #[serde(alias = "figures")]
     pub parameters: TestParameters,
     /// Largest impact speed that passes; without it no collision passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -123,7 +123,7 @@ pub enum LeadManeuver {
 )]
 pub struct MarginSweep {
     /// Parameter that is varied. The first value is the value of the grid nearest to `to`.
-    #[serde(rename = "push")]
+    #[serde(alias = "push")]
     pub parameter: ParameterKind,
     /// Last value, in the unit of the parameter; beyond all its values.
     pub to: f64,

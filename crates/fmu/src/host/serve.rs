@@ -15,8 +15,8 @@ const MAX_LINE_BYTES: u64 = 1 << 20;
 #[serde(untagged)]
 enum HostRequest {
     Hello {
-        #[serde(rename = "crumple")]
-        version: u32,
+        /// Version of the protocol.
+        crumple: u32,
         hello: HelloBody,
     },
     Reset {
@@ -58,10 +58,7 @@ pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
         let question = serde_json::from_str(&line)
             .map_err(|error| format!("{error} in {}", line.trim_end()))?;
         let answer = match question {
-            HostRequest::Hello {
-                version: crumple,
-                hello,
-            } => {
+            HostRequest::Hello { crumple, hello } => {
                 let HelloBody {
                     step_s,
                     inputs,

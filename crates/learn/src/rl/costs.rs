@@ -40,10 +40,10 @@ pub struct CostConfig {
     /// Weight of jerk.
     pub jerk: f64,
     /// Weight of induced braking of the follower.
-    #[serde(rename = "imposed")]
+    #[serde(alias = "imposed")]
     pub induced_braking: f64,
     /// Weight of unnecessary braking.
-    #[serde(rename = "needless")]
+    #[serde(alias = "needless")]
     pub unnecessary_braking: f64,
 }
 

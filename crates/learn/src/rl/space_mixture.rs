@@ -32,9 +32,9 @@ pub struct TrainingSpace {
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
     #[serde(
-        rename = "costs_times",
         default = "one::<f64>",
-        skip_serializing_if = "is_one"
+        skip_serializing_if = "is_one",
+        alias = "costs_times"
     )]
     pub cost_multiplier: f64,
     /// Share of its episodes, from 0 to 1, at points that are uniform over the ranges of its parameters, so that rare

@@ -44,7 +44,6 @@ pub struct AssessmentComparison {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentChange {
     /// Description of the subject.
-    #[serde(rename = "what")]
     pub description: String,
     /// Earlier result.
     pub before: Option<String>,
