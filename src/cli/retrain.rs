@@ -37,7 +37,7 @@ imitates the expert in them. It accepts the checkpoint only if no safe scenario 
 fails, collisions on the validation set do not increase and fall there or in the collected cases, and the policy is \
 significantly worse in none of the --regression spaces: by collisions and, where `idm` drives without fault, also by \
 hard unnecessary braking and vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p \
-below 0.01). With `useful_draws` in the preset, drives of `traffic` may not have more collisions, hard unnecessary \
+below 0.01). With `usefulness_draws` in the preset, drives of `traffic` may not have more collisions, hard unnecessary \
 braking or vehicles left behind, nor jerk or acceleration more than 1 % above that of the initial policy and of \
 `idm`, nor a mean time gap further outside 1.2 to 2.1 s, and a line of five vehicles may not amplify a disturbance \
 more than before if its gain exceeds 1. The retraining ends after --rounds, or when a search finds no avoidable \

@@ -350,7 +350,7 @@ name = "own"
 about = "A vehicle that stands."
 document = "None"
 edition = "First"
-figures_from = "Nothing."
+parameter_source = "Nothing."
 
 [[clauses]]
 clause = "1"

@@ -196,7 +196,7 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
         ("about", &spec.about),
         ("document", &spec.document),
         ("edition", &spec.edition),
-        ("figures_from", &spec.parameter_source),
+        ("parameter_source", &spec.parameter_source),
     ] {
         check_text(found, field)?;
     }

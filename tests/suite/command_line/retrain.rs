@@ -52,7 +52,7 @@ mod tier_2 {
             );
         }
         let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
-        assert_contains(&plan, &["nominal_share = 0", "costs_times = 100"]);
+        assert_contains(&plan, &["nominal_share = 0", "cost_multiplier = 100"]);
         let again = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed"));
         assert_eq!(
             exit_code(&again),
@@ -130,14 +130,14 @@ fn check_report(folder: &Path, report: &Value) {
     );
     let rounds = report["rounds"].as_array().unwrap();
     assert_eq!(rounds.len(), 2);
-    let mut standing = &report["first_standing"];
+    let mut standing = &report["first_results"];
     for round in rounds {
         assert_eq!(
             round["found"]["evaluations"], 36,
             "the method and both reference searches"
         );
         assert!(
-            !round["found"]["draws_avoidable"]["indices"]
+            !round["found"]["avoidable_draws"]["indices"]
                 .as_array()
                 .unwrap()
                 .is_empty()
@@ -160,8 +160,8 @@ fn check_report(folder: &Path, report: &Value) {
             standing = &round["after"];
         }
     }
-    assert_eq!(report["retrained_standing"], *standing);
-    assert_eq!(report["judged_draws"], 12);
+    assert_eq!(report["retrained_results"], *standing);
+    assert_eq!(report["test_draws"], 12);
     let pairs = &report["pairs"];
     let pairs: u64 = ["both", "first_only", "retrained_only", "neither"]
         .map(|field| pairs[field].as_u64().unwrap())
@@ -204,10 +204,10 @@ fn an_imitation_is_retrained_in_all_spaces() {
         (&30.into(), &72.into())
     );
     assert_eq!(
-        (&round["trained"]["to_episode"], &report["judged_draws"]),
+        (&round["trained"]["to_episode"], &report["test_draws"]),
         (&0.into(), &24.into())
     );
-    let expected = if !report["retrained_standing"]["paper"]
+    let expected = if !report["retrained_results"]["paper"]
         .as_array()
         .unwrap()
         .is_empty()

@@ -201,7 +201,7 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
         code == 1 && error.contains("the other controller gave no answer"),
         "{error}"
     );
-    let silent = &summary["methods"][1]["other_unanswered"];
+    let silent = &summary["methods"][1]["second_missing_answers"];
     assert!(
         silent["runs"]
             .as_u64()
@@ -404,7 +404,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let suites = "suites = [{ suite = \"fmvss-127\", controllers = [\"near.toml\"] }]\n";
     let gates = [
         "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
-        "require = \"needless-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
+        "require = \"unnecessary-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"left-behind-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"string-stable\"\ncontroller = \"near.toml\"",
         "require = \"suite-passed\"\ncontroller = \"near.toml\"\nsuite = \"fmvss-127\"",
@@ -476,11 +476,11 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .find(|claim| claim["part"] == "suites")
         .unwrap();
     assert_eq!(
-        of_suite["standings"][0]["strength"], "unanswered",
+        of_suite["statuses"][0]["strength"], "unanswered",
         "{of_suite}"
     );
     for claim in report["summary"]["claims"].as_array().unwrap() {
-        let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["standings"][0]);
+        let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["statuses"][0]);
         let of_driving = [
             "no unnecessary braking",
             "never falls behind",

@@ -205,10 +205,10 @@ pub struct LrDecay {
 }
 
 impl LrDecay {
-    /// Returns the factor in an episode, counted from 0, of a training with `random_episodes` random episodes.
-    pub(super) fn factor(&self, episode: u64, random_episodes: u64) -> f64 {
-        let falling = self.until_episode.saturating_sub(random_episodes).max(1);
-        let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
+    /// Returns the factor in an episode, counted from 0, of a training with `learning_starts_episode` random episodes.
+    pub(super) fn factor(&self, episode: u64, learning_starts_episode: u64) -> f64 {
+        let falling = self.until_episode.saturating_sub(learning_starts_episode).max(1);
+        let progress = episode.saturating_sub(learning_starts_episode) as f64 / falling as f64;
         1.0 + (self.final_factor - 1.0) * progress.min(1.0)
     }
 }

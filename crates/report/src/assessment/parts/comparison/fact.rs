@@ -104,8 +104,8 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
     for row in read::<Vec<Value>>(evidence, "summary/claims")? {
         let words: String = read(&row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
-        let statuses: Vec<Value> = read(&row, "standings")?;
-        let strengths: Vec<Strength> = read(&row, "standings")?;
+        let statuses: Vec<Value> = read(&row, "statuses")?;
+        let strengths: Vec<Strength> = read(&row, "statuses")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
             return Err(format!(
                 "summary/claims: `{words}` needs one entry per controller"
