@@ -45,7 +45,7 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
             .collect(),
         Some("json") if name == "assessment.json" => {
             let mut value: Value = serde_json::from_str(text).expect("JSON");
-            value["provenance"]["made"] = Value::Null;
+            value["provenance"]["run_info"] = Value::Null;
             format!("{value:#}\n")
         }
         _ => text.to_owned(),
@@ -171,7 +171,7 @@ fn the_committed_report_is_current() {
 #[test]
 fn the_committed_report_was_made_from_a_clean_commit() {
     let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
-    let commit = evidence["provenance"]["made"]["commit"]
+    let commit = evidence["provenance"]["run_info"]["commit"]
         .as_str()
         .expect("the report states a commit");
     let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
@@ -453,7 +453,7 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
             *status = match status["strength"] == "found" {
                 true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
                 false => {
-                    serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 })
+                    serde_json::json!({ "strength": "falsified", "failures": 150, "avoidable": 150 })
                 }
             };
             anywhere = Some(words);
@@ -521,7 +521,7 @@ fn the_verdict_is_that_of_the_evidence() {
             0 => assert_eq!(strength["strength"], "tested", "{name}"),
             _ => assert_eq!(strength["failures"], failures, "{name}"),
         }
-        let sampled = &evidence["distributions"]["spaces"][0]["controllers"][index];
+        let sampled = &evidence["rate_spaces"]["spaces"][0]["controllers"][index];
         assert_eq!(sampled["controller"], *name);
         let collisions = sampled["collisions"].as_u64().expect("a count");
         let strength = &claims[1]["statuses"][index];

@@ -142,7 +142,7 @@ impl DrivingExposure {
                 sum(|source| source.kilometres),
             ),
             (
-                "exposure.left_out",
+                "exposure.undescribed_brakings",
                 self.undescribed_brakings as f64,
                 sum(|source| source.undescribed_brakings as f64),
             ),
@@ -167,7 +167,7 @@ impl ObservedData {
         let episodes = self.braking_clusters.len();
         if !(2..=MAX_EPISODES).contains(&episodes) {
             return reject(
-                "observed.waves",
+                "observed.braking_clusters",
                 format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"),
             );
         }
@@ -177,7 +177,7 @@ impl ObservedData {
             .find(|cluster| **cluster as usize >= episodes)
         {
             return reject(
-                "observed.waves",
+                "observed.braking_clusters",
                 format!("must be below the number of episodes, {episodes}, found {cluster}"),
             );
         }

@@ -2,8 +2,24 @@
 
 use serde::{Deserialize, Serialize};
 
+use crumple_core::text_file::OldNames;
+
 use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
 use super::run::Criterion;
+
+/// Names of suite files before 0.4.
+pub(crate) const OLD_NAMES: OldNames = OldNames {
+    fields: &[
+        ("figures_from", "parameter_source"),
+        ("outside", "not_modelled"),
+        ("left_out", "omitted_parameters"),
+        ("says", "summary"),
+        ("refused", "refusal_reason"),
+        ("figures", "parameters"),
+        ("push", "parameter"),
+    ],
+    values: &[],
+};
 
 /// A suite as its file states it, before validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,7 +78,7 @@ pub struct ClauseSpec {
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.
     pub name: String,
-    /// Manoeuvre of the vehicle ahead. A test has either this or `refused`.
+    /// Manoeuvre of the vehicle ahead. A test has either this or `refusal_reason`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead: Option<LeadManeuver>,
     /// Reason why the test cannot be run.
@@ -119,7 +135,7 @@ pub enum LeadManeuver {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(
     deny_unknown_fields,
-    expecting = "a direction: a table of `push` and `to`"
+    expecting = "a direction: a table of `parameter` and `to`"
 )]
 pub struct MarginSweep {
     /// Parameter that is varied. The first value is the value of the grid nearest to `to`.

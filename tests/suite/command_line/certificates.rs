@@ -304,7 +304,7 @@ fn a_sample_is_chosen_afterwards_and_states_its_power() {
     assert_eq!(numbers, [200, 300, 2, 3, 7]);
     // One of three blocks has a forged run, and two blocks were counted again.
     assert!(
-        (rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9,
+        (rerun["detection_probabilities"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9,
         "{report}"
     );
     let text = sampled("");

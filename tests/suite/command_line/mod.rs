@@ -331,7 +331,8 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     let braking = &report["unnecessary_braking"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(
-        braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("justified_mps2") + 2.0,
+        braking["count"].as_u64() > Some(0)
+            && hardest("brake_mps2") > hardest("justified_mps2") + 2.0,
         "{report}"
     );
     let left = run_crumple(

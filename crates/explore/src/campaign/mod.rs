@@ -96,8 +96,8 @@ pub(crate) fn show_campaigns(
             .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
     let (x, y) = (
-        place("across", &request.x_parameter, 0)?,
-        place("up", &request.y_parameter, 1)?,
+        place("x_parameter", &request.x_parameter, 0)?,
+        place("y_parameter", &request.y_parameter, 1)?,
     );
     let kinds = look
         .summary()

@@ -14,7 +14,7 @@ use super::serde_helpers::deserialize_f32_no_underflow;
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_controllers::Controllers;
-use crumple_core::text_file::{self, is_default};
+use crumple_core::text_file::{self, OldNames, is_default};
 use crumple_sim::observation::EstimatorKind;
 
 /// Version of the preset format that this release reads.
@@ -207,7 +207,10 @@ pub struct LrDecay {
 impl LrDecay {
     /// Returns the factor in an episode, counted from 0, of a training with `learning_starts_episode` random episodes.
     pub(super) fn factor(&self, episode: u64, learning_starts_episode: u64) -> f64 {
-        let falling = self.until_episode.saturating_sub(learning_starts_episode).max(1);
+        let falling = self
+            .until_episode
+            .saturating_sub(learning_starts_episode)
+            .max(1);
         let progress = episode.saturating_sub(learning_starts_episode) as f64 / falling as f64;
         1.0 + (self.final_factor - 1.0) * progress.min(1.0)
     }
@@ -303,6 +306,24 @@ pub const PRESETS: [(&str, &str); 4] = [
     ("road", include_str!("presets/road.toml")),
 ];
 
+/// Names of training configurations before 0.4.
+const OLD_NAMES: OldNames = OldNames {
+    fields: &[
+        ("decision_steps", "action_repeat"),
+        ("soft_update", "tau"),
+        ("rates_fall", "lr_decay"),
+        ("to_share", "final_factor"),
+        ("random_episodes", "learning_starts_episode"),
+        ("contact_share", "collision_fraction"),
+        ("useful_draws", "usefulness_draws"),
+        ("mean_over_updates", "weight_average_updates"),
+        ("imposed", "induced_braking"),
+        ("needless", "unnecessary_braking"),
+        ("costs_times", "cost_multiplier"),
+    ],
+    values: &[("end", "termination")],
+};
+
 impl TrainingConfig {
     /// Returns a built-in preset.
     ///
@@ -328,6 +349,7 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
+        OLD_NAMES.warn(text, path);
         let config: Self = text_file::parse_toml(text, path)
             .map_err(|error| TrainingConfigError::Located(error.to_string()))?;
         config

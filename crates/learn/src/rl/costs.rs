@@ -71,8 +71,8 @@ impl CostConfig {
             ("relative_speed", &mut self.relative_speed),
             ("acceleration", &mut self.acceleration),
             ("jerk", &mut self.jerk),
-            ("imposed", &mut self.induced_braking),
-            ("needless", &mut self.unnecessary_braking),
+            ("induced_braking", &mut self.induced_braking),
+            ("unnecessary_braking", &mut self.unnecessary_braking),
         ]
     }
 

@@ -80,7 +80,11 @@ impl TrainingConfig {
     fn check_exploration(&self) -> Result<(), TrainingConfigError> {
         let exploration = &self.exploration;
         let random = exploration.learning_starts_episode;
-        check_range("exploration.learning_starts_episode", random as f64, [0.0, 1e7])?;
+        check_range(
+            "exploration.learning_starts_episode",
+            random as f64,
+            [0.0, 1e7],
+        )?;
         let decay = self.learning.lr_decay.as_ref();
         if let Some(decay) = decay.filter(|decay| decay.until_episode <= random) {
             let problem = format!(
