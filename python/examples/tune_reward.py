@@ -43,7 +43,7 @@ def main(trials, steps):
     """Tunes the costs and returns the study."""
 
     def objective(trial):
-        costs = {name: trial.suggest_float(name, 0.0, 1.0) for name in ("far", "relative_speed", "needless")}
+        costs = {name: trial.suggest_float(name, 0.0, 1.0) for name in ("far", "relative_speed", "unnecessary_braking")}
         contacts, braking_mps2 = score(costs, steps)
         trial.set_user_attr("contacts", contacts)
         return contacts + 0.02 * braking_mps2

@@ -19,6 +19,7 @@ mod table;
 mod testing;
 mod threads;
 mod values;
+mod warnings;
 mod worst_case;
 
 use pyo3::prelude::*;
@@ -53,6 +54,7 @@ mod _crumple {
             .py()
             .import("atexit")?
             .call_method1("register", (leave,))?;
+        crate::warnings::show_logged_warnings();
         crumple_store::program::set_library_path(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }

@@ -81,7 +81,7 @@ def test_text_and_json_are_those_of_the_program(run_program, python_folder, resu
     assert text == run_program(arguments, "text", status)
     printed = json.loads(run_program([*arguments, *resume(arguments)], "json", status))
     # The program adds totals of several methods to the summary of a campaign.
-    for name in {"of_method_asked_for", "of_all_methods"} & printed.keys() - data.keys():
+    for name in {"requested_method", "all_methods"} & printed.keys() - data.keys():
         del printed[name]
     assert data == printed
 

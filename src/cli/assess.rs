@@ -55,7 +55,7 @@ for a recording, and 3 MiB of TOML for any other file.
 
 Other gates for a controller: no-collision-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and \
 `recordings`), no-collision-in-space (random scenarios of a space, one of `distributions` or `traffic` or \
-`high-risk`) and no-avoidable-failure (with a space), needless-braking-at-most and left-behind-at-most (with \
+`high-risk`) and no-avoidable-failure (with a space), unnecessary-braking-at-most and left-behind-at-most (with \
 percent), string-stable (no speed oscillation of 0.05 to 2 rad/s around 4 to 30 m/s grows from vehicle to \
 vehicle), suite-passed (with a suite), rate-at-most (with percent; both rates with a space, if there \
 are several distributions), proofs-accepted, nothing-worse (than in --against).

@@ -135,6 +135,7 @@ enum CliCommand {
 /// Runs the command line. The first argument is the name of the program.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::ignore_file_size_signal();
+    output::show_logged_warnings();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     regular_file::permit_pipes(named_pipes(&arguments));
     let parsed = match build_command()

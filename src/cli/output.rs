@@ -1,8 +1,10 @@
 //! Printing. A closed output stream does not change the exit code, and text from users and files is escaped.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use anstream::{AutoStream, ColorChoice};
 use anstyle::{AnsiColor, Style};
@@ -171,6 +173,34 @@ pub(super) fn warn(text: &str) {
         .map(shorten_message)
         .collect();
     emit_to_stderr(TerminalLines(&lines.join("\n")).to_string());
+}
+
+/// Prints warnings of the libraries on standard error, each once.
+struct WarningLog(Mutex<BTreeSet<String>>);
+
+static WARNING_LOG: WarningLog = WarningLog(Mutex::new(BTreeSet::new()));
+
+impl log::Log for WarningLog {
+    fn enabled(&self, metadata: &log::Metadata<'_>) -> bool {
+        metadata.level() <= log::Level::Warn && metadata.target().starts_with("crumple")
+    }
+
+    fn log(&self, record: &log::Record<'_>) {
+        let text = format!("warning: {}", record.args());
+        let mut printed = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.enabled(record.metadata()) && printed.insert(text.clone()) {
+            warn(&text);
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Shows the warnings that libraries log.
+pub(super) fn show_logged_warnings() {
+    // Fails only if another logger is set, as in a test that runs two commands in one process.
+    let _ = log::set_logger(&WARNING_LOG);
+    log::set_max_level(log::LevelFilter::Warn);
 }
 
 /// Writes a line at once: standard error has no buffer, and other programs may write to it.

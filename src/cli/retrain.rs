@@ -37,7 +37,7 @@ imitates the expert in them. It accepts the checkpoint only if no safe scenario 
 fails, collisions on the validation set do not increase and fall there or in the collected cases, and the policy is \
 significantly worse in none of the --regression spaces: by collisions and, where `idm` drives without fault, also by \
 hard unnecessary braking and vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p \
-below 0.01). With `useful_draws` in the preset, drives of `traffic` may not have more collisions, hard unnecessary \
+below 0.01). With `usefulness_draws` in the preset, drives of `traffic` may not have more collisions, hard unnecessary \
 braking or vehicles left behind, nor jerk or acceleration more than 1 % above that of the initial policy and of \
 `idm`, nor a mean time gap further outside 1.2 to 2.1 s, and a line of five vehicles may not amplify a disturbance \
 more than before if its gain exceeds 1. The retraining ends after --rounds, or when a search finds no avoidable \
@@ -52,7 +52,7 @@ Examples:
   crumple retrain --out runs/retrained
   crumple retrain --policy road
   crumple retrain --regression none
-  crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
+  crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --test-draws 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
     /// Initial policy: `policy`, `retrained`, `road`, or a policy file
@@ -90,7 +90,7 @@ pub(super) struct Retrain {
     #[arg(value_parser = args::whole_number::<u64>(0..=1_000_000))]
     draws: u64,
     /// Avoidable random scenarios per space of the validation set, which accepts or rejects a round: 1 to 1 000 000
-    #[arg(long = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
+    #[arg(long, alias = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
     /// Random scenarios of the paper's distribution, and drives of traffic, in the validation set: 1 to 1 000 000
@@ -106,7 +106,7 @@ pub(super) struct Retrain {
     #[arg(value_parser = args::whole_number::<u64>(1..=10_000))]
     regression_draws: u64,
     /// Avoidable random scenarios per space of the test set, which evaluates the result: 1 to 10 000 000
-    #[arg(long = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
+    #[arg(long, alias = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=10_000_000))]
     test_draws: u64,
     /// Seed of searches and trainings

@@ -243,7 +243,7 @@ def find_and_download(browser, address, folder, run):
     browser.click("#distinct a")
     browser.wait("its scenario", "return location.search === '?campaign=0&counterexample=0'")
     shown = final_verdict(browser)
-    assert shown["verdict"] == "collision" and shown["words"].startswith("match-leader"), shown
+    assert shown["verdict"] == "collision" and shown["summary"].startswith("match-leader"), shown
     browser.drag("#slide-speed-1", [(0.5, 0.5), (0.55, 0.5)])
     shown = final_verdict(browser)
     browser.script("document.getElementById('name').value = '../dragged: \"a failure\"'")

@@ -137,7 +137,7 @@ fn strength_level(text: &Value) -> u8 {
         "compared" if text["own"].as_u64() < text["other"].as_u64() => 2,
         "gain" if text["largest"].as_f64() > Some(1.0) => 0,
         "tested" | "gain" => 2,
-        "bounded" | "counted" | "proved_in" => 3,
+        "bounded" | "counted" | "partly_proved" => 3,
         "proved" => 4,
         _ => 1,
     }
@@ -147,7 +147,7 @@ fn strength_level(text: &Value) -> u8 {
 fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
     let about_runs = |p: &Value| {
-        ["no_contact", "no_contact_ahead", "no_needless_braking"]
+        ["no_contact", "no_contact_ahead", "no_unnecessary_braking"]
             .contains(&p["kind"].as_str().unwrap())
     };
     let same_property = |a: &Value, b: &Value| {
@@ -186,7 +186,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let fixed = |one: &Value| {
         let against = match one["strength"].as_str() {
             Some("counted") => 0.0,
-            Some("counted_in_vain") => 100.0,
+            Some("not_shown_by_counting") => 100.0,
             _ => one["upper_percent"].as_f64().unwrap(),
         };
         (
@@ -207,7 +207,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             && claim["property"]["kind"] == "rate_at_most";
         let is_counted = match one["strength"].as_str() {
             Some("between") => is_rate,
-            Some("counted" | "counted_in_vain") => {
+            Some("counted" | "not_shown_by_counting") => {
                 same_property(&own["property"], &claim["property"])
             }
             _ => false,

@@ -45,7 +45,7 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
             .collect(),
         Some("json") if name == "assessment.json" => {
             let mut value: Value = serde_json::from_str(text).expect("JSON");
-            value["provenance"]["made"] = Value::Null;
+            value["provenance"]["run_info"] = Value::Null;
             format!("{value:#}\n")
         }
         _ => text.to_owned(),
@@ -171,7 +171,7 @@ fn the_committed_report_is_current() {
 #[test]
 fn the_committed_report_was_made_from_a_clean_commit() {
     let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
-    let commit = evidence["provenance"]["made"]["commit"]
+    let commit = evidence["provenance"]["run_info"]["commit"]
         .as_str()
         .expect("the report states a commit");
     let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
@@ -386,7 +386,7 @@ fn a_comparison_finds_changes() {
         (0, 0, 0, 0)
     );
     let mut evidence: Value = serde_json::from_str(&json).expect("JSON");
-    evidence["summary"]["claims"][0]["standings"][0] =
+    evidence["summary"]["claims"][0]["statuses"][0] =
         serde_json::json!({ "strength": "tested", "runs": 3 });
     let changed = again(&evidence.to_string());
     assert_eq!(
@@ -445,7 +445,7 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
         .expect("claims")
     {
         let words = row["claim"].as_str().expect("words").to_owned();
-        let status = &mut row["standings"][position];
+        let status = &mut row["statuses"][position];
         if words.starts_with("no collision in a search of `high-risk`") {
             (status["failures"], status["avoidable"]) = (count.into(), count.into());
         } else if words == "no collision anywhere in `high-risk`" {
@@ -453,7 +453,7 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
             *status = match status["strength"] == "found" {
                 true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
                 false => {
-                    serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 })
+                    serde_json::json!({ "strength": "falsified", "failures": 150, "avoidable": 150 })
                 }
             };
             anywhere = Some(words);
@@ -516,15 +516,15 @@ fn the_verdict_is_that_of_the_evidence() {
             .iter()
             .filter(|s| case(s)["verdict"]["kind"] != "safe")
             .count();
-        let strength = &claims[0]["standings"][index];
+        let strength = &claims[0]["statuses"][index];
         match failures {
             0 => assert_eq!(strength["strength"], "tested", "{name}"),
             _ => assert_eq!(strength["failures"], failures, "{name}"),
         }
-        let sampled = &evidence["distributions"]["spaces"][0]["controllers"][index];
+        let sampled = &evidence["rate_spaces"]["spaces"][0]["controllers"][index];
         assert_eq!(sampled["controller"], *name);
         let collisions = sampled["collisions"].as_u64().expect("a count");
-        let strength = &claims[1]["standings"][index];
+        let strength = &claims[1]["statuses"][index];
         match collisions {
             0 => assert_eq!(strength["strength"], "tested", "{name}"),
             _ => assert_eq!(strength["failures"], collisions, "{name}"),

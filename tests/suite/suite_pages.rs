@@ -57,7 +57,7 @@ fn a_tolerance_belongs_to_the_criterion() {
     for (tolerance, message) in [
         (
             "-1.0",
-            "own.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1",
+            "own.toml:15: clauses[0].tests[0].parameters.own_speed.tolerance: must be 0 or more, found -1",
         ),
         ("nan", "must be 0 or more, found NaN"),
         ("inf", "must be 0 or more, found inf"),

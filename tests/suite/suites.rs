@@ -350,18 +350,18 @@ name = "own"
 about = "A vehicle that stands."
 document = "None"
 edition = "First"
-figures_from = "Nothing."
+parameter_source = "Nothing."
 
 [[clauses]]
 clause = "1"
-says = "Touch nothing."
+summary = "Touch nothing."
 
 [[clauses.tests]]
 name = "stands"
 lead = "stopped"
-margins = [{ push = "own_speed", to = 100.0 }, { push = "closing_time", to = 0.5 }]
-figures.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
-figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
+margins = [{ parameter = "own_speed", to = 100.0 }, { parameter = "closing_time", to = 0.5 }]
+parameters.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
+parameters.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
 pub(crate) fn load_suite(text: &str) -> Result<TestSuite, String> {
@@ -404,27 +404,27 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         (
             "lead = \"stopped\"\n",
             "",
-            "own.toml:12: clauses[0].tests[0]: a test must have either `lead` or `refused`",
+            "own.toml:12: clauses[0].tests[0]: a test must have either `lead` or `refusal_reason`",
         ),
         (
             "\"stopped\"",
             "\"slower\"",
-            "clauses[0].tests[0].figures.lead_speed: is missing: a test with lead = slower needs it",
+            "clauses[0].tests[0].parameters.lead_speed: is missing: a test with lead = slower needs it",
         ),
         (
             "lead = \"stopped\"",
-            "lead = \"stopped\"\nfigures.gap = { values = [9.0], unit = \"m\", origin = \"chosen\" }",
-            "own.toml:15: clauses[0].tests[0].figures.gap: is not allowed in a test with lead = stopped",
+            "lead = \"stopped\"\nparameters.gap = { values = [9.0], unit = \"m\", origin = \"chosen\" }",
+            "own.toml:15: clauses[0].tests[0].parameters.gap: is not allowed in a test with lead = stopped",
         ),
         (
             "[36.0, 50.0]",
             "[50.0, 36.0]",
-            "own.toml:16: clauses[0].tests[0].figures.own_speed.values[1]: must increase",
+            "own.toml:16: clauses[0].tests[0].parameters.own_speed.values[1]: must increase",
         ),
         (
             "[36.0, 50.0]",
             "[]",
-            "own.toml:16: clauses[0].tests[0].figures.own_speed.values: must have 1 to 100 entries",
+            "own.toml:16: clauses[0].tests[0].parameters.own_speed.values: must have 1 to 100 entries",
         ),
         (
             "[36.0, 50.0]",
@@ -434,7 +434,7 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         (
             "unit = \"s\"",
             "unit = \"m\"",
-            "own.toml:17: clauses[0].tests[0].figures.closing_time.unit: closing time cannot",
+            "own.toml:17: clauses[0].tests[0].parameters.closing_time.unit: closing time cannot",
         ),
         (
             "to = 100.0",
@@ -459,12 +459,12 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         (
             "\"stopped\"",
             "\"decelerating\"",
-            "figures.closing_time: is not allowed in a test with lead = decelerating",
+            "parameters.closing_time: is not allowed in a test with lead = decelerating",
         ),
         (
-            "push = \"own_speed\"",
-            "push = \"gap\"",
-            "own.toml:15: clauses[0].tests[0].margins[0].push: is not allowed",
+            "parameter = \"own_speed\"",
+            "parameter = \"gap\"",
+            "own.toml:15: clauses[0].tests[0].margins[0].parameter: is not allowed",
         ),
         (
             "edition",
@@ -563,13 +563,13 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
         .replace("\"stopped\"", "\"decelerating\"")
         .replace("margins = ", "margins = [] # ")
         .replace(
-            "figures.closing_time = { values = [5.0], unit = \"s\", origin = \"chosen\" }",
-            "figures.deceleration = { values = [4.0], unit = \"m/s2\", origin = \"chosen\" }\n\
-         figures.ramp = { values = [0.0], unit = \"s\", origin = \"chosen\" }\nGAP",
+            "parameters.closing_time = { values = [5.0], unit = \"s\", origin = \"chosen\" }",
+            "parameters.deceleration = { values = [4.0], unit = \"m/s2\", origin = \"chosen\" }\n\
+         parameters.ramp = { values = [0.0], unit = \"s\", origin = \"chosen\" }\nGAP",
         );
     let text = text.replace("[36.0, 50.0]", "[36.0]");
-    let gap = "figures.gap = { values = [12.0], unit = \"m\", origin = \"chosen\" }\n";
-    let time = "figures.time_gap = { values = [1.2], unit = \"s\", origin = \"chosen\" }\n";
+    let gap = "parameters.gap = { values = [12.0], unit = \"m\", origin = \"chosen\" }\n";
+    let time = "parameters.time_gap = { values = [1.2], unit = \"s\", origin = \"chosen\" }\n";
     let load = |gap: &str| load_suite(&text.replace("GAP", gap));
     let tested = |gap: &str| first_result(&load(gap).unwrap(), "match-leader");
     let (by_length, by_time) = (tested(gap), tested(time));
@@ -578,11 +578,11 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     for (gap, message) in [
         (
             "",
-            "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`",
+            "parameters.gap: is missing: a test with lead = decelerating needs it, or `time_gap`",
         ),
         (
             &format!("{gap}{time}"),
-            "figures.time_gap: repeats `gap`: state only one of them",
+            "parameters.time_gap: repeats `gap`: state only one of them",
         ),
     ] {
         let error = load(gap).unwrap_err();

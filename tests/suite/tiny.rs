@@ -21,7 +21,10 @@ pub(crate) fn training() -> String {
         &[
             ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
             ("batch = 128", "batch = 8"),
-            ("random_episodes = 20", "random_episodes = 3"),
+            (
+                "learning_starts_episode = 20",
+                "learning_starts_episode = 3",
+            ),
             ("every_episodes = 5", "every_episodes = 1"),
             ("screening_draws = 60", "screening_draws = 2"),
             ("ranking_draws = 2000", "ranking_draws = 2"),
@@ -39,7 +42,10 @@ pub(crate) fn retraining() -> String {
         &[
             ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
             ("batch = 256", "batch = 8"),
-            ("random_episodes = 200", "random_episodes = 3"),
+            (
+                "learning_starts_episode = 200",
+                "learning_starts_episode = 3",
+            ),
             ("every_episodes = 25", "every_episodes = 1"),
             ("screening_draws = 200", "screening_draws = 2"),
             ("ranking_draws = 1000", "ranking_draws = 6"),

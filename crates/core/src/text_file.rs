@@ -1,6 +1,7 @@
 //! Text files of users, in TOML or JSON: limited reading, and errors that name file, line and field.
 
 mod named_fields;
+mod old_names;
 mod position;
 
 use std::fmt;
@@ -14,6 +15,7 @@ use crate::regular_file;
 use named_fields::NamedFields;
 use position::{line_at, locate_in_toml};
 
+pub use old_names::OldNames;
 pub use position::{line_in_json, line_in_toml, raw_toml_value};
 
 /// An error of a text file that a user names.

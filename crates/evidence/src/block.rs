@@ -20,17 +20,13 @@ pub struct CountedBlock {
     /// SHA-256 of the result of each run, known only to a program that simulates them: see `docs/certificates.md`.
     pub sha256: String,
     /// Runs without an answer of the controller, or of the first of two; they count as failures.
-    #[serde(
-        rename = "unanswered",
-        default,
-        skip_serializing_if = "Option::is_none"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "unanswered")]
     pub missing_answers: Option<FailedControllerRuns>,
     /// Runs without an answer of the second controller; they count for neither controller.
     #[serde(
-        rename = "other_unanswered",
         default,
-        skip_serializing_if = "Option::is_none"
+        skip_serializing_if = "Option::is_none",
+        alias = "other_unanswered"
     )]
     pub second_missing_answers: Option<FailedControllerRuns>,
 }

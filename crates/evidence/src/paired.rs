@@ -11,10 +11,10 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 #[serde(deny_unknown_fields)]
 pub struct DiscordantPairs {
     /// Scenarios that only the second controller fails.
-    #[serde(rename = "new")]
+    #[serde(alias = "new")]
     pub only_second_fails: u64,
     /// Scenarios that only the first controller fails.
-    #[serde(rename = "fixed")]
+    #[serde(alias = "fixed")]
     pub only_first_fails: u64,
 }
 

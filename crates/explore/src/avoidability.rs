@@ -14,10 +14,8 @@ use crate::render::render_replay;
 pub(crate) struct AvoidabilityResponse {
     /// `avoidable`, `unavoidable` or `undecided`.
     verdict: &'static str,
-    #[serde(rename = "words")]
     sentences: Vec<String>,
     /// Figure of the escape; empty if there is none.
-    #[serde(rename = "escape")]
     escape_figure: String,
 }
 

@@ -266,7 +266,7 @@
               'data-contact': run.contact_time_s,
             },
             element('b', {}, run.controller),
-            run.words,
+            run.summary,
             ...run.notes.map((note) => element('span', { class: 'note' }, note)),
           ),
         ),
@@ -275,7 +275,7 @@
       // Screen readers announce the result only when the changes stop.
       clearTimeout(announcement);
       announcement = setTimeout(() => {
-        byId('said').textContent = drawn.runs.map((run) => `${run.controller}: ${run.words}`).join('. ');
+        byId('said').textContent = drawn.runs.map((run) => `${run.controller}: ${run.summary}`).join('. ');
       }, 600);
     };
 
@@ -409,8 +409,8 @@
       button.disabled = true;
       place.replaceChildren(element('p', {}, 'Searching for an escape …'));
       try {
-        const { words, escape, verdict } = await ask('avoid', request());
-        place.replaceChildren(...words.map((line) => element('p', {}, line)));
+        const { sentences, escape_figure: escape, verdict } = await ask('avoid', request());
+        place.replaceChildren(...sentences.map((line) => element('p', {}, line)));
         place.dataset.verdict = verdict;
         place.insertAdjacentHTML('beforeend', escape);
       } catch (error) {
@@ -422,7 +422,7 @@
       const status = byId('saved');
       try {
         const saved = await ask('save', {
-          what: request(),
+          edited: request(),
           controller: chosen()[0],
           estimator: byId('estimator').value,
         });
@@ -472,8 +472,8 @@
         const state = await ask('campaign', {
           campaign: Number(chosen('campaign')),
           against: chosen('against') === '' ? null : Number(chosen('against')),
-          across: named('across'),
-          up: named('up'),
+          x_parameter: named('across'),
+          y_parameter: named('up'),
           method: named('method'),
           kind: named('kind'),
           narrow: narrow.matches,
@@ -481,11 +481,11 @@
         showError(null);
         setOptions('across', state.coordinates);
         setOptions('up', state.coordinates);
-        byId('across').value = state.across;
-        byId('up').value = state.up;
+        byId('across').value = state.x_parameter;
+        byId('up').value = state.y_parameter;
         setOptions('method', state.methods, [['', 'every method']]);
         setOptions('kind', state.kinds, [['', 'every kind']]);
-        byId('words').replaceChildren(...state.words.map((line) => element('p', { class: 'told' }, line)));
+        byId('words').replaceChildren(...state.summaries.map((line) => element('p', { class: 'told' }, line)));
         ['best', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
       } catch (error) {
         showError(error);

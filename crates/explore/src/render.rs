@@ -31,7 +31,6 @@ struct RunPanel {
     controller: String,
     /// `safe`, `collision` or `failed`.
     verdict: &'static str,
-    #[serde(rename = "words")]
     summary: String,
     notes: Vec<String>,
     contact_time_s: Option<f64>,

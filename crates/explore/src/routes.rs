@@ -57,7 +57,7 @@ struct OpenResponse<'a> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SaveRequest {
-    #[serde(rename = "what")]
+    #[serde(alias = "what")]
     edited: EditedScenario,
     controller: String,
     #[serde(default)]

@@ -464,7 +464,7 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
         ("avoid", json!({ "scenario": body["scenario"] })),
         (
             "save",
-            json!({ "what": { "scenario": body["scenario"] }, "controller": "idm" }),
+            json!({ "edited": { "scenario": body["scenario"] }, "controller": "idm" }),
         ),
         ("run", body),
     ] {
@@ -499,7 +499,7 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
         Some(9.77)
     );
     let save = json!({
-        "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits },
+        "edited": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits },
         "controller": "baseline",
         "estimator": "truth",
     });
@@ -542,7 +542,7 @@ fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
         (200, &json!("avoidable")),
         "{answer}"
     );
-    assert!(answer["escape"].as_str().unwrap().contains("<svg"));
+    assert!(answer["escape_figure"].as_str().unwrap().contains("<svg"));
 }
 
 proptest! {

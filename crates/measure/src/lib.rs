@@ -89,7 +89,7 @@ pub struct Measures {
     /// Measures towards the leader; `None` for the first vehicle.
     pub ahead: Option<LeadMeasures>,
     /// Braking induced in the follower; `None` for the last vehicle.
-    #[serde(rename = "imposed")]
+    #[serde(alias = "imposed")]
     pub induced: Option<InducedBraking>,
     /// Hardest deceleration of the run, in m/s², positive; `None` for less than two samples.
     pub peak_brake_mps2: Option<f64>,

@@ -36,8 +36,7 @@ pub(crate) struct VehicleParams {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct HelloReply {
-    #[serde(rename = "crumple")]
-    _version: u64,
+    crumple: u64,
     pub(crate) name: String,
     pub(crate) deterministic: bool,
     /// Time between its decisions, in seconds.

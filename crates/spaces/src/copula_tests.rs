@@ -33,7 +33,7 @@ episodes = 3
 hours = 0.5
 kilometres = 30.0
 [observed]
-waves = [0, 0, 1]
+braking_clusters = [0, 0, 1]
 [[observed.parameters]]
 name = "friction"
 low = 0.3
@@ -137,7 +137,7 @@ fn errors_of_dependence_exposure_and_data_name_their_field() {
         (
             "[0, 0, 1]",
             "[0, 0, 3]",
-            "observed.waves: must be below the number of episodes, 3, found 3",
+            "observed.braking_clusters: must be below the number of episodes, 3, found 3",
         ),
         (
             "[0.5, 0.6, 0.9]",
@@ -223,7 +223,7 @@ proptest! {
         seed in 0..1000u64,
     ) {
         let all = space(SPACE).unwrap();
-        let space = space(&SPACE.replace("waves", &format!("search_share = {share}\nwaves"))).unwrap();
+        let space = space(&SPACE.replace("braking_clusters", &format!("search_share = {share}\nbraking_clusters"))).unwrap();
         let evaluated = space.search_point(&point);
         prop_assert!(space.is_in_search_region(&evaluated), "{evaluated:?}");
         prop_assert_eq!(&evaluated[2..], &point[2..], "a parameter that was not observed stays free");

@@ -3,16 +3,27 @@
 use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceProblem, SpaceSpec};
-use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
+use crumple_core::text_file::{FileError, OldNames, line_in_toml, parse_toml, read};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{InvalidField, OpenDriver};
+
+/// Names of space files before 0.4.
+const OLD_NAMES: OldNames = OldNames {
+    fields: &[
+        ("left_out", "undescribed_brakings"),
+        ("waves", "braking_clusters"),
+    ],
+    values: &[],
+};
 
 /// Reads and checks a space file.
 ///
 /// # Errors
 /// [`ScenarioFileError`] for a file that cannot be read, parsed or accepted.
 pub fn load(path: &Path, opener: &dyn OpenDriver) -> Result<ScenarioSpace, ScenarioFileError> {
-    from_toml(&read(path)?, path, opener)
+    let text = read(path)?;
+    OLD_NAMES.warn(&text, path);
+    from_toml(&text, path, opener)
 }
 
 /// Reads a space from TOML text. `path` names it in errors; a base scenario in a file is relative to its folder.

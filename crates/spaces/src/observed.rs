@@ -24,7 +24,7 @@ pub struct DrivingExposure {
     pub kilometres: f64,
     /// Number of brakings in this driving that the space does not describe. Failures per hour count them with the
     /// failure rate of the episodes. Default 0.
-    #[serde(rename = "left_out", default, skip_serializing_if = "is_default")]
+    #[serde(default, skip_serializing_if = "is_default", alias = "left_out")]
     pub undescribed_brakings: u64,
     /// Exposure of each source, up to 1000; empty if unknown. The sums equal the numbers above.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -45,7 +45,7 @@ pub struct SourceExposure {
     /// Kilometres of following.
     pub kilometres: f64,
     /// Number of brakings that the space does not describe.
-    #[serde(rename = "left_out", default, skip_serializing_if = "is_default")]
+    #[serde(default, skip_serializing_if = "is_default", alias = "left_out")]
     pub undescribed_brakings: u64,
 }
 
@@ -56,7 +56,7 @@ pub struct SourceExposure {
 pub struct ObservedData {
     /// Number of the braking wave of each episode, from 0. Episodes of one wave are dependent and are resampled
     /// together.
-    #[serde(rename = "waves")]
+    #[serde(alias = "waves")]
     pub braking_clusters: Vec<u32>,
     /// Share of the distribution in the likelihood region in which searches stay: from 0.5, below 1. Default: searches
     /// use the whole ranges.
@@ -142,7 +142,7 @@ impl DrivingExposure {
                 sum(|source| source.kilometres),
             ),
             (
-                "exposure.left_out",
+                "exposure.undescribed_brakings",
                 self.undescribed_brakings as f64,
                 sum(|source| source.undescribed_brakings as f64),
             ),
@@ -167,7 +167,7 @@ impl ObservedData {
         let episodes = self.braking_clusters.len();
         if !(2..=MAX_EPISODES).contains(&episodes) {
             return reject(
-                "observed.waves",
+                "observed.braking_clusters",
                 format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"),
             );
         }
@@ -177,7 +177,7 @@ impl ObservedData {
             .find(|cluster| **cluster as usize >= episodes)
         {
             return reject(
-                "observed.waves",
+                "observed.braking_clusters",
                 format!("must be below the number of episodes, {episodes}, found {cluster}"),
             );
         }

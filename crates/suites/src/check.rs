@@ -65,7 +65,7 @@ pub enum SuiteProblem {
         found: usize,
     },
     /// A test with both a manoeuvre and a refusal, or with neither.
-    #[error("a test must have either `lead` or `refused`")]
+    #[error("a test must have either `lead` or `refusal_reason`")]
     LeadOrRefusal,
     /// A missing parameter of the manoeuvre.
     #[error("is missing: a test with lead = {lead} needs it{}", describe_alternative(alternative.as_ref()))]
@@ -196,13 +196,13 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
         ("about", &spec.about),
         ("document", &spec.document),
         ("edition", &spec.edition),
-        ("figures_from", &spec.parameter_source),
+        ("parameter_source", &spec.parameter_source),
     ] {
         check_text(found, field)?;
     }
     for (field, list) in [
-        ("outside", &spec.not_modelled),
-        ("left_out", &spec.omitted_parameters),
+        ("not_modelled", &spec.not_modelled),
+        ("omitted_parameters", &spec.omitted_parameters),
     ] {
         check_length(list.len(), 0, 100, field)?;
         list.iter()
@@ -214,7 +214,7 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
     for (index, clause) in spec.clauses.iter().enumerate() {
         let place = format!("clauses[{index}]");
         check_text(&clause.clause, format!("{place}.clause"))?;
-        check_text(&clause.summary, format!("{place}.says"))?;
+        check_text(&clause.summary, format!("{place}.summary"))?;
         check_length(clause.tests.len(), 1, 100, format!("{place}.tests"))?;
         for (index, test) in clause.tests.iter().enumerate() {
             let place = format!("{place}.tests[{index}]");
@@ -236,7 +236,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     let lead = match (test.lead, &test.refusal_reason) {
         (Some(lead), None) => lead,
         (None, Some(why)) => {
-            check_text(why, format!("{place}.refused"))?;
+            check_text(why, format!("{place}.refusal_reason"))?;
             let misplaced = test.parameters.iter().next().is_some()
                 || test.impact_at_most.is_some()
                 || !test.margins.is_empty()
@@ -270,12 +270,12 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     let found = before.saturating_add(test.point_count());
     ensure(
         found <= MAX_POINTS,
-        format!("{place}.figures"),
+        format!("{place}.parameters"),
         SuiteProblem::TooMany { found },
     )?;
     let grid = test.grid();
     grid.iter()
-        .try_for_each(|point| check_point(test, lead, point, &format!("{place}.figures")))?;
+        .try_for_each(|point| check_point(test, lead, point, &format!("{place}.parameters")))?;
     for (index, &parameter) in test.ranges.iter().enumerate() {
         let field = format!("{place}.ranges[{index}]");
         let has_range = test
@@ -294,7 +294,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
         .enumerate()
         .filter(|(_, (_, figure))| figure.tolerance > 0.0)
     {
-        let field = format!("{place}.figures.{}.tolerance", parameter.name());
+        let field = format!("{place}.parameters.{}.tolerance", parameter.name());
         for point in &grid {
             for tolerance in [-figure.tolerance, figure.tolerance] {
                 let value = point.get(at).map_or(0.0, |value| value + tolerance);
@@ -307,7 +307,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
         let field = format!("{place}.margins[{index}]");
         let Some((at, stated)) = test.find_parameter(margin.parameter) else {
             return Err(InvalidSuite::new(
-                format!("{field}.push"),
+                format!("{field}.parameter"),
                 SuiteProblem::Misplaced { lead: lead.name() },
             ));
         };
@@ -339,7 +339,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
 }
 
 fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckResult {
-    let field = |parameter: ParameterKind| format!("{place}.figures.{}", parameter.name());
+    let field = |parameter: ParameterKind| format!("{place}.parameters.{}", parameter.name());
     for (parameter, found) in test.parameters.iter() {
         let is_needed = lead.parameters().concat().contains(&parameter);
         ensure(

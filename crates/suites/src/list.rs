@@ -10,7 +10,6 @@ use super::{DISCLAIMER, SHIPPED_SUITES, SuiteError, TestSuite, UNSHIPPED_DOCUMEN
 #[derive(Debug, Serialize)]
 pub struct SuiteList {
     /// Documents without a shipped suite.
-    #[serde(rename = "not_shipped")]
     pub unshipped: Vec<UnshippedDocument>,
     /// Scope of all suites: [`DISCLAIMER`].
     pub statement: &'static str,

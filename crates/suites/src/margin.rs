@@ -17,7 +17,7 @@ const BISECTIONS: usize = 7;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
     /// Parameter that is varied.
-    #[serde(rename = "push")]
+    #[serde(alias = "push")]
     pub parameter: ParameterKind,
     /// Unit of all values of the margin.
     pub unit: ParameterUnit,
@@ -26,7 +26,7 @@ pub struct Margin {
     /// Last value.
     pub to: f64,
     /// Description of the fixed parameters.
-    #[serde(rename = "held")]
+    #[serde(alias = "held")]
     pub fixed_parameters: String,
     /// End of the margin.
     pub end: MarginEnd,
@@ -39,7 +39,7 @@ pub enum MarginEnd {
     /// The test does not pass at the first value.
     None {
         /// Outcome there.
-        #[serde(rename = "beyond")]
+        #[serde(alias = "beyond")]
         failure: SweepFailure,
     },
     /// The test passes at the ends of all intervals; values between them were not run.
@@ -54,7 +54,7 @@ pub enum MarginEnd {
         /// First value that does not pass.
         fails_at: f64,
         /// Outcome there.
-        #[serde(rename = "beyond")]
+        #[serde(alias = "beyond")]
         failure: SweepFailure,
         /// True if no later end of an interval passes; otherwise this is only the first failure.
         is_monotone: bool,

@@ -119,7 +119,7 @@ fn is_zero(tolerance: &f64) -> bool {
 /// Parameters of a test.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, expecting = "a table of figures")]
+#[serde(deny_unknown_fields, expecting = "a table of parameters")]
 pub struct TestParameters {
     /// Speed of the vehicle under test at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -30,13 +30,10 @@ pub struct SuiteResult {
     /// Edition of the document.
     pub edition: String,
     /// Source of the parameters.
-    #[serde(rename = "figures_from")]
     pub parameter_source: String,
     /// Requirements of the document that the model cannot represent.
-    #[serde(rename = "outside")]
     pub not_modelled: Vec<String>,
     /// Omitted parameters, each with the reason.
-    #[serde(rename = "left_out")]
     pub omitted_parameters: Vec<String>,
     /// Estimator of the controllers. Reference drivers observe the true state.
     pub estimator: EstimatorKind,
@@ -50,7 +47,6 @@ pub struct ClauseResult {
     /// Number of the clause in the document.
     pub clause: String,
     /// Summary of the clause.
-    #[serde(rename = "says")]
     pub summary: String,
     /// Results of the tests.
     pub tests: Vec<TestResult>,
@@ -64,7 +60,6 @@ pub struct TestResult {
     /// True if the document states all parameters; otherwise crumple chose some.
     pub is_as_stated: bool,
     /// Parameters, each with its origin.
-    #[serde(rename = "figures")]
     pub parameters: TestParameters,
     /// Largest impact speed that passes; `None` if no collision passes.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -83,7 +78,6 @@ pub struct ControllerResult {
     /// Number of points.
     pub points: usize,
     /// Number of points that passed.
-    #[serde(rename = "passed")]
     pub passed_points: usize,
     /// Smallest gap at any point, in metres.
     pub min_gap_m: Option<f64>,
@@ -91,10 +85,8 @@ pub struct ControllerResult {
     pub margins: Vec<Margin>,
     /// Worst point found within the ranges and tolerances of the clause; `None` if it states none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "within")]
     pub worst_in_tolerance: Option<WorstInTolerance>,
     /// Points of the grid that failed.
-    #[serde(rename = "failed")]
     pub failed_points: Vec<FailedPoint>,
 }
 

@@ -2,8 +2,24 @@
 
 use serde::{Deserialize, Serialize};
 
+use crumple_core::text_file::OldNames;
+
 use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
 use super::run::Criterion;
+
+/// Names of suite files before 0.4.
+pub(crate) const OLD_NAMES: OldNames = OldNames {
+    fields: &[
+        ("figures_from", "parameter_source"),
+        ("outside", "not_modelled"),
+        ("left_out", "omitted_parameters"),
+        ("says", "summary"),
+        ("refused", "refusal_reason"),
+        ("figures", "parameters"),
+        ("push", "parameter"),
+    ],
+    values: &[],
+};
 
 /// A suite as its file states it, before validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,15 +41,15 @@ pub struct SuiteSpec {
     /// Edition of the document.
     pub edition: String,
     /// Source of the parameters.
-    #[serde(rename = "figures_from")]
+    #[serde(alias = "figures_from")]
     pub parameter_source: String,
     /// Requirements of the document that the model cannot represent.
     #[serde(default)]
-    #[serde(rename = "outside")]
+    #[serde(alias = "outside")]
     pub not_modelled: Vec<String>,
     /// Omitted parameters, each with the reason.
     #[serde(default)]
-    #[serde(rename = "left_out")]
+    #[serde(alias = "left_out")]
     pub omitted_parameters: Vec<String>,
     /// Clauses; 1 to 100.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
@@ -48,7 +64,7 @@ pub struct ClauseSpec {
     /// Number of the clause in the document.
     pub clause: String,
     /// Summary of the clause.
-    #[serde(rename = "says")]
+    #[serde(alias = "says")]
     pub summary: String,
     /// Tests; 1 to 100. A test passes if it ends without a collision, or with one at most as fast as `impact_at_most`.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
@@ -62,16 +78,16 @@ pub struct ClauseSpec {
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.
     pub name: String,
-    /// Manoeuvre of the vehicle ahead. A test has either this or `refused`.
+    /// Manoeuvre of the vehicle ahead. A test has either this or `refusal_reason`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead: Option<LeadManeuver>,
     /// Reason why the test cannot be run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "refused")]
+    #[serde(alias = "refused")]
     pub refusal_reason: Option<String>,
     /// Parameters. The test is run at every combination of their values.
     #[serde(default)]
-    #[serde(rename = "figures")]
+    #[serde(alias = "figures")]
     pub parameters: TestParameters,
     /// Largest impact speed that passes; without it no collision passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -119,11 +135,11 @@ pub enum LeadManeuver {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(
     deny_unknown_fields,
-    expecting = "a direction: a table of `push` and `to`"
+    expecting = "a direction: a table of `parameter` and `to`"
 )]
 pub struct MarginSweep {
     /// Parameter that is varied. The first value is the value of the grid nearest to `to`.
-    #[serde(rename = "push")]
+    #[serde(alias = "push")]
     pub parameter: ParameterKind,
     /// Last value, in the unit of the parameter; beyond all its values.
     pub to: f64,

@@ -29,7 +29,6 @@ pub struct WorstInTolerance {
     /// Smallest gap at the point, in metres.
     pub min_gap_m: Option<f64>,
     /// Number of points that were run. A search without failures proves nothing about other points.
-    #[serde(rename = "tried")]
     pub points_run: usize,
     /// Number of points that failed.
     pub failures: usize,
@@ -37,7 +36,6 @@ pub struct WorstInTolerance {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
     /// Details of the point, if it failed.
-    #[serde(rename = "failed")]
     pub failed_point: Option<FailedPoint>,
 }
 

@@ -26,7 +26,7 @@ from crumple.errors import TrainingError
 
 State: TypeAlias = NDArray[np.float32]
 
-ENDINGS = (None, "contact", "at-rest", "time-over")
+ENDINGS = (None, "contact", "at-rest", "time-limit")
 """Endings of an episode by the index in ``info["ending"]``; 0 for an episode that continues."""
 
 _AUTORESET_NAMES = {

@@ -299,12 +299,12 @@ fn a_sample_is_chosen_afterwards_and_states_its_power() {
     let report = &json_objects(&sampled("--rerun-seed 7 --format json"))[0];
     assert_eq!(report["counts"], "confirmed_by_sample");
     let rerun = &report["rerun"];
-    let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"]
+    let numbers = ["runs", "total_runs", "blocks", "total_blocks", "seed"]
         .map(|field| rerun[field].as_u64().unwrap());
     assert_eq!(numbers, [200, 300, 2, 3, 7]);
     // One of three blocks has a forged run, and two blocks were counted again.
     assert!(
-        (rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9,
+        (rerun["detection_probabilities"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9,
         "{report}"
     );
     let text = sampled("");

@@ -20,7 +20,7 @@ fn a_json_summary_assigns_numbers_to_methods() {
     for (name, value) in kept.as_object().unwrap() {
         assert_eq!(summary[name], *value, "{name} is as it is kept");
     }
-    let (of_one, of_all) = (&summary["of_method_asked_for"], &summary["of_all_methods"]);
+    let (of_one, of_all) = (&summary["requested_method"], &summary["all_methods"]);
     assert_eq!(
         (&of_one["method"], &of_one["evaluations"]),
         (&summary["method"], &summary["evaluations"])
@@ -157,11 +157,11 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         .unwrap()
         .parse()
         .unwrap();
-    for key in ["of_method_asked_for", "of_all_methods"] {
+    for key in ["requested_method", "all_methods"] {
         kept[key] = summary[key].clone();
     }
     assert_eq!(
-        (&kept, &summary["of_method_asked_for"]),
+        (&kept, &summary["requested_method"]),
         (&summary, &summary["methods"][0])
     );
     check_log(&folder.path().join("found/evaluations/part-00000.csv.gz"));

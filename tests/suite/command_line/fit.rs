@@ -72,7 +72,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert_eq!(
         (
             json["exposure"]["episodes"].as_u64(),
-            json["numbers"].as_array().unwrap().len()
+            json["features"].as_array().unwrap().len()
         ),
         (Some(40), 5)
     );
@@ -139,7 +139,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let first = rare("--out rare");
     assert_eq!(exit_code(&first), 0, "{}", stderr(&first));
     assert!(
-        json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(),
+        json_objects(&first)[0]["exposure"]["fitted"]["per_hour"]["estimate"].is_f64(),
         "{}",
         stdout(&first)
     );

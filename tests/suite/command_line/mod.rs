@@ -326,12 +326,13 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     let useful = run("idm", "--expect useful --format json");
     assert_eq!(exit_code(&useful), 0);
     let none = json!([{ "vehicle": 1, "time_s": 0.0, "count": 0, "hardest": null }]);
-    assert_eq!(json_objects(&useful)[0]["braking_without_cause"], none);
+    assert_eq!(json_objects(&useful)[0]["unnecessary_braking"], none);
     let report = json_objects(&run("random-actions", "--format json")).remove(0);
-    let braking = &report["braking_without_cause"][0];
+    let braking = &report["unnecessary_braking"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(
-        braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0,
+        braking["count"].as_u64() > Some(0)
+            && hardest("brake_mps2") > hardest("justified_mps2") + 2.0,
         "{report}"
     );
     let left = run_crumple(

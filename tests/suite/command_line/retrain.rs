@@ -3,7 +3,7 @@
 use super::*;
 
 const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --space high-risk --rounds 2 --episodes 25 --budget 12 \
-    --draws 15 --kept-aside 8 --nominal 10 --judge 12 --regression-draws 10 --seed 3";
+    --draws 15 --validation-draws 8 --nominal 10 --test-draws 12 --regression-draws 10 --seed 3";
 
 fn file_sha256(path: &Path) -> String {
     sha256(fs::read(path).unwrap())
@@ -17,7 +17,7 @@ mod tier_2 {
     fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
         let folder = temp_folder();
         // The preset's scenario spaces replace the paper's distribution in the training.
-        let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
+        let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncost_multiplier = 100\n";
         fs::write(
             folder.path().join("tiny.toml"),
             format!("{}\n{traffic}", tiny::retraining()),
@@ -52,7 +52,7 @@ mod tier_2 {
             );
         }
         let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
-        assert_contains(&plan, &["nominal_share = 0", "costs_times = 100"]);
+        assert_contains(&plan, &["nominal_share = 0", "cost_multiplier = 100"]);
         let again = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed"));
         assert_eq!(
             exit_code(&again),
@@ -113,8 +113,8 @@ fn check_report(folder: &Path, report: &Value) {
             "policy.safetensors",
             "retrained-on.json",
             "selection.json",
-            "kept-aside.json",
-            "judged-on.json"
+            "validation-set.json",
+            "test-set.json"
         ]
     );
     for file in files {
@@ -130,14 +130,14 @@ fn check_report(folder: &Path, report: &Value) {
     );
     let rounds = report["rounds"].as_array().unwrap();
     assert_eq!(rounds.len(), 2);
-    let mut standing = &report["first_standing"];
+    let mut standing = &report["first_results"];
     for round in rounds {
         assert_eq!(
-            round["found"]["evaluations"], 36,
+            round["findings"]["evaluations"], 36,
             "the method and both reference searches"
         );
         assert!(
-            !round["found"]["draws_avoidable"]["indices"]
+            !round["findings"]["avoidable_draws"]["indices"]
                 .as_array()
                 .unwrap()
                 .is_empty()
@@ -155,13 +155,14 @@ fn check_report(folder: &Path, report: &Value) {
                 );
             }
             assert!(
-                list(&round["after"], "kept_aside").len() <= list(standing, "kept_aside").len()
+                list(&round["after"], "validation_set").len()
+                    <= list(standing, "validation_set").len()
             );
             standing = &round["after"];
         }
     }
-    assert_eq!(report["retrained_standing"], *standing);
-    assert_eq!(report["judged_draws"], 12);
+    assert_eq!(report["retrained_results"], *standing);
+    assert_eq!(report["test_draws"], 12);
     let pairs = &report["pairs"];
     let pairs: u64 = ["both", "first_only", "retrained_only", "neither"]
         .map(|field| pairs[field].as_u64().unwrap())
@@ -194,20 +195,23 @@ fn an_imitation_is_retrained_in_all_spaces() {
         "train --preset tiny.toml --seed 1 --out first",
     );
     let arguments = "retrain --policy first/seed-1/policy.safetensors --preset tiny.toml --rounds 1 --budget 12 \
-        --draws 15 --kept-aside 8 --nominal 10 --judge 12 --regression-draws 10 --format json";
+        --draws 15 --validation-draws 8 --nominal 10 --test-draws 12 --regression-draws 10 --format json";
     let retrained = run_crumple(folder.path(), arguments);
     let report = &json_objects(&retrained)[0];
     assert_eq!(report["space"], "high-risk, paper");
     let round = &report["rounds"][0];
     assert_eq!(
-        (&round["found"]["draws"], &round["found"]["evaluations"]),
+        (
+            &round["findings"]["draws"],
+            &round["findings"]["evaluations"]
+        ),
         (&30.into(), &72.into())
     );
     assert_eq!(
-        (&round["trained"]["to_episode"], &report["judged_draws"]),
+        (&round["training"]["to_episode"], &report["test_draws"]),
         (&0.into(), &24.into())
     );
-    let expected = if !report["retrained_standing"]["paper"]
+    let expected = if !report["retrained_results"]["paper"]
         .as_array()
         .unwrap()
         .is_empty()

@@ -202,7 +202,7 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
         assert_eq!(report[ours], checked[theirs], "{ours}");
     }
     assert_eq!(
-        (&report["controller"], &report["box"]),
+        (&report["controller"], &report["box_path"]),
         (&"policy".into(), &"box.toml".into())
     );
     assert!(

@@ -154,7 +154,7 @@ fn a_search_reports_the_reason_of_a_missing_answer() {
         "{text}{error}"
     );
     let summary = read_json(&folder.path().join("out/summary.json"));
-    let because = |of: &Value| of["because"].as_str().unwrap_or_default().to_owned();
+    let because = |of: &Value| of["reason"].as_str().unwrap_or_default().to_owned();
     assert!(
         because(&summary["counterexamples"][0]).contains(why),
         "{summary}"
@@ -201,7 +201,7 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
         code == 1 && error.contains("the other controller gave no answer"),
         "{error}"
     );
-    let silent = &summary["methods"][1]["other_unanswered"];
+    let silent = &summary["methods"][1]["second_missing_answers"];
     assert!(
         silent["runs"]
             .as_u64()
@@ -404,7 +404,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let suites = "suites = [{ suite = \"fmvss-127\", controllers = [\"near.toml\"] }]\n";
     let gates = [
         "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
-        "require = \"needless-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
+        "require = \"unnecessary-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"left-behind-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"string-stable\"\ncontroller = \"near.toml\"",
         "require = \"suite-passed\"\ncontroller = \"near.toml\"\nsuite = \"fmvss-127\"",
@@ -433,7 +433,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .filter(|gate| gate["holds"] == true)
         .collect();
     assert!(held.is_empty(), "{held:?}");
-    let drawn = &report["distributions"]["spaces"][0]["controllers"][0];
+    let drawn = &report["rate_spaces"]["spaces"][0]["controllers"][0];
     assert_eq!(
         (&drawn["collisions"], &drawn["unanswered"]["runs"]),
         (&Value::from(0), &Value::from(8)),
@@ -441,18 +441,18 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     );
     let own = &report["usefulness"]["controllers"][0];
     assert_eq!(
-        (&own["needless"], &own["unanswered"][0]["runs"]),
+        (&own["unnecessary_braking"], &own["unanswered"][0]["runs"]),
         (&Value::from(0), &Value::from(2)),
         "{own}"
     );
     assert_eq!(
-        own["gain"]["unanswered"]["runs"], own["gain"]["points"],
+        own["oscillation_gain"]["unanswered"]["runs"], own["oscillation_gain"]["points"],
         "{own}"
     );
     let tested = &report["suites"]["suites"][0]["tests"][0]["outcomes"][0];
     assert_eq!(tested["unanswered"]["runs"], tested["points"], "{tested}");
     assert!(
-        tested["unanswered"]["because"]
+        tested["unanswered"]["reason"]
             .as_str()
             .unwrap()
             .contains("gap table: index"),
@@ -464,7 +464,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .find(|gate| gate["gate"].as_str().unwrap().contains("fmvss-127"))
         .unwrap();
     assert!(
-        of_suite["because"]
+        of_suite["reason"]
             .as_str()
             .unwrap()
             .contains("; it gave no answer in "),
@@ -476,11 +476,11 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .find(|claim| claim["part"] == "suites")
         .unwrap();
     assert_eq!(
-        of_suite["standings"][0]["strength"], "unanswered",
+        of_suite["statuses"][0]["strength"], "unanswered",
         "{of_suite}"
     );
     for claim in report["summary"]["claims"].as_array().unwrap() {
-        let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["standings"][0]);
+        let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["statuses"][0]);
         let of_driving = [
             "no unnecessary braking",
             "never falls behind",

@@ -204,7 +204,7 @@ impl InvariantClaim {
         {
             return Err(Rejection::invalid(
                 "step_s",
-                "and `decision_steps` must be positive",
+                "and `action_repeat` must be positive",
             ));
         }
         if !self
@@ -240,7 +240,7 @@ impl InvariantClaim {
                 let steps = loaded.decision_interval_s / self.step_s;
                 if (steps - f64::from(self.decision_steps)).abs() > 1e-9 * steps {
                     return Err(Rejection::invalid(
-                        "decision_steps",
+                        "action_repeat",
                         "is not the decision interval of the network",
                     ));
                 }

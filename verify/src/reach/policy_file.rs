@@ -16,19 +16,19 @@ const MAX_LAYERS: usize = 16;
 #[serde(deny_unknown_fields)]
 struct PolicyFileHeader {
     version: u32,
-    #[serde(rename = "crumple")]
-    _crumple: String,
+    #[expect(dead_code, reason = "only its form is checked")]
+    crumple: String,
     hidden: Vec<usize>,
     observation: Scaling,
     action: PolicyFileAction,
     decision_interval_s: f64,
     estimator: String,
-    #[serde(rename = "seed")]
-    _seed: u64,
-    #[serde(rename = "episode")]
-    _episode: u64,
-    #[serde(rename = "training")]
-    _training: UniqueKeys,
+    #[expect(dead_code, reason = "only its form is checked")]
+    seed: u64,
+    #[expect(dead_code, reason = "only its form is checked")]
+    episode: u64,
+    #[expect(dead_code, reason = "only its form is checked")]
+    training: UniqueKeys,
 }
 
 #[derive(Deserialize)]

@@ -39,9 +39,7 @@ pub enum BoxDimension {
     LeaderSpeedMps,
     EgoSpeedMps,
     FollowerSpeedMps,
-    #[serde(rename = "leader_brake_mps2")]
     LeaderBrakeMps2,
-    #[serde(rename = "follower_brake_mps2")]
     FollowerBrakeMps2,
     OnsetSteps,
 }

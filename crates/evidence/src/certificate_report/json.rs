@@ -35,14 +35,11 @@ struct ReportLine<'a> {
 #[derive(Serialize)]
 struct RerunReport {
     runs: u64,
-    #[serde(rename = "of_runs")]
     total_runs: u64,
     blocks: u64,
-    #[serde(rename = "of_blocks")]
     total_blocks: u64,
     seed: Option<u64>,
     /// Numbers of forged runs, each with the minimum probability of detection.
-    #[serde(rename = "catches")]
     detection_probabilities: [(u64, f64); 3],
 }
 

@@ -76,10 +76,10 @@ pub struct RatePerExposure {
     /// Observed episodes that the space describes.
     pub episodes: u64,
     /// Brakings that the space omits; rates per hour and per 1000 km assume that they fail as often.
-    #[serde(rename = "left_out", default)]
+    #[serde(default, alias = "left_out")]
     pub undescribed_brakings: u64,
     /// Clusters of the episodes.
-    #[serde(rename = "waves")]
+    #[serde(alias = "waves")]
     pub clusters: u64,
     /// Hours of observation.
     pub hours: f64,
@@ -91,11 +91,11 @@ pub struct RatePerExposure {
     pub fitted: FailureRates,
     /// Rates with data uncertainty, if it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "with_data")]
+    #[serde(alias = "with_data")]
     pub with_data_uncertainty: Option<WithDataUncertainty>,
     /// Reason why data uncertainty is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "without_data")]
+    #[serde(alias = "without_data")]
     pub data_uncertainty_missing: Option<String>,
 }
 
@@ -104,12 +104,12 @@ pub struct RatePerExposure {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WithDataUncertainty {
     /// Rates of failures.
-    #[serde(rename = "figures")]
+    #[serde(alias = "figures")]
     pub rates: FailureRates,
     /// Number of resamples.
     pub resamples: u32,
     /// Number of resamples to which no space could be fitted.
-    #[serde(rename = "unfit")]
+    #[serde(alias = "unfit")]
     pub failed_fits: u32,
     /// Number of runs per resample; `None` if the probability in each resample is estimated by splitting.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -8,16 +8,12 @@ use crumple_exchange::recording::{DroppedItem, EpisodeProblem, Omission};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ExclusionCounts {
     /// Without a known follower; not within the counted hours.
-    #[serde(rename = "nobody_behind")]
     pub no_follower: usize,
     /// With too few vehicles; not within the counted hours.
-    #[serde(rename = "shorter")]
     pub too_few_vehicles: usize,
     /// With speeds that no road vehicle can have.
-    #[serde(rename = "impossible")]
     pub impossible_speeds: usize,
     /// With a feature outside the range of the space.
-    #[serde(rename = "outside")]
     pub out_of_range: usize,
 }
 

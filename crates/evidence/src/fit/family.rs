@@ -28,7 +28,6 @@ pub struct FamilyFit {
     /// Family that was fitted.
     pub family: DistributionFamily,
     /// Names of the parameters in a space file.
-    #[serde(rename = "names")]
     pub parameter_names: [&'static str; 2],
     /// Parameter estimates.
     pub estimates: [f64; 2],

@@ -14,7 +14,6 @@ pub struct PointFit {
     /// Value with the point mass.
     pub at: f64,
     /// Number of episodes with the value.
-    #[serde(rename = "seen")]
     pub count: u64,
     /// Share of these episodes.
     pub probability: f64,

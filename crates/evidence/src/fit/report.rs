@@ -24,14 +24,10 @@ pub struct FitReport<'a> {
 struct FitFields<'a> {
     space: &'a str,
     exposure: &'a DrivingExposure,
-    #[serde(rename = "waves")]
     clusters: u32,
-    #[serde(rename = "left_out")]
     exclusions: &'a ExclusionCounts,
-    #[serde(rename = "numbers")]
     features: &'a [FittedFeature],
     sizes: &'a [FittedSize],
-    #[serde(rename = "depending")]
     copula_parameters: &'a [String],
     correlation: &'a [Vec<f64>],
 }

@@ -51,7 +51,7 @@ pub struct SplittingConfig {
     /// Size of a population, at least 50.
     pub samples: usize,
     /// Number of independent populations, at least 5.
-    #[serde(rename = "populations")]
+    #[serde(alias = "populations")]
     pub repetitions: usize,
 }
 
@@ -79,7 +79,7 @@ impl Default for SplittingConfig {
 pub struct Level {
     /// Threshold: runs with at most this robustness pass, in metres for collisions. The last level is the failure, at
     /// 0.
-    #[serde(rename = "robustness")]
+    #[serde(alias = "robustness")]
     pub margin: f64,
     /// Threshold as a gap, if collisions are the failure; `None` otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]

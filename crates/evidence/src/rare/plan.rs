@@ -91,7 +91,7 @@ pub struct RareReport {
     pub estimate: RareEstimate,
     /// Rates per hour and per 1000 km, if the space states its exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "exposed")]
+    #[serde(alias = "exposed")]
     pub exposure: Option<RatePerExposure>,
 }
 

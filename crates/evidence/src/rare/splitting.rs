@@ -63,12 +63,12 @@ pub struct SplittingLevels {
     effort: SplittingConfig,
     seed: u64,
     stages: Vec<SplittingStage>,
-    #[serde(rename = "pilot")]
+    #[serde(alias = "pilot")]
     pilot_runs: u64,
     /// Number of independent initial samples; only those of the first pilot if a failure was reached.
     pilot_draws: u64,
     pilot_failures: u64,
-    #[serde(rename = "reached")]
+    #[serde(alias = "reached")]
     reaches_failure: bool,
     /// Levels of the pilot, reported if it reaches no failure.
     pilot_levels: Vec<Level>,
@@ -112,9 +112,9 @@ struct ParticlePopulation<'a, P: LimitState> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Repetition {
-    #[serde(rename = "failures")]
+    #[serde(alias = "failures")]
     initial_failures: u64,
-    #[serde(rename = "seen")]
+    #[serde(alias = "seen")]
     levels: Vec<LevelStats>,
     evaluations: u64,
 }

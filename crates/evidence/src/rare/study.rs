@@ -59,7 +59,7 @@ struct SavedProgress {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     repetitions: Option<Vec<Repetition>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "resampled")]
+    #[serde(alias = "resampled")]
     resample_estimates: Option<ResampleEstimates>,
 }
 

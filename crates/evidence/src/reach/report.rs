@@ -16,7 +16,6 @@ pub struct ReachReport<'a> {
     /// Digest of the policy or network of the certificate.
     pub policy_sha256: Option<&'a str>,
     /// Box: a name, or a file.
-    #[serde(rename = "box")]
     pub box_path: &'a Path,
     /// Scenario of the box.
     pub scenario: &'a str,
@@ -35,7 +34,6 @@ pub struct ReachReport<'a> {
     /// Results, one per depth.
     pub shares: &'a [VolumeShares],
     /// Reasons of the undecided boxes.
-    #[serde(rename = "doubts")]
     pub undecided: UndecidedCounts,
     /// Conclusion of the checker.
     #[serde(skip)]

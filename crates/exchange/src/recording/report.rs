@@ -17,7 +17,6 @@ pub struct RecordingSummary<'a> {
     /// Detected encoding, and format of columns, numbers and times; empty for the defaults.
     pub text: String,
     /// Number of vehicles that may have a follower.
-    #[serde(rename = "leads")]
     pub lead_vehicles: usize,
     /// Number of samples of these with known speed.
     pub samples: usize,
@@ -32,7 +31,6 @@ pub struct RecordingSummary<'a> {
     /// Hardest braking, as text.
     pub hardest_braking: String,
     /// Dropped parts, as text.
-    #[serde(rename = "left_out")]
     pub dropped: Vec<String>,
 }
 
@@ -92,7 +90,6 @@ pub struct ImportReport {
     /// Imported recordings, in order.
     pub recordings: Vec<RecordingImport>,
     /// Dropped parts, as text.
-    #[serde(rename = "left_out")]
     pub dropped: Vec<String>,
 }
 

@@ -30,9 +30,9 @@ pub(crate) struct CampaignRequest {
     campaign: usize,
     against: Option<usize>,
     /// Names of the parameters of the failure grid.
-    #[serde(rename = "across")]
+    #[serde(alias = "across")]
     x_parameter: Option<String>,
-    #[serde(rename = "up")]
+    #[serde(alias = "up")]
     y_parameter: Option<String>,
     method: Option<String>,
     kind: Option<String>,
@@ -42,12 +42,9 @@ pub(crate) struct CampaignRequest {
 
 #[derive(Debug, Serialize)]
 pub(crate) struct CampaignResponse {
-    #[serde(rename = "words")]
     summaries: Vec<String>,
     coordinates: Vec<String>,
-    #[serde(rename = "across")]
     x_parameter: String,
-    #[serde(rename = "up")]
     y_parameter: String,
     methods: Vec<String>,
     kinds: Vec<String>,
@@ -99,8 +96,8 @@ pub(crate) fn show_campaigns(
             .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
     let (x, y) = (
-        place("across", &request.x_parameter, 0)?,
-        place("up", &request.y_parameter, 1)?,
+        place("x_parameter", &request.x_parameter, 0)?,
+        place("y_parameter", &request.y_parameter, 1)?,
     );
     let kinds = look
         .summary()

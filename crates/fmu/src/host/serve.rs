@@ -15,8 +15,8 @@ const MAX_LINE_BYTES: u64 = 1 << 20;
 #[serde(untagged)]
 enum HostRequest {
     Hello {
-        #[serde(rename = "crumple")]
-        version: u32,
+        /// Version of the protocol.
+        crumple: u32,
         hello: HelloBody,
     },
     Reset {
@@ -86,8 +86,8 @@ impl FmuHost<'_> {
         let request = serde_json::from_str(line)
             .map_err(|error| format!("{error} in {}", line.trim_end()))?;
         match request {
-            HostRequest::Hello { version, hello } => self
-                .greet(version, &hello)
+            HostRequest::Hello { crumple, hello } => self
+                .greet(crumple, &hello)
                 .ok_or_else(|| format!("does not support the request {}", line.trim_end())),
             HostRequest::Reset { id, .. } => {
                 self.instance.start_run()?;

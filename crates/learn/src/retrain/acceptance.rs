@@ -39,7 +39,7 @@ pub enum RejectionReason {
         draws: Vec<u64>,
     },
     /// The candidate collides more often in the validation set.
-    #[serde(rename = "kept-aside")]
+    #[serde(alias = "kept-aside")]
     ValidationSet {
         /// Collisions of the policy before it.
         before: usize,
@@ -47,7 +47,7 @@ pub enum RejectionReason {
         after: usize,
     },
     /// The candidate collides significantly more often in a regression space.
-    #[serde(rename = "worse")]
+    #[serde(alias = "worse")]
     MoreCollisions {
         /// Name of the space.
         space: String,

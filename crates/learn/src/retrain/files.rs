@@ -11,8 +11,8 @@ pub(super) const REPORT_MARKDOWN: &str = "report.md";
 pub(super) const ROUND_RECORD: &str = "round.json";
 pub(super) const POLICY: &str = "policy.safetensors";
 pub(super) const TRAINING_CASES: &str = "retrained-on.json";
-pub(super) const TEST_SET: &str = "judged-on.json";
-pub(super) const VALIDATION_SET: &str = "kept-aside.json";
+pub(super) const TEST_SET: &str = "test-set.json";
+pub(super) const VALIDATION_SET: &str = "validation-set.json";
 pub(super) const SELECTION_SET: &str = "selection.json";
 pub(super) const LEARNER: &str = "learner.safetensors";
 /// Evaluated checkpoints of a training in progress.

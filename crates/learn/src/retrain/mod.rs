@@ -24,8 +24,8 @@
 //! | `retrain.toml` | everything that determines the results |
 //! | `policy.safetensors` | final policy |
 //! | `retrained-on.json` | cases of the training: counterexamples, and random scenarios by seed and index |
-//! | `kept-aside.json`, `selection.json` | validation set, and the set that selects checkpoints |
-//! | `judged-on.json` | test set, and the result of each controller |
+//! | `validation-set.json`, `selection.json` | validation set, and the set that selects checkpoints |
+//! | `test-set.json` | test set, and the result of each controller |
 //! | `report.md`, `report.json` | results of each round, with the hashes of all these files |
 //! | `rounds/NN/` | campaign, candidate and record of each round |
 //! | `work.json` | manifest ([`crumple_store::run_folder`]); records the build until the retraining is complete |

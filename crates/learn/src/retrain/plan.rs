@@ -59,7 +59,7 @@ pub struct RetrainingSettings {
     /// Random scenarios of each space that a round simulates besides.
     pub draws: u64,
     /// Avoidable random scenarios of the validation set, which accepts or rejects a round, per space.
-    #[serde(rename = "kept_aside")]
+    #[serde(alias = "kept_aside")]
     pub validation_draws: u64,
     /// Random scenarios of the paper's distribution for acceptance.
     pub nominal: u64,
@@ -67,7 +67,7 @@ pub struct RetrainingSettings {
     #[serde(default, skip_serializing_if = "is_default")]
     pub regression: u64,
     /// Avoidable random scenarios of the test set, per space.
-    #[serde(rename = "judged")]
+    #[serde(alias = "judged")]
     pub test_draws: u64,
     /// Share of the training episodes from the paper's distribution, unless the preset has spaces of its own.
     pub nominal_share: f64,

@@ -25,7 +25,7 @@ pub struct RegressionResults {
     /// Indices of random scenarios of the paper's distribution.
     pub nominal: Vec<u64>,
     /// Indices of the validation set.
-    #[serde(rename = "kept_aside")]
+    #[serde(alias = "kept_aside")]
     pub validation_set: Vec<u64>,
     /// Results in each regression space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -26,14 +26,14 @@ pub struct RegressionSpaceResult {
     /// Name of the space.
     pub space: String,
     /// Number of random scenarios.
-    #[serde(rename = "draws")]
+    #[serde(alias = "draws")]
     pub sample_count: u64,
     /// Indices of the scenarios that ended in a collision.
     pub contacts: Vec<u64>,
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
     /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
     /// necessary.
-    #[serde(rename = "of_no_use", default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "of_no_use")]
     pub not_useful: Option<Vec<u64>>,
 }
 

@@ -19,7 +19,7 @@ use crumple_store::run_folder::RunFolder;
 #[non_exhaustive]
 pub enum RetrainingEnding {
     /// All rounds are done.
-    #[serde(rename = "rounds-spent")]
+    #[serde(alias = "rounds-spent")]
     RoundsExhausted,
     /// A search found no avoidable counterexample.
     NothingFound {
@@ -69,13 +69,13 @@ pub struct RetrainingReport {
     /// Reason of the end.
     pub ending: RetrainingEnding,
     /// Results of the initial policy.
-    #[serde(rename = "first_standing")]
+    #[serde(alias = "first_standing")]
     pub first_results: RegressionResults,
     /// Results of the retrained policy.
-    #[serde(rename = "retrained_standing")]
+    #[serde(alias = "retrained_standing")]
     pub retrained_results: RegressionResults,
     /// Avoidable random scenarios of the test set.
-    #[serde(rename = "judged_draws")]
+    #[serde(alias = "judged_draws")]
     pub test_draws: u64,
     /// Results of each controller in the test set.
     pub tallies: Vec<ControllerTally>,

@@ -56,19 +56,19 @@ pub struct Round {
     /// SHA-256 of the policy that was searched.
     pub before_sha256: String,
     /// Results of the search.
-    #[serde(rename = "found")]
+    #[serde(alias = "found")]
     pub findings: RoundFindings,
     /// Number of cases of all rounds so far.
     pub cases: usize,
     /// Record of the training.
-    #[serde(rename = "trained")]
+    #[serde(alias = "trained")]
     pub training: RoundTraining,
     /// SHA-256 of the candidate; none if the training diverged.
     pub candidate_sha256: Option<String>,
     /// Collisions in the cases, before and after.
     pub in_cases: FailureChange,
     /// Collisions in the validation set.
-    #[serde(rename = "in_kept_aside")]
+    #[serde(alias = "in_kept_aside")]
     pub in_validation_set: FailureChange,
     /// Collisions in the paper's scenarios, with the filter and with the true state.
     pub in_paper: FailureChange,

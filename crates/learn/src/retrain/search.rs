@@ -38,10 +38,10 @@ pub struct RoundFindings {
     /// Random scenarios of the space that were simulated besides.
     pub draws: u64,
     /// Random scenarios that ended in a collision.
-    #[serde(rename = "draws_touched")]
+    #[serde(alias = "draws_touched")]
     pub colliding_draws: usize,
     /// Avoidable random scenarios among them.
-    #[serde(rename = "draws_avoidable")]
+    #[serde(alias = "draws_avoidable")]
     pub avoidable_draws: CollidingDraws,
     /// Avoidable counterexamples, by the file of the scenario.
     pub counterexamples: Vec<String>,

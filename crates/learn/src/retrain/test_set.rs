@@ -13,7 +13,7 @@ use crumple_store::run_folder::RunFolder;
 
 pub(super) const CONFIDENCE: f64 = 0.95;
 
-/// Test set and the results of all controllers in it: the file `judged-on.json`.
+/// Test set and the results of all controllers in it: the file `test-set.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TestSetResults {

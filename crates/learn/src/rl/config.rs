@@ -14,7 +14,7 @@ use super::serde_helpers::deserialize_f32_no_underflow;
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_controllers::Controllers;
-use crumple_core::text_file::{self, is_default};
+use crumple_core::text_file::{self, OldNames, is_default};
 use crumple_sim::observation::EstimatorKind;
 
 /// Version of the preset format that this release reads.
@@ -72,7 +72,7 @@ pub struct TrainingConfig {
 #[non_exhaustive]
 pub struct EnvironmentConfig {
     /// Steps of 0.01 s between decisions; 1 in the paper.
-    #[serde(rename = "decision_steps")]
+    #[serde(alias = "decision_steps")]
     pub action_repeat: u32,
     /// Estimator of the ego vehicle.
     pub estimator: EstimatorKind,
@@ -106,7 +106,7 @@ pub enum TimeLimit {
     /// Truncation: the value of the last state is bootstrapped.
     Truncation,
     /// Termination: the last state has no value.
-    #[serde(rename = "end")]
+    #[serde(alias = "end")]
     Termination,
 }
 
@@ -139,8 +139,8 @@ pub struct LearningConfig {
     pub discount: f64,
     /// Weight of the trained network in an update of its target network.
     #[serde(
-        rename = "soft_update",
-        deserialize_with = "deserialize_f32_no_underflow"
+        deserialize_with = "deserialize_f32_no_underflow",
+        alias = "soft_update"
     )]
     pub tau: f32,
     /// Transitions per update.
@@ -166,11 +166,7 @@ pub struct LearningConfig {
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
     /// Decay of the learning rates; without it they are constant.
-    #[serde(
-        rename = "rates_fall",
-        default,
-        skip_serializing_if = "Option::is_none"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "rates_fall")]
     pub lr_decay: Option<LrDecay>,
 }
 
@@ -204,15 +200,18 @@ pub struct LrDecay {
     /// Episode at which the decay ends. Independent of the number of episodes, so that a training can be extended.
     pub until_episode: u64,
     /// Factor on the learning rates at the end of the decay.
-    #[serde(rename = "to_share")]
+    #[serde(alias = "to_share")]
     pub final_factor: f64,
 }
 
 impl LrDecay {
-    /// Returns the factor in an episode, counted from 0, of a training with `random_episodes` random episodes.
-    pub(super) fn factor(&self, episode: u64, random_episodes: u64) -> f64 {
-        let falling = self.until_episode.saturating_sub(random_episodes).max(1);
-        let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
+    /// Returns the factor in an episode, counted from 0, of a training with `learning_starts_episode` random episodes.
+    pub(super) fn factor(&self, episode: u64, learning_starts_episode: u64) -> f64 {
+        let falling = self
+            .until_episode
+            .saturating_sub(learning_starts_episode)
+            .max(1);
+        let progress = episode.saturating_sub(learning_starts_episode) as f64 / falling as f64;
         1.0 + (self.final_factor - 1.0) * progress.min(1.0)
     }
 }
@@ -225,7 +224,7 @@ impl LrDecay {
 pub struct ExplorationConfig {
     /// Episodes of uniformly random actions before learning starts; many of them end in a collision. After an
     /// imitation the policy drives them, with noise, and only the critics learn.
-    #[serde(rename = "random_episodes")]
+    #[serde(alias = "random_episodes")]
     pub learning_starts_episode: u64,
     /// Steps of 0.01 s for which a random action is held, at least until the next decision.
     pub random_hold_steps: u32,
@@ -244,7 +243,7 @@ pub struct ReplayConfig {
     /// Maximum number of transitions; 10 000 in the paper.
     pub capacity: usize,
     /// Share of a batch sampled from transitions that ended in a collision, if any; 0 for uniform sampling.
-    #[serde(rename = "contact_share")]
+    #[serde(alias = "contact_share")]
     pub collision_fraction: f64,
 }
 
@@ -278,16 +277,16 @@ pub struct EvaluationConfig {
     /// Random validation scenarios that rank a policy that passes the screening. With 0, no policy masters the task.
     pub ranking_draws: u64,
     /// Random scenarios of the built-in space `traffic`, in which a ranked policy must also be useful; 0 for none.
-    #[serde(rename = "useful_draws", default, skip_serializing_if = "is_default")]
+    #[serde(default, skip_serializing_if = "is_default", alias = "useful_draws")]
     pub usefulness_draws: u64,
     /// Smallest gap, in metres, with which a policy must pass all of these to end the training; 0 never ends it.
     pub master_gap_m: f64,
     /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky
     /// 1992); 0 for the actor itself. Exploration and learning always use the actor itself.
     #[serde(
-        rename = "mean_over_updates",
         default,
-        skip_serializing_if = "is_default"
+        skip_serializing_if = "is_default",
+        alias = "mean_over_updates"
     )]
     pub weight_average_updates: u64,
 }
@@ -306,6 +305,24 @@ pub const PRESETS: [(&str, &str); 4] = [
     ("paper-net", include_str!("presets/paper-net.toml")),
     ("road", include_str!("presets/road.toml")),
 ];
+
+/// Names of training configurations before 0.4.
+const OLD_NAMES: OldNames = OldNames {
+    fields: &[
+        ("decision_steps", "action_repeat"),
+        ("soft_update", "tau"),
+        ("rates_fall", "lr_decay"),
+        ("to_share", "final_factor"),
+        ("random_episodes", "learning_starts_episode"),
+        ("contact_share", "collision_fraction"),
+        ("useful_draws", "usefulness_draws"),
+        ("mean_over_updates", "weight_average_updates"),
+        ("imposed", "induced_braking"),
+        ("needless", "unnecessary_braking"),
+        ("costs_times", "cost_multiplier"),
+    ],
+    values: &[("end", "termination")],
+};
 
 impl TrainingConfig {
     /// Returns a built-in preset.
@@ -332,6 +349,7 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
+        OLD_NAMES.warn(text, path);
         let config: Self = text_file::parse_toml(text, path)
             .map_err(|error| TrainingConfigError::Located(error.to_string()))?;
         config

@@ -40,10 +40,10 @@ pub struct CostConfig {
     /// Weight of jerk.
     pub jerk: f64,
     /// Weight of induced braking of the follower.
-    #[serde(rename = "imposed")]
+    #[serde(alias = "imposed")]
     pub induced_braking: f64,
     /// Weight of unnecessary braking.
-    #[serde(rename = "needless")]
+    #[serde(alias = "needless")]
     pub unnecessary_braking: f64,
 }
 
@@ -71,8 +71,8 @@ impl CostConfig {
             ("relative_speed", &mut self.relative_speed),
             ("acceleration", &mut self.acceleration),
             ("jerk", &mut self.jerk),
-            ("imposed", &mut self.induced_braking),
-            ("needless", &mut self.unnecessary_braking),
+            ("induced_braking", &mut self.induced_braking),
+            ("unnecessary_braking", &mut self.unnecessary_braking),
         ]
     }
 

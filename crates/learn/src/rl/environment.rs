@@ -26,7 +26,7 @@ pub enum EpisodeEnding {
     /// Termination at permanent standstill of all vehicles; the rest of the reward is credited.
     AtRest,
     /// Time limit of the scenario: truncation, or termination if configured.
-    #[serde(rename = "time-over")]
+    #[serde(alias = "time-over")]
     TimeLimit,
 }
 

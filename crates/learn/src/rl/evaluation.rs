@@ -36,7 +36,7 @@ const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PolicyEvaluation {
     /// True for each of the paper's scenarios without a collision, both with the filter and with the true state.
-    #[serde(rename = "paper_safe")]
+    #[serde(alias = "paper_safe")]
     pub is_safe_in_paper: [bool; 3],
     /// Share of screening scenarios without a collision.
     pub safe_share: f64,
@@ -47,14 +47,10 @@ pub struct PolicyEvaluation {
     /// Smallest gap between any two vehicles in all simulations, in metres.
     pub smallest_gap_m: f64,
     /// Usefulness of a ranked policy in everyday traffic; none if it was not ranked, or there are no such scenarios.
-    #[serde(rename = "useful", default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "useful")]
     pub usefulness: Option<TrafficUsefulness>,
     /// Collision share of the ranking scenarios plus the penalty of usefulness; none if `usefulness` is none.
-    #[serde(
-        rename = "both_sides",
-        default,
-        skip_serializing_if = "Option::is_none"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "both_sides")]
     pub combined_penalty: Option<f64>,
 }
 

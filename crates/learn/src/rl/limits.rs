@@ -80,14 +80,18 @@ impl TrainingConfig {
     fn check_exploration(&self) -> Result<(), TrainingConfigError> {
         let exploration = &self.exploration;
         let random = exploration.learning_starts_episode;
-        check_range("exploration.random_episodes", random as f64, [0.0, 1e7])?;
+        check_range(
+            "exploration.learning_starts_episode",
+            random as f64,
+            [0.0, 1e7],
+        )?;
         let decay = self.learning.lr_decay.as_ref();
         if let Some(decay) = decay.filter(|decay| decay.until_episode <= random) {
             let problem = format!(
-                "must be above exploration.random_episodes, after which learning starts: above {random}, found {}",
+                "must be above exploration.learning_starts_episode, after which learning starts: above {random}, found {}",
                 decay.until_episode
             );
-            let field = "learning.rates_fall.until_episode";
+            let field = "learning.lr_decay.until_episode";
             return Err(TrainingConfigError::field(field, problem));
         }
         let hold_steps = f64::from(exploration.random_hold_steps);
@@ -110,7 +114,7 @@ impl TrainingConfig {
             return Err(TrainingConfigError::field("replay.capacity", problem));
         }
         let fraction = self.replay.collision_fraction;
-        check_range("replay.contact_share", fraction, [0.0, 1.0])
+        check_range("replay.collision_fraction", fraction, [0.0, 1.0])
     }
 
     /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
@@ -177,7 +181,7 @@ impl EnvironmentConfig {
     fn check(&self) -> Result<(), TrainingConfigError> {
         check_ranges(&[
             (
-                "environment.decision_steps",
+                "environment.action_repeat",
                 f64::from(self.action_repeat),
                 [1.0, 1500.0],
             ),
@@ -238,12 +242,12 @@ impl LearningConfig {
         if let Some(decay) = &self.lr_decay {
             check_ranges(&[
                 (
-                    "learning.rates_fall.until_episode",
+                    "learning.lr_decay.until_episode",
                     decay.until_episode as f64,
                     [1.0, 1e7],
                 ),
                 (
-                    "learning.rates_fall.to_share",
+                    "learning.lr_decay.final_factor",
                     decay.final_factor,
                     [0.0, 1.0],
                 ),
@@ -251,7 +255,7 @@ impl LearningConfig {
         }
         check_ranges(&[
             ("learning.discount", self.discount, [0.0, 0.999_999_9]),
-            ("learning.soft_update", f64::from(self.tau), [0.0, 1.0]),
+            ("learning.tau", f64::from(self.tau), [0.0, 1.0]),
             ("learning.batch", self.batch as f64, [1.0, 65_536.0]),
             (
                 "learning.decisions_per_update",
@@ -302,12 +306,12 @@ impl EvaluationConfig {
                 [0.0, 1e6],
             ),
             (
-                "evaluation.useful_draws",
+                "evaluation.usefulness_draws",
                 self.usefulness_draws as f64,
                 [0.0, 1e4],
             ),
             ("evaluation.master_gap_m", self.master_gap_m, [0.0, 16.0]),
-            ("evaluation.mean_over_updates", mean_over, [0.0, 1e9]),
+            ("evaluation.weight_average_updates", mean_over, [0.0, 1e9]),
         ])
     }
 }

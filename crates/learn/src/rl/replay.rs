@@ -200,7 +200,7 @@ impl ReplayBuffer {
         }
     }
 
-    /// Samples with replacement; a `contact_share` from transitions that ended in a collision, if any.
+    /// Samples with replacement; a `collision_fraction` from transitions that ended in a collision, if any.
     pub(crate) fn sample(
         &self,
         stream: &mut Stream,

@@ -16,7 +16,7 @@ const MAX_COST_MULTIPLIER: f64 = 1e4;
 
 const WEIGHT_RANGE: [f64; 2] = [1e-6, 1e6];
 
-/// Hint for a space that is listed twice: its weights would add up, and its `costs_times` could contradict each other.
+/// Hint for a space that is listed twice: its weights would add up, and its `cost_multiplier` could contradict each other.
 const ONE_WEIGHT_HINT: &str = "give it one weight";
 
 const MAX_SPACES: usize = 32;
@@ -32,9 +32,9 @@ pub struct TrainingSpace {
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
     #[serde(
-        rename = "costs_times",
         default = "one::<f64>",
-        skip_serializing_if = "is_one"
+        skip_serializing_if = "is_one",
+        alias = "costs_times"
     )]
     pub cost_multiplier: f64,
     /// Share of its episodes, from 0 to 1, at points that are uniform over the ranges of its parameters, so that rare
@@ -219,7 +219,7 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
     {
         check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
         check_range(
-            &format!("spaces[{index}].costs_times"),
+            &format!("spaces[{index}].cost_multiplier"),
             *cost_multiplier,
             [0.0, MAX_COST_MULTIPLIER],
         )?;

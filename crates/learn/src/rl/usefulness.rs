@@ -30,15 +30,15 @@ const LINE: (usize, f64) = (5, 1.5);
 #[serde(deny_unknown_fields)]
 pub struct TrafficUsefulness {
     /// Number of random scenarios.
-    #[serde(rename = "drives")]
+    #[serde(alias = "drives")]
     pub scenario_count: u64,
     /// Scenarios that ended in a collision.
     pub contacts: u64,
     /// Scenarios with braking above 4 m/s² whose cause required less than 3 m/s².
-    #[serde(rename = "hard")]
+    #[serde(alias = "hard")]
     pub hard_braking: u64,
     /// Scenarios in which the ego vehicle ended at less than half the leader's speed.
-    #[serde(rename = "left_behind")]
+    #[serde(alias = "left_behind")]
     pub fell_behind: u64,
     /// RMS of acceleration over all scenarios, relative to that of `idm`.
     pub acceleration_times_idm: f64,

@@ -53,10 +53,9 @@ pub struct RunReport<'a> {
     pub interventions: &'a [Intervention],
     /// One entry per vehicle under test; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[serde(rename = "braking_without_cause")]
     pub unnecessary_braking: Vec<UnnecessaryBrakingReport>,
     /// Vehicles under test that are far slower than their leader at the end; empty without a trace.
-    #[serde(rename = "left_behind", skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fell_behind: Vec<usize>,
     /// Results of the specifications.
     #[serde(skip_serializing_if = "Vec::is_empty")]

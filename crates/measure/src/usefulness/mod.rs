@@ -34,7 +34,7 @@ pub struct UsefulnessMeasures {
     /// Index of the vehicle, from the front.
     pub vehicle: usize,
     /// Unnecessary braking.
-    #[serde(rename = "needless")]
+    #[serde(alias = "needless")]
     pub unnecessary: UnnecessaryBraking,
     /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] was justified.
     pub hard: UnnecessaryBraking,
@@ -46,7 +46,7 @@ pub struct UsefulnessMeasures {
     /// for a shorter drive.
     pub rms_jerk_mps3: Option<f64>,
     /// Braking induced in the follower, until their contact; `None` for the last vehicle.
-    #[serde(rename = "imposed")]
+    #[serde(alias = "imposed")]
     pub induced: Option<InducedBraking>,
 }
 
@@ -61,7 +61,7 @@ pub struct FollowingMeasures {
     /// Standard deviation of the time gap while moving, in seconds.
     pub time_gap_deviation_s: Option<f64>,
     /// True if the vehicle ended below half the speed of its moving leader.
-    #[serde(rename = "left_behind")]
+    #[serde(alias = "left_behind")]
     pub fell_behind: bool,
 }
 

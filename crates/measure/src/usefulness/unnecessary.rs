@@ -83,7 +83,7 @@ pub struct BrakeInstant {
     /// Deceleration, in m/s², positive.
     pub brake_mps2: f64,
     /// Justified deceleration, in m/s², never negative.
-    #[serde(rename = "caused_mps2")]
+    #[serde(alias = "caused_mps2")]
     pub justified_mps2: f64,
 }
 

@@ -53,10 +53,8 @@ pub struct NetworkDescription {
     /// Number of inputs.
     pub inputs: usize,
     /// Number of outputs.
-    #[serde(rename = "answers")]
     pub outputs: usize,
     /// Bounds that the network itself sets for each output; `None` without a bound.
-    #[serde(rename = "answer_bounds")]
     pub output_bounds: Vec<[Option<f64>; 2]>,
     /// Algorithm, version, bounds of observations and actions (`None` without a bound) and `VecNormalize` of
     /// Stable-Baselines3.

@@ -136,7 +136,7 @@ impl RoundedAvoidance {
 /// The avoidance of a scenario, and the certificate of its claims about every driver.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct CertifiedAvoidance {
-    #[serde(rename = "best")]
+    #[serde(alias = "best")]
     pub(super) avoidance: RoundedAvoidance,
     pub(super) certificate: Option<Certificate>,
 }

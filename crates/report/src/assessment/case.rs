@@ -36,7 +36,6 @@ pub struct CaseResult {
     /// Largest jerk of a vehicle under test, in m/s³.
     pub peak_jerk_mps3: Option<Rounded<1>>,
     /// Hardest deceleration of the follower of a vehicle under test, in m/s².
-    #[serde(rename = "imposed_brake_mps2")]
     pub induced_brake_mps2: Option<Rounded<2>>,
     /// Further collisions if all vehicles drive on after the first one.
     pub pile_up: Option<PileUp>,
@@ -63,7 +62,7 @@ pub enum CaseVerdict {
     /// A vehicle that is not under test hit a vehicle under test from behind.
     WasHit(RoundedContact),
     /// Two vehicles collided that are both not under test. This is no evidence about the controller.
-    #[serde(rename = "others")]
+    #[serde(alias = "others")]
     OthersCollided(RoundedContact),
     /// The controller gave no usable answer, which ended the run.
     ControllerFailed {
@@ -72,7 +71,7 @@ pub enum CaseVerdict {
         /// Index of the controller's vehicle.
         vehicle: usize,
         /// Reason in words.
-        #[serde(rename = "because")]
+        #[serde(alias = "because")]
         reason: String,
     },
 }

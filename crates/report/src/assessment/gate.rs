@@ -55,7 +55,7 @@ pub enum AssessmentGate {
         space: String,
     },
     /// A controller brakes unnecessarily in at most this share of its drives in everyday traffic.
-    #[serde(rename = "needless-braking-at-most")]
+    #[serde(alias = "needless-braking-at-most")]
     UnnecessaryBrakingAtMost {
         /// Name of the controller.
         controller: String,

@@ -36,7 +36,6 @@ pub struct AssessmentReport {
     #[serde(flatten)]
     pub results: GatheredResults,
     /// Statistics of the scenario spaces.
-    #[serde(rename = "domains")]
     pub space_descriptions: SpaceDescriptions,
     /// Limits of the assessment.
     pub limits: AssessmentLimits,

@@ -48,13 +48,11 @@ gathered_results! {
     /// Paper's three scenarios; absent if the plan leaves the paper out.
     PaperScenarios => paper_scenarios: Option<PaperScenarios>,
     /// Failures counted on random scenarios of scenario spaces.
-    #[serde(rename = "distributions")]
     SpaceSamples => rate_spaces: SpaceSamples,
     /// Collisions ahead and behind, and harm; absent unless the configuration asks for them.
     #[serde(skip_serializing_if = "Option::is_none")]
     HarmReport => harm: Option<HarmReport>,
     /// Scenarios from files; absent if the configuration names none.
-    #[serde(rename = "traffic")]
     FileScenarios => file_scenarios: Option<FileScenarios>,
     /// Tests that are modelled on regulations; absent if the configuration names no suites.
     #[serde(skip_serializing_if = "Option::is_none")]

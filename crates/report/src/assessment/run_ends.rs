@@ -16,7 +16,7 @@ pub struct RunEnds {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
     /// Number of scenarios that end with a collision of other vehicles: no evidence about the controller.
-    #[serde(rename = "cut_short")]
+    #[serde(alias = "cut_short")]
     pub ended_by_others: u64,
     /// Number of scenarios in which a vehicle under test first hits its leader.
     pub hit: u64,

@@ -69,7 +69,7 @@ impl FailureCriterion {
 #[non_exhaustive]
 pub enum FailureCriterionRecord {
     /// A [`FailureCriterion::Differential`].
-    #[serde(rename = "against")]
+    #[serde(alias = "against")]
     Differential {
         /// Name of the other controller, or its file.
         controller: String,

@@ -35,7 +35,7 @@ pub enum ProcessProblem {
     Closed,
     /// No answer within the time limit.
     #[error("gave no answer within {limit_s} s")]
-    #[serde(rename = "late")]
+    #[serde(alias = "late")]
     Timeout {
         /// Time limit, in seconds.
         limit_s: f64,
@@ -48,7 +48,7 @@ pub enum ProcessProblem {
     },
     /// The process wrote before a query, or more than one line.
     #[error("answered question {found} where it was asked question {asked}")]
-    #[serde(rename = "other_question")]
+    #[serde(alias = "other_question")]
     WrongRequestId {
         /// Number in the answer.
         found: u64,
@@ -79,7 +79,7 @@ pub enum ProcessProblem {
     },
     /// A reply that violates the protocol.
     #[error("answered `{found}`, which is not a valid answer: {reason}")]
-    #[serde(rename = "no_answer")]
+    #[serde(alias = "no_answer")]
     InvalidReply {
         /// Beginning of the reply.
         found: String,
@@ -121,7 +121,7 @@ pub enum ProcessProblem {
     #[error(
         "declares that it is not deterministic: set `deterministic = false` in its controller file"
     )]
-    #[serde(rename = "undeclared")]
+    #[serde(alias = "undeclared")]
     UndeclaredNondeterminism,
     /// A decision interval that does not match the scenario.
     #[error("decides every {interval_s} s, which is not {wanted}")]
@@ -133,7 +133,7 @@ pub enum ProcessProblem {
     },
     /// A handshake that differs from an earlier one of the same command.
     #[error("introduced itself differently before")]
-    #[serde(rename = "changed")]
+    #[serde(alias = "changed")]
     HandshakeChanged,
     /// A file of the controller's identity that has changed.
     #[error("cannot be started again: {file} has changed since it was read")]
@@ -158,7 +158,7 @@ pub struct ProcessFailure {
     /// Reason of the failure.
     pub problem: ProcessProblem,
     /// Last lines of standard error since the run began, newest last.
-    #[serde(rename = "last_words")]
+    #[serde(alias = "last_words")]
     pub stderr_tail: Vec<String>,
 }
 

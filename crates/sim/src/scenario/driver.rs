@@ -183,7 +183,6 @@ macro_rules! define_form {
             /// Scripted: constant speed.
             ConstantSpeed {},
             /// Scripted: constant braking to standstill.
-            #[serde(rename = "brake")]
             Brake(super::profile::Brake),
             /// Scripted: braking that builds up within a time, is held, and eases off just before standstill.
             RampBrake(super::profile::RampBrake),

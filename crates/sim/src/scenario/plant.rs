@@ -30,21 +30,18 @@ impl PlantKind {
 /// Parameter set of a multi-body vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum BodyKind {
     /// Ford Escort, vehicle 1 of CommonRoad.
-    #[serde(rename = "ford-escort")]
     FordEscort,
     /// BMW 320i, vehicle 2 of CommonRoad.
     #[serde(rename = "bmw-320i")]
     Bmw320i,
     /// VW Vanagon, vehicle 3 of CommonRoad.
-    #[serde(rename = "vw-vanagon")]
     VwVanagon,
     /// Two-axle lorry of 15 t with load.
-    #[serde(rename = "lorry-laden")]
     LorryLaden,
     /// Two-axle lorry of 7 t without load.
-    #[serde(rename = "lorry-unladen")]
     LorryUnladen,
 }
 

@@ -14,10 +14,10 @@ use crate::disk::{self, DiskError};
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum PendingChange {
     /// The file `unfinished`, beside the manifest, will replace `name`.
-    #[serde(rename = "place")]
+    #[serde(alias = "place")]
     Move { unfinished: String, name: String },
     /// The file will be removed; `old_state` was its state.
-    #[serde(rename = "was")]
+    #[serde(alias = "was")]
     Remove { name: String, old_state: FileState },
 }
 

@@ -17,22 +17,18 @@ pub struct FolderReport {
     /// Kind of the run.
     pub kind: Option<String>,
     /// True if the run is complete.
-    #[serde(rename = "complete")]
     pub is_complete: bool,
     /// True if this build may resume or read the run.
     pub is_of_this_build: bool,
     /// True if every file is as it was written, and no unlisted file exists.
-    #[serde(rename = "is_whole")]
     pub is_intact: bool,
     /// Number of files of the run.
     pub files: usize,
     /// Damaged files.
     pub damaged: Vec<DamagedFile>,
     /// Files that do not belong to the run, inside its folders and next to them.
-    #[serde(rename = "strangers")]
     pub unlisted_files: Vec<String>,
     /// Files and folders beside the run.
-    #[serde(rename = "beside")]
     pub unrelated_files: Vec<String>,
 }
 

@@ -293,9 +293,9 @@ fn contradictory_settings_are_named() {
         ),
         (
             all,
-            "rates_fall",
-            "{ until_episode = 200, to_share = 0.1 }",
-            "learning.rates_fall.until_episode: must be above exploration.random_episodes",
+            "lr_decay",
+            "{ until_episode = 200, final_factor = 0.1 }",
+            "learning.lr_decay.until_episode: must be above exploration.learning_starts_episode",
         ),
         (
             fast,

@@ -10,7 +10,7 @@ use super::{AssuranceClaim, Evidence, Property, Strength};
 #[serde(rename_all = "snake_case")]
 pub enum InferenceRule {
     /// The evidence is about this claim.
-    #[serde(rename = "own")]
+    #[serde(alias = "own")]
     Direct,
     /// A run in a part of the domain refutes a claim about every run of the whole.
     RefutedInPart,

@@ -24,7 +24,7 @@ pub struct ClaimStatus {
     /// Indices in the ledger of the evidence behind the strength.
     pub evidence: Vec<usize>,
     /// Other evidence about the same claim.
-    #[serde(rename = "beside")]
+    #[serde(alias = "beside")]
     pub secondary: Vec<SecondaryEvidence>,
 }
 

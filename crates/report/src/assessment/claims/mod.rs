@@ -93,7 +93,7 @@ pub enum Property {
         than: ContentId,
     },
     /// No unnecessary braking.
-    #[serde(rename = "no_needless_braking")]
+    #[serde(alias = "no_needless_braking")]
     NoUnnecessaryBraking,
     /// The subject never falls behind a leader that drives on.
     KeepsUp,
@@ -116,7 +116,7 @@ pub enum Domain {
     /// Listed scenarios.
     Scenarios {
         /// Description in words.
-        #[serde(rename = "are")]
+        #[serde(alias = "are")]
         about: UncomparedText,
         /// Scenarios of the domain.
         all: Vec<ContentId>,

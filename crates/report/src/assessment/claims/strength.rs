@@ -70,7 +70,7 @@ pub enum Strength {
         runs: u64,
     },
     /// Counted runs do not show the claim at that confidence level.
-    #[serde(rename = "counted_in_vain")]
+    #[serde(alias = "counted_in_vain")]
     NotShownByCounting {
         /// Confidence level, in percent.
         confidence_percent: Rounded<1>,
@@ -109,7 +109,7 @@ pub enum Strength {
         /// Number of runs in all.
         runs: u64,
         /// Time and reason of the first failure to answer.
-        #[serde(rename = "because")]
+        #[serde(alias = "because")]
         reason: String,
         /// True if a failure to answer refutes the claim by itself, because the claim excludes such failures.
         refutes: bool,
@@ -121,11 +121,11 @@ pub enum Strength {
         /// Number of runs in all.
         runs: u64,
         /// Time and reason of the first failure to answer.
-        #[serde(rename = "because")]
+        #[serde(alias = "because")]
         reason: String,
     },
     /// A search found counterexamples.
-    #[serde(rename = "found")]
+    #[serde(alias = "found")]
     Falsified {
         /// Number of distinct counterexamples.
         failures: usize,
@@ -133,11 +133,11 @@ pub enum Strength {
         avoidable: usize,
         /// Time and reason, if the controller gave no answer in the severest counterexample.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        #[serde(rename = "because")]
+        #[serde(alias = "because")]
         reason: Option<String>,
     },
     /// The checker accepted a certificate about part of a box of initial states.
-    #[serde(rename = "proved_in")]
+    #[serde(alias = "proved_in")]
     PartlyProved {
         /// Share of the box in percent, rounded down.
         share_percent: Rounded<2>,

@@ -90,7 +90,6 @@ pub struct GateResult {
     /// True if the condition holds.
     pub holds: bool,
     /// Deciding fact, in words.
-    #[serde(rename = "because")]
     pub reason: String,
 }
 

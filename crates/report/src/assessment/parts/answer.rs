@@ -36,7 +36,6 @@ pub struct FirstPage {
     /// Answer to the question.
     pub answer: SafetyAnswer,
     /// Answer in words that can be quoted.
-    #[serde(rename = "words")]
     pub answer_text: String,
     /// Evidence against the subject, the gravest first.
     pub against: Vec<String>,

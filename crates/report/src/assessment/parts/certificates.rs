@@ -38,7 +38,6 @@ pub struct CheckedCertificate {
     /// SHA-256 of the certificate.
     pub sha256: String,
     /// Claim of this report that the certificate supports.
-    #[serde(rename = "speaks_of")]
     pub subject: CertificateSubject,
     /// Result of the check.
     pub status: CertificateStatus,
@@ -98,10 +97,8 @@ pub enum CertificateSubject {
     /// A scene or a profile, without any controller.
     NoController,
     /// Nothing in this report.
-    #[serde(rename = "foreign")]
     Unrelated {
         /// Reason in words.
-        #[serde(rename = "because")]
         reason: String,
     },
 }

@@ -44,7 +44,6 @@ pub struct AssessmentComparison {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentChange {
     /// Description of the subject.
-    #[serde(rename = "what")]
     pub description: String,
     /// Earlier result.
     pub before: Option<String>,
@@ -83,7 +82,8 @@ impl EarlierAssessment {
         let syntax = |error: serde_json::Error| {
             wrong(error.line(), format!("not an assessment.json: {error}"))
         };
-        let evidence: Value = serde_json::from_str(text).map_err(syntax)?;
+        let mut evidence: Value = serde_json::from_str(text).map_err(syntax)?;
+        use_current_names(&mut evidence);
         let field = |problem: String| wrong(1, format!("not an assessment.json: {problem}"));
         let version: u32 = read(&evidence, "version").map_err(field)?;
         if version != EVIDENCE_VERSION {
@@ -99,6 +99,29 @@ impl EarlierAssessment {
             config_sha256,
             facts: read_facts(&evidence).map_err(field)?,
         })
+    }
+}
+
+/// Names of 0.3.0 and the current ones, of the fields that a comparison reads.
+const RENAMED_FIELDS: [(&str, &str); 3] = [
+    ("standings", "statuses"),
+    ("known", "content_id"),
+    ("traffic", "file_scenarios"),
+];
+
+/// Gives the fields of an earlier assessment their current names, at any depth.
+fn use_current_names(value: &mut Value) {
+    match value {
+        Value::Object(fields) => {
+            for (before, now) in RENAMED_FIELDS {
+                if let Some(field) = fields.remove(before) {
+                    fields.entry(now).or_insert(field);
+                }
+            }
+            fields.values_mut().for_each(use_current_names);
+        }
+        Value::Array(items) => items.iter_mut().for_each(use_current_names),
+        _ => {}
     }
 }
 

@@ -30,7 +30,6 @@ pub struct MethodResult {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub unanswered: u64,
     /// Number that ended with a collision of other vehicles: no evidence about the controller.
-    #[serde(rename = "others")]
     pub collisions_of_others: u64,
 }
 
@@ -126,7 +125,6 @@ pub struct DistinctFailure {
     pub kind: String,
     /// Time and reason, if the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "because")]
     pub reason: Option<String>,
     /// Time of the first collision, in seconds.
     pub contact_time_s: Option<Rounded<2>>,

@@ -42,7 +42,6 @@ pub struct FailureSearch {
     /// Severest of the distinct failures.
     pub failures: Vec<DistinctFailure>,
     /// Number of distinct collisions of other vehicles, which are no failures of the controller.
-    #[serde(rename = "others")]
     pub collisions_of_others: usize,
     /// True for the first controller, the subject and the learned ones.
     #[serde(skip)]

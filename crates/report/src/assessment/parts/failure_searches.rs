@@ -37,7 +37,6 @@ pub struct SpaceSearches {
     /// Scenario space, in the syntax of `--space`.
     pub name: String,
     /// Identifier of the scenario space.
-    #[serde(rename = "known")]
     pub content_id: ContentId,
     /// Purpose and content of the space.
     pub about: String,

@@ -39,7 +39,6 @@ pub struct AssessmentProvenance {
     /// Hashes of all cached evidence.
     pub evidence: Vec<EvidenceHash>,
     /// Time, program and machine of the assessment, if known.
-    #[serde(rename = "made")]
     pub run_info: Option<RunInfo>,
 }
 

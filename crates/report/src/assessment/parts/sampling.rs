@@ -50,7 +50,7 @@ pub struct SpaceSample {
     /// Names of the drivers of the vehicles directly behind a vehicle under test.
     pub followers: Vec<String>,
     /// Number of random scenarios for each controller.
-    #[serde(rename = "draws")]
+    #[serde(alias = "draws")]
     pub random_scenarios: u64,
     /// Seed of the random scenarios.
     pub seed: u64,

@@ -31,7 +31,6 @@ pub struct ScenarioCases {
     /// Command that repeats the run, without the controller.
     pub replay: CrumpleCommand,
     /// Avoidability and best escape; absent if not computed.
-    #[serde(rename = "best")]
     pub avoidance: Option<RoundedAvoidance>,
     /// One case per controller.
     pub cases: Vec<CaseResult>,

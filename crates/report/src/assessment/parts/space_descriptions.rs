@@ -40,7 +40,6 @@ pub struct ParameterDescription {
     /// Unit of the parameter.
     pub unit: String,
     /// Range and probability distribution, in words.
-    #[serde(rename = "law")]
     pub distribution: String,
 }
 

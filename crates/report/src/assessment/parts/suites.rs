@@ -120,12 +120,12 @@ pub struct SuiteOutcome {
     pub failures: u64,
     /// Failed points of the search at which the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "unanswered_within")]
+    #[serde(alias = "unanswered_within")]
     pub unanswered_in_tolerance: Option<FailedControllerRuns>,
     /// Margins to failure, in words.
     pub margins: Vec<String>,
     /// Worst point found within the ranges and tolerances of the clause, in words; absent if the clause has none.
-    #[serde(rename = "within")]
+    #[serde(alias = "within")]
     pub worst_in_tolerance: Option<String>,
     /// Failure with the highest impact speed.
     pub worst: Option<SuiteFailure>,
@@ -144,7 +144,7 @@ pub struct SuiteFailure {
     /// Parameters of the point.
     pub point: String,
     /// Description of the failure.
-    #[serde(rename = "what")]
+    #[serde(alias = "what")]
     pub description: String,
     /// Preventability by reference drivers.
     pub preventable: String,
@@ -155,7 +155,7 @@ pub struct SuiteFailure {
 
 #[derive(Serialize, Deserialize)]
 pub(in crate::assessment) struct SuiteCacheEntry {
-    #[serde(rename = "found")]
+    #[serde(alias = "found")]
     findings: SuiteFindings,
     files: BTreeMap<String, String>,
 }

@@ -39,7 +39,6 @@ pub struct NameExplanation {
     /// Name of a controller or scenario space.
     pub name: String,
     /// Explanation in a few words.
-    #[serde(rename = "what")]
     pub explanation: String,
 }
 
@@ -54,7 +53,6 @@ pub struct ClaimRow {
     /// Claim about each controller; absent if it does not apply.
     pub claims: Vec<Option<AssuranceClaim>>,
     /// Status of the claim for each controller.
-    #[serde(rename = "standings")]
     pub statuses: Vec<ClaimStatus>,
 }
 

@@ -38,7 +38,7 @@ pub struct UsefulnessReport {
     /// Names of the drivers of the vehicles directly behind a vehicle under test, for each space.
     pub followers: [Vec<String>; 2],
     /// Number of random scenarios of each space for each controller.
-    #[serde(rename = "draws")]
+    #[serde(alias = "draws")]
     pub random_scenarios: u64,
     /// Seed of the random scenarios.
     pub seed: u64,
@@ -58,7 +58,7 @@ pub struct ControllerUsefulness {
     /// Everyday drives in which a vehicle under test collided or its controller failed.
     pub failures: u64,
     /// Scenarios that ended with a collision of other vehicles: no evidence about the controller.
-    #[serde(rename = "cut_short")]
+    #[serde(alias = "cut_short")]
     pub ended_by_others: [u64; 2],
     /// Dangerous scenarios that the controller failed.
     pub high_risk_failures: u64,
@@ -72,19 +72,19 @@ pub struct ControllerUsefulness {
     #[serde(default, skip_serializing_if = "all_answered")]
     pub unanswered: [Option<FailedControllerRuns>; 2],
     /// Everyday drives with unnecessary braking.
-    #[serde(rename = "needless")]
+    #[serde(alias = "needless")]
     pub unnecessary_braking: u64,
     /// Share of these drives in percent, with exact bounds.
-    #[serde(rename = "needless_percent")]
+    #[serde(alias = "needless_percent")]
     pub unnecessary_braking_percent: PercentInterval,
     /// Mean time of unnecessary braking in a drive, in seconds.
-    #[serde(rename = "needless_s")]
+    #[serde(alias = "needless_s")]
     pub unnecessary_braking_s: Option<Rounded<2>>,
     /// Unnecessary braking per hour of everyday driving, without and with sensor faults.
-    #[serde(rename = "needless_per_hour")]
+    #[serde(alias = "needless_per_hour")]
     pub unnecessary_braking_rates: Vec<BrakingRate>,
     /// Everyday drives with hard braking where little braking was required.
-    #[serde(rename = "hard")]
+    #[serde(alias = "hard")]
     pub hard_braking: u64,
     /// Everyday drives at whose end the vehicle had fallen behind.
     pub left_behind: u64,
@@ -99,10 +99,10 @@ pub struct ControllerUsefulness {
     /// Mean of a drive's root mean square of jerk, in m/s³.
     pub rms_jerk_mps3: Option<Rounded<2>>,
     /// Mean of the hardest deceleration of the follower, in m/s².
-    #[serde(rename = "imposed_brake_mps2")]
+    #[serde(alias = "imposed_brake_mps2")]
     pub induced_brake_mps2: Option<Rounded<2>>,
     /// Growth of speed oscillations in a line of these controllers.
-    #[serde(rename = "gain")]
+    #[serde(alias = "gain")]
     pub oscillation_gain: OscillationGain,
     /// Share of failures in dangerous scenarios in percent, with exact bounds.
     pub high_risk_percent: PercentInterval,

@@ -59,7 +59,7 @@ pub struct SearchSettings {
     /// The search method.
     pub method: Method,
     /// Objective of the search after the first failure. The reference searches ignore it.
-    #[serde(rename = "aim")]
+    #[serde(alias = "aim")]
     pub objective: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to [`MAX_BUDGET`].
     pub budget: u64,
@@ -105,7 +105,7 @@ pub(in crate::falsify) struct CampaignRecord {
     #[serde(flatten)]
     pub(in crate::falsify) search: SearchSettings,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "contrast")]
+    #[serde(alias = "contrast")]
     pub(in crate::falsify) failure_criterion: Option<FailureCriterionRecord>,
     #[serde(flatten)]
     pub(in crate::falsify) subject: StudySubject<SpaceSpec>,

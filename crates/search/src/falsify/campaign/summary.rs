@@ -28,13 +28,13 @@ pub struct CampaignSummary {
     pub subject: StudySubject,
     /// Additional condition for a failure to count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "contrast")]
+    #[serde(alias = "contrast")]
     pub failure_criterion: Option<FailureCriterionRecord>,
     /// Requested method.
     pub method: String,
     /// Objective of the search after the first failure.
     #[serde(default = "default_objective")]
-    #[serde(rename = "aim")]
+    #[serde(alias = "aim")]
     pub objective: String,
     /// Evaluations of each method.
     pub budget: u64,
@@ -203,10 +203,8 @@ pub struct CampaignReport<'a> {
     #[serde(flatten)]
     pub summary: &'a CampaignSummary,
     /// Results of the requested method.
-    #[serde(rename = "of_method_asked_for")]
     pub requested_method: Option<&'a MethodSummary>,
     /// Results of all methods.
-    #[serde(rename = "of_all_methods")]
     pub all_methods: AllMethodsSummary,
 }
 

@@ -73,7 +73,7 @@ pub struct ExpectedVerdict {
     pub undecided_because: Option<String>,
     /// Additional condition. Without it a violation does not count, and the robustness is not negative.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "contrast")]
+    #[serde(alias = "contrast")]
     pub failure_criterion: Option<FailureCriterionRecord>,
 }
 

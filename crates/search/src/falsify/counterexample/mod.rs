@@ -75,7 +75,7 @@ pub struct Counterexample {
     #[serde(with = "crumple_core::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference relative to the range.
-    #[serde(rename = "departure")]
+    #[serde(alias = "departure")]
     pub distance_from_nominal: f64,
     /// Rank by likelihood, from 1; equal ones by distance from nominal. The list itself is sorted by severity: impact
     /// speed, then delta-v, both to whole m/s, then vehicles involved; for a formula, the violation.

@@ -104,8 +104,8 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
     for row in read::<Vec<Value>>(evidence, "summary/claims")? {
         let words: String = read(&row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
-        let statuses: Vec<Value> = read(&row, "standings")?;
-        let strengths: Vec<Strength> = read(&row, "standings")?;
+        let statuses: Vec<Value> = read(&row, "statuses")?;
+        let strengths: Vec<Strength> = read(&row, "statuses")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
             return Err(format!(
                 "summary/claims: `{words}` needs one entry per controller"
@@ -157,7 +157,7 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
         .flat_map(listed_scenarios)
         .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
         .collect();
-    for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
+    for part in ["paper_scenarios/scenarios", "file_scenarios/scenarios"] {
         for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
             let name: String = read(&scenario, "scenario")?;
             let content = known.get(name.as_str()).copied().unwrap_or_default();
@@ -189,7 +189,7 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
 fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
     for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
         let name: String = read(&space, "name")?;
-        let content: String = read(&space, "known/sha256")?;
+        let content: String = read(&space, "content_id/sha256")?;
         // A search with another budget or seed is another result.
         let is_of = |domain: &&Domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content);
         let domain = domains
