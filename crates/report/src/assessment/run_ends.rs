@@ -32,10 +32,8 @@ impl RunEnds {
     }
 
     pub(super) fn add(&mut self, verdict: &CaseVerdict) {
-        let (hit, was_hit) = (
-            matches!(verdict, CaseVerdict::Hit(_)),
-            matches!(verdict, CaseVerdict::WasHit(_)),
-        );
+        let hit = matches!(verdict, CaseVerdict::Hit(_));
+        let was_hit = matches!(verdict, CaseVerdict::WasHit(_));
         self.collisions += u64::from(hit || was_hit);
         FailedControllerRuns::merge(&mut self.unanswered, verdict.unanswered());
         self.ended_by_others += u64::from(!verdict.is_conclusive());

@@ -100,11 +100,8 @@ impl AssessmentProvenance {
 
     fn inputs(&self) -> Vec<(String, String)> {
         let config = &self.config;
-        let (spaces, runs, confidence) = (
-            config.search_spaces().join(", "),
-            config.rates.runs,
-            config.rates.confidence,
-        );
+        let spaces = config.search_spaces().join(", ");
+        let rates = &config.rates;
         let files: Vec<_> = config
             .scenarios
             .iter()
@@ -122,7 +119,10 @@ impl AssessmentProvenance {
             ),
             (
                 "counted runs",
-                format!("{runs} at confidence {confidence}, with the seed in each certificate"),
+                format!(
+                    "{} at confidence {}, with the seed in each certificate",
+                    rates.runs, rates.confidence
+                ),
             ),
             (
                 "drives in traffic and in high-risk",
