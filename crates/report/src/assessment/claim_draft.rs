@@ -42,14 +42,14 @@ impl ClaimDraft {
         property: Property,
         domain: Domain,
     ) -> Self {
-        let claim = |index| {
+        let claims = (0..plan.controllers.len()).map(|index| {
             Some(AssuranceClaim {
                 subject: plan.claim_subject(index, estimator)?,
                 property: property.clone(),
                 domain: domain.clone(),
             })
-        };
-        Self::new(part, (0..plan.controllers.len()).map(claim).collect())
+        });
+        Self::new(part, claims.collect())
     }
 
     pub(super) fn with_words(self, words: String) -> Self {

@@ -233,9 +233,9 @@ impl AssessmentReport {
     }
 }
 
-fn evaluate_gates(found: &GateInputs<'_>) -> Vec<GateResult> {
-    let gates = found.plan.config.gates.iter();
-    gates.map(|gate| gate.evaluate(found)).collect()
+fn evaluate_gates(inputs: &GateInputs<'_>) -> Vec<GateResult> {
+    let gates = inputs.plan.config.gates.iter();
+    gates.map(|gate| gate.evaluate(inputs)).collect()
 }
 
 /// Content of a report folder, as its `work.json` states it.

@@ -242,11 +242,10 @@ fn count_hidden(samples: &[PixelPoint], frame: &PixelRect) -> usize {
 }
 
 fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
-    let part = |values: &[f64]| values.get(from..to).map(<[f64]>::to_vec);
     Some(Track {
-        position_m: part(&track.position_m)?,
-        speed_mps: part(&track.speed_mps)?,
-        acceleration_mps2: part(&track.acceleration_mps2)?,
+        position_m: track.position_m.get(from..to)?.to_vec(),
+        speed_mps: track.speed_mps.get(from..to)?.to_vec(),
+        acceleration_mps2: track.acceleration_mps2.get(from..to)?.to_vec(),
         ..*track
     })
 }

@@ -44,8 +44,10 @@ fn clamp_finite(value: f64) -> f64 {
 /// Returns the nearest interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
 pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
-    let (one, other) = (clamp_finite(domain.0), clamp_finite(domain.1));
-    let (low, high) = (one.min(other), one.max(other));
+    let from = clamp_finite(domain.0);
+    let to = clamp_finite(domain.1);
+    let low = from.min(to);
+    let high = from.max(to);
     let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
     if high - low >= least {
         return (low, high);
@@ -91,25 +93,25 @@ impl Ticks {
         let start = ((high - low) / most as f64).log10().floor() as i32 - 1;
         for exponent in start..start + 5 {
             for factor in [1.0, 2.0, 5.0] {
-                let (step, scale) = (factor * 10f64.powi(exponent), 10f64.powi(-exponent));
+                let step = factor * 10f64.powi(exponent);
                 // Count multiples in whole numbers, so that no rounding error accumulates.
                 let slack = 1e-9;
                 let first = (low / step - slack).ceil();
                 let last = (high / step + slack).floor();
                 let count = (last - first) as usize + 1;
                 if last >= first && count <= most {
-                    let value = |index: usize| {
+                    let values = (0..count).map(|index| {
                         let multiple = first + index as f64;
                         let value = if exponent < 0 {
-                            multiple * factor / scale
+                            multiple * factor / 10f64.powi(-exponent)
                         } else {
                             multiple * step
                         };
                         value.clamp(low, high) + 0.0
-                    };
+                    });
                     let decimals = usize::try_from(-exponent).unwrap_or(0);
                     return Self {
-                        values: (0..count).map(value).collect(),
+                        values: values.collect(),
                         decimals,
                     };
                 }

@@ -6,7 +6,7 @@ use crate::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg,
     extent, pad_interval,
 };
-use crumple_evidence::fit::{FittedFeature, FittedSpace, format_p_value};
+use crumple_evidence::fit::{FittedFeature, FittedSpace, GoodnessOfFit, format_p_value};
 
 /// Size of a panel, and distance between two of them, in pixels.
 const PANEL_SIZE: (f64, f64) = (340.0, 200.0);
@@ -72,14 +72,7 @@ fn fit_panel(feature: &FittedFeature, frame: PixelRect) -> Panel {
             .collect();
         panel.add_line(&line, Stroke::series(0));
     }
-    let goodness = &feature.goodness;
-    let note = format!(
-        "KS {:.3} (p {}), CvM {:.3} (p {})",
-        goodness.kolmogorov_smirnov,
-        format_p_value(goodness.kolmogorov_smirnov_p),
-        goodness.cramer_von_mises,
-        format_p_value(goodness.cramer_von_mises_p)
-    );
+    let note = describe_goodness(&feature.goodness);
     panel.add_note((range.1, 0.06), Anchor::End, &note, Ink::Muted);
     panel.add_note(
         (range.1, 0.18),
@@ -88,6 +81,16 @@ fn fit_panel(feature: &FittedFeature, frame: PixelRect) -> Panel {
         Ink::Muted,
     );
     panel
+}
+
+fn describe_goodness(goodness: &GoodnessOfFit) -> String {
+    format!(
+        "KS {:.3} (p {}), CvM {:.3} (p {})",
+        goodness.kolmogorov_smirnov,
+        format_p_value(goodness.kolmogorov_smirnov_p),
+        goodness.cramer_von_mises,
+        format_p_value(goodness.cramer_von_mises_p)
+    )
 }
 
 /// Returns the steps of the empirical distribution function of sorted values.

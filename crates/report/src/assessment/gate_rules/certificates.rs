@@ -11,10 +11,10 @@ pub(super) fn accepted(_config: &AssessConfig) -> GateRule<'static> {
     )
 }
 
-fn check_certificates(found: &GateInputs<'_>) -> GateVerdict {
+fn check_certificates(inputs: &GateInputs<'_>) -> GateVerdict {
     let claims_to_prove =
         |one: &&CheckedCertificate| !matches!(one.status, CertificateStatus::NothingShown { .. });
-    let certificates: Vec<_> = found
+    let certificates: Vec<_> = inputs
         .results
         .proofs
         .certificates

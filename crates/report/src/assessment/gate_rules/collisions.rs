@@ -9,8 +9,8 @@ pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str)
     GateRule::new(
         format!("{controller}: no collision in the paper's scenarios"),
         require(config.paper, "`paper = true`"),
-        |found| {
-            let paper = found.results.paper_scenarios.as_ref();
+        |inputs| {
+            let paper = inputs.results.paper_scenarios.as_ref();
             check_no_collision(paper.map_or(&[], |paper| &paper.scenarios), controller)
         },
     )
@@ -21,8 +21,8 @@ pub(super) fn in_scenario_files<'a>(config: &AssessConfig, controller: &'a str) 
     GateRule::new(
         format!("{controller}: no collision in scenario files and recordings"),
         require(has_files, "`scenarios` or `recordings`"),
-        |found| {
-            let files = found.results.file_scenarios.as_ref();
+        |inputs| {
+            let files = inputs.results.file_scenarios.as_ref();
             check_no_collision(files.map_or(&[], |files| &files.scenarios), controller)
         },
     )
@@ -80,20 +80,20 @@ pub(super) fn in_space<'a>(
     GateRule::new(
         format!("{controller}: no collision in random scenarios of `{space}`"),
         simulated_space_problem(space, config),
-        |found| check_no_collision_in_space(found, controller, space),
+        |inputs| check_no_collision_in_space(inputs, controller, space),
     )
 }
 
 /// Evaluates the random scenarios of `distributions`, or the drives in `traffic` or `high-risk`. Both use the same
 /// seed: the larger sample contains the smaller one.
 fn check_no_collision_in_space(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     space: &str,
 ) -> GateVerdict {
-    let usefulness = found.results.usefulness.as_ref();
+    let usefulness = inputs.results.usefulness.as_ref();
     let everyday = usefulness.and_then(|all| all.space_ends(controller, space));
-    let all = found
+    let all = inputs
         .sampled_ends(controller, space)
         .into_iter()
         .chain(everyday)

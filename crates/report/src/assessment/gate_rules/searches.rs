@@ -12,7 +12,7 @@ pub(super) fn no_avoidable_failure<'a>(
     GateRule::new(
         format!("{controller}: the search of `{space}` finds no avoidable failure"),
         searched_space_problem(space, config),
-        |found| check_no_avoidable_failure(found, controller, space),
+        |inputs| check_no_avoidable_failure(inputs, controller, space),
     )
 }
 
@@ -22,11 +22,11 @@ fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigPr
 }
 
 fn check_no_avoidable_failure(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     space: &str,
 ) -> GateVerdict {
-    let mut spaces = found.results.searches.spaces.iter();
+    let mut spaces = inputs.results.searches.spaces.iter();
     let searched = spaces.find(|searched| searched.name == space);
     match searched.and_then(|searched| searched.find(controller)) {
         Some(search) => check_search(search),

@@ -15,7 +15,7 @@ use crumple_measure::{
     OperatingPoint,
 };
 use crumple_sim::engine::FailedControllerRuns;
-use maud::html;
+use maud::{Markup, html};
 
 /// Growth of speed oscillations in a line of vehicles with one controller that observes the true state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -312,19 +312,13 @@ pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg 
         .iter()
         .filter(|useful| !useful.oscillation_gain.curves.is_empty())
         .collect();
-    let names = DRAWN_SPEEDS_MPS.map(|speed_mps| format!("{speed_mps} m/s"));
-    let entries: Vec<_> = names
-        .iter()
-        .enumerate()
-        .map(|(index, name)| (Stroke::series(index), name.as_str()))
-        .collect();
     let step = (
         PANEL_SIZE.0 + LEFT_MARGIN + 24.0,
         PANEL_SIZE.1 + HEADING_HEIGHT + BOTTOM_MARGIN,
     );
     let columns = drawn.len().clamp(1, PANELS_IN_ROW);
     let width = (columns as f64 * step.0 + 12.0).max(4.0 * 80.0);
-    let (legend, legend_height) = draw_legend(&entries, width);
+    let (legend, legend_height) = speed_legend(width);
     let panels = drawn.iter().enumerate().map(|(index, useful)| {
         let row = index / PANELS_IN_ROW;
         let column = index % PANELS_IN_ROW;
@@ -357,6 +351,17 @@ pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg 
         &description,
         content,
     )
+}
+
+/// Draws the legend of the lines of a panel, and returns its height.
+fn speed_legend(width: f64) -> (Markup, f64) {
+    let names = DRAWN_SPEEDS_MPS.map(|speed_mps| format!("{speed_mps} m/s"));
+    let entries: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(index, name)| (Stroke::series(index), name.as_str()))
+        .collect();
+    draw_legend(&entries, width)
 }
 
 fn gain_panel(useful: &ControllerUsefulness, frame: PixelRect) -> Panel {

@@ -230,26 +230,42 @@ impl SpaceSample {
     }
 
     fn claims(&self, plan: &AssessmentPlan, named: &NamedSpace) -> Vec<ClaimDraft> {
-        let draft = |part, property, domain| ClaimDraft::about_all(plan, part, property, domain);
         let rare = Property::RateAtMost {
             percent: Rounded::new(RARE_PERCENT),
         };
-        let mut claims = vec![draft(ANCHOR, Property::NoContact, self.draws_domain())];
+        let mut claims = vec![ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            Property::NoContact,
+            self.draws_domain(),
+        )];
         if named.can_others_collide() {
-            claims.push(draft(
+            claims.push(ClaimDraft::about_all(
+                plan,
                 ANCHOR,
                 Property::OthersKeepClear,
                 self.draws_domain(),
             ));
         }
-        claims.push(draft(ANCHOR, rare, self.space_domain()));
+        claims.push(ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            rare,
+            self.space_domain(),
+        ));
         if let Some(first) = plan.claim_subject(0, plan.config.estimator) {
             let fewer = Property::FailsLessOften {
                 than: first.controller,
             };
             // The first controller cannot fail less often than itself.
-            claims.push(draft(ANCHOR, fewer.clone(), self.draws_domain()).without_first());
-            claims.push(draft(proofs::ANCHOR, fewer, self.space_domain()).without_first());
+            claims.push(
+                ClaimDraft::about_all(plan, ANCHOR, fewer.clone(), self.draws_domain())
+                    .without_first(),
+            );
+            claims.push(
+                ClaimDraft::about_all(plan, proofs::ANCHOR, fewer, self.space_domain())
+                    .without_first(),
+            );
         }
         claims
     }

@@ -339,14 +339,6 @@ impl SuiteFailure {
     ) -> Result<Self, CacheError> {
         let text = file::to_toml(&failed.scenario).map_err(CacheError::encoding)?;
         let file = format!("counterexamples/suites/{}.toml", failed.scenario_name);
-        let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
-        let replay = controller_arg(&*controller.source)
-            .filter(|_| is_contact)
-            .map(|argument| {
-                CrumpleCommand::new(["simulate", &file, "--controller", &argument])
-                    .with_args(plan.estimator_args().iter().copied())
-                    .with_args(["--expect", "collision"])
-            });
         let escape = match &failed.escape {
             None => None,
             Some(escape) => Some(EscapeFile::new(
@@ -362,6 +354,11 @@ impl SuiteFailure {
         );
         let text_sha256 = sha256(&text);
         files.insert(file.clone(), text);
+        // A controller without an answer causes no collision, which the command expects.
+        let replay = match failed.verdict {
+            TestVerdict::Failed { .. } => collision_command(&file, controller, plan),
+            _ => None,
+        };
         Ok(Self {
             file,
             sha256: text_sha256,
@@ -378,6 +375,18 @@ impl SuiteFailure {
             .iter()
             .chain(self.escape.iter().map(|escape| &escape.replay))
     }
+}
+
+/// Returns the command that simulates a collision; `None` for an external controller.
+fn collision_command(
+    file: &str,
+    controller: &NamedController,
+    plan: &AssessmentPlan,
+) -> Option<CrumpleCommand> {
+    let argument = controller_arg(&*controller.source)?;
+    let simulate = CrumpleCommand::new(["simulate", file, "--controller", argument.as_str()])
+        .with_args(plan.estimator_args().iter().copied());
+    Some(simulate.with_args(["--expect", "collision"]))
 }
 
 impl SuiteFindings {

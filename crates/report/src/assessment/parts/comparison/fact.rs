@@ -57,8 +57,8 @@ impl Measure {
 
 /// Reads a field, whose path has slashes. The error names the field.
 pub(super) fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T, String> {
-    let found = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
-    T::deserialize(found).map_err(|error| format!("{field}: {error}"))
+    let content = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
+    T::deserialize(content).map_err(|error| format!("{field}: {error}"))
 }
 
 /// Reads the results of an `assessment.json`.
@@ -70,27 +70,30 @@ pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
     let domains = add_claims(evidence, &mut facts)?;
     add_gaps(evidence, &domains, &mut facts)?;
     add_failures(evidence, &domains, &mut facts)?;
+    add_certificates(evidence, &mut facts)?;
+    Ok(facts)
+}
+
+fn add_certificates(evidence: &Value, facts: &mut Facts) -> Result<(), String> {
     for proof in read::<Vec<Value>>(evidence, "proofs/certificates")? {
         let status: CertificateStatus = read(&proof, "status")?;
-        let measure = Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. }));
-        let text = |field: &str| read::<String>(&proof, field);
         // A changed certificate of the same name is another result.
-        let what = format!(
-            "certificate {}: {}, {}",
-            text("name")?,
-            text("statement")?,
-            text("about")?
-        );
+        let name: String = read(&proof, "name")?;
+        let statement: String = read(&proof, "statement")?;
+        let about: String = read(&proof, "about")?;
         facts.insert(
-            (what, String::new()),
+            (
+                format!("certificate {name}: {statement}, {about}"),
+                String::new(),
+            ),
             Fact {
-                measure,
+                measure: Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. })),
                 description: status.describe(),
                 is_failure: false,
             },
         );
     }
-    Ok(facts)
+    Ok(())
 }
 
 fn hash(domain: &Domain) -> String {
@@ -119,14 +122,12 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
                 let domain = claim
                     .as_ref()
                     .map_or_else(String::new, |claim| hash(&claim.domain));
-                let (description, is_failure) = (strength.describe(), strength.is_refutation());
-                let measure = Measure::Claim(strength, deciding_domain(evidence, status));
                 facts.insert(
                     (format!("{controller}: {words}"), domain),
                     Fact {
-                        measure,
-                        description,
-                        is_failure,
+                        description: strength.describe(),
+                        is_failure: strength.is_refutation(),
+                        measure: Measure::Claim(strength, deciding_domain(evidence, status)),
                     },
                 );
             }
@@ -152,7 +153,7 @@ fn listed_scenarios(domain: &Domain) -> &[ContentId] {
 
 /// Adds the smallest gap of each case.
 fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
-    let known: BTreeMap<&str, &str> = domains
+    let sha256_by_name: BTreeMap<&str, &str> = domains
         .iter()
         .flat_map(listed_scenarios)
         .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
@@ -160,7 +161,10 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
     for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
         for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
             let name: String = read(&scenario, "scenario")?;
-            let content = known.get(name.as_str()).copied().unwrap_or_default();
+            let content = sha256_by_name
+                .get(name.as_str())
+                .copied()
+                .unwrap_or_default();
             for case in read::<Vec<Value>>(&scenario, "cases")? {
                 let controller: String = read(&case, "controller")?;
                 let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else {
@@ -191,10 +195,11 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
         let name: String = read(&space, "name")?;
         let content: String = read(&space, "known/sha256")?;
         // A search with another budget or seed is another result.
-        let is_of = |domain: &&Domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content);
         let domain = domains
             .iter()
-            .find(is_of)
+            .find(
+                |domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content),
+            )
             .map_or_else(|| content.clone(), hash);
         for search in read::<Vec<Value>>(&space, "controllers")? {
             let controller: String = read(&search, "controller")?;
@@ -202,16 +207,16 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
             for failure in read::<Vec<Value>>(&search, "failures")? {
                 let is_avoidable =
                     read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
-                let [found, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
-                *found += 1;
+                let [count, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
+                *count += 1;
                 *avoidable += usize::from(is_avoidable);
             }
-            for (kind, [found, avoidable]) in kinds {
+            for (kind, [count, avoidable]) in kinds {
                 let what = (
                     format!("{controller}: failure in `{name}`: {kind}"),
                     domain.clone(),
                 );
-                let description = format!("{found} found, {avoidable} avoidable");
+                let description = format!("{count} found, {avoidable} avoidable");
                 facts.insert(
                     what,
                     Fact {
