@@ -40,22 +40,18 @@ pub(super) struct PlannedSuite {
 }
 
 impl PlannedSuite {
-    /// Loads the suites of a configuration; an error is a field and its problem. `find_controller` returns
-    /// the index of a controller and makes its name canonical.
+    /// Loads the suites of a configuration; an error is a field and its problem. `find_controller` returns the
+    /// index of a controller and makes its name canonical.
     pub(super) fn from_config(
         config: &mut AssessConfig,
         folder: &Path,
         controllers: &[NamedController],
         find_controller: impl Fn(&mut String) -> Option<usize>,
     ) -> Result<Vec<Self>, (String, String)> {
-        if config.suites.len() > MAX_SUITES {
-            return Err((
-                "suites".to_owned(),
-                format!(
-                    "must be at most {MAX_SUITES}, found {}",
-                    config.suites.len()
-                ),
-            ));
+        let count = config.suites.len();
+        if count > MAX_SUITES {
+            let problem = format!("must be at most {MAX_SUITES}, found {count}");
+            return Err(("suites".to_owned(), problem));
         }
         let mut planned: Vec<Self> = Vec::new();
         for (index, suite_config) in config.suites.iter_mut().enumerate() {
@@ -64,10 +60,8 @@ impl PlannedSuite {
                 .map_err(|problem| (field.clone(), problem))?;
             let name = suite.spec().name.clone();
             if planned.iter().any(|other| other.suite.spec().name == name) {
-                return Err((
-                    field,
-                    format!("another suite has the name `{name}`; rename one of them"),
-                ));
+                let problem = format!("another suite has the name `{name}`; rename one of them");
+                return Err((field, problem));
             }
             let controller_indices = match &mut suite_config.controllers {
                 None => (0..controllers.len()).collect(),

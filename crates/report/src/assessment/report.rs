@@ -195,11 +195,11 @@ impl AssessmentReport {
     /// None in practice; an error of the serializer is passed on.
     pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
         let texts = self.texts()?.into_iter();
-        let needed = self.command_files.iter();
+        let command_files = self.command_files.iter();
         let mut all: Vec<(String, Vec<u8>)> = texts
             .map(|(name, text)| (name.to_owned(), text.into_bytes()))
             .chain(self.results.parts().iter().flat_map(|part| part.files()))
-            .chain(needed.map(|needed| (needed.file.clone(), needed.contents.clone())))
+            .chain(command_files.map(|file| (file.file.clone(), file.contents.clone())))
             .collect();
         let contents = all
             .iter()
@@ -226,10 +226,10 @@ impl AssessmentReport {
     /// Returns every command that reproduces a result of the report, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let failures = self.results.searches.failures();
-        let of_suites = self.results.suites.iter().flat_map(Suites::commands);
+        let suite_commands = self.results.suites.iter().flat_map(Suites::commands);
         failures
             .flat_map(DistinctFailure::commands)
-            .chain(of_suites)
+            .chain(suite_commands)
     }
 }
 

@@ -21,6 +21,22 @@ pub enum CellStyle {
     Crossed,
 }
 
+impl CellStyle {
+    fn ink(self) -> Ink {
+        match self {
+            Self::Blank => Ink::Series(2),
+            Self::Crossed => Ink::Alert,
+        }
+    }
+
+    fn fill_opacity(self) -> &'static str {
+        match self {
+            Self::Blank => "0.16",
+            Self::Crossed => "0.2",
+        }
+    }
+}
+
 /// Draws all cells of one style.
 pub fn draw_cells(style: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
     let mut outline = String::new();
@@ -53,14 +69,8 @@ pub fn draw_cells(style: CellStyle, frames: impl Iterator<Item = PixelRect>) -> 
             }
         }
     }
-    let ink = match style {
-        CellStyle::Blank => Ink::Series(2),
-        CellStyle::Crossed => Ink::Alert,
-    };
-    let opacity = match style {
-        CellStyle::Blank => "0.16",
-        CellStyle::Crossed => "0.2",
-    };
+    let ink = style.ink();
+    let opacity = style.fill_opacity();
     html! {
         @if !outline.is_empty() { path d=(outline) fill=(ink.hex()) fill-opacity=(opacity) {} }
         @if !strokes.is_empty() { path d=(strokes) fill="none" stroke=(ink.hex()) stroke-width="1.1" {} }

@@ -165,18 +165,18 @@ const CANDIDATES: usize = 64;
 const MAX_CLEARANCE_PX: f64 = 22.0;
 
 /// Returns centres for one label on each line, where the lines are far apart; `None` if there is no room. `lines` run
-/// from left to right; `sizes` are widths and heights of the labels. Labels stay inside `frame` and avoid `taken`, to
-/// which they are added.
+/// from left to right; `sizes` are widths and heights of the labels. Labels stay inside `frame` and avoid `occupied`,
+/// to which they are added.
 pub(crate) fn place_line_labels(
     lines: &[Vec<PixelPoint>],
     sizes: &[(f64, f64)],
     frame: PixelRect,
-    taken: &mut Vec<PixelRect>,
+    occupied: &mut Vec<PixelRect>,
 ) -> Vec<Option<PixelPoint>> {
     let mut centres = Vec::with_capacity(lines.len());
     for (index, &size) in sizes.iter().enumerate().take(lines.len()) {
-        let centre = place_label(lines, index, size, frame, taken);
-        taken.extend(
+        let centre = place_label(lines, index, size, frame, occupied);
+        occupied.extend(
             centre.map(|centre| PixelRect::from_center(centre, size.0 + 2.0, size.1 + 2.0)),
         );
         centres.push(centre);
@@ -190,7 +190,7 @@ fn place_label(
     index: usize,
     (width, height): (f64, f64),
     frame: PixelRect,
-    taken: &[PixelRect],
+    occupied: &[PixelRect],
 ) -> Option<PixelPoint> {
     let line = lines.get(index)?;
     let from = line.first().map_or(0.0, |point| point.0);
@@ -202,7 +202,7 @@ fn place_label(
             continue;
         };
         let label = PixelRect::from_center((x, y), width, height);
-        if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
+        if !frame.encloses(&label) || occupied.iter().any(|other| other.overlaps(&label)) {
             continue;
         }
         let others = lines
@@ -258,7 +258,7 @@ mod tests {
         }
 
         #[test]
-        fn labels_on_lines_cover_neither_each_other_nor_what_is_taken(
+        fn labels_on_lines_cover_neither_each_other_nor_occupied_rectangles(
             heights in proptest::collection::vec(proptest::collection::vec(0.0..240.0f64, 2..30), 1..20),
         ) {
             let frame = PixelRect { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
@@ -268,8 +268,8 @@ mod tests {
                 .collect();
             let sizes = vec![(16.0, 14.0); lines.len()];
             let corner = PixelRect { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
-            let mut taken = vec![corner];
-            let places = place_line_labels(&lines, &sizes, frame, &mut taken);
+            let mut occupied = vec![corner];
+            let places = place_line_labels(&lines, &sizes, frame, &mut occupied);
             let labels: Vec<_> = places.iter().flatten().map(|&at| PixelRect::from_center(at, 16.0, 14.0)).collect();
             for (i, label) in labels.iter().enumerate() {
                 prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_want_their_place_keep_it() {
+    fn labels_with_enough_distance_keep_their_positions() {
         assert_eq!(
             spread_evenly(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)),
             [10.0, 90.0, 50.0]

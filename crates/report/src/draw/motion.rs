@@ -107,7 +107,9 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
         div.draw-wide { div.draw-beside {
             @for figure in figures { (draw_variant(figure, &axes, "column", PanelArrangement::Column)) }
         } }
-        div.draw-narrow { @for figure in figures { (draw_variant(figure, &axes, "narrow", PanelArrangement::Stacked)) } }
+        div.draw-narrow {
+            @for figure in figures { (draw_variant(figure, &axes, "narrow", PanelArrangement::Stacked)) }
+        }
     }
 }
 
@@ -247,8 +249,8 @@ fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLay
             (draw_line(from, (left, y), Stroke::solid(ink, 0.8)))
             (draw_tag((left + tag_width(&number) / 2.0, y), &number, ink))
             @if plan.arrangement == PanelArrangement::Wide {
-                @let at = (name_left, y + TEXT_SIZE * 0.35);
-                (draw_text(at, Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
+                @let baseline = (name_left, y + TEXT_SIZE * 0.35);
+                (draw_text(baseline, Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
             }
         });
     }

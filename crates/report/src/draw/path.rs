@@ -158,7 +158,8 @@ mod tests {
             prop_assert_eq!(simplified.first(), points.first());
             prop_assert_eq!(simplified.last(), points.last());
             for &point in &points {
-                let near = simplified.windows(2).map(|pair| distance(point, pair[0], pair[1])).fold(f64::INFINITY, f64::min);
+                let distances = simplified.windows(2).map(|pair| distance(point, pair[0], pair[1]));
+                let near = distances.fold(f64::INFINITY, f64::min);
                 prop_assert!(simplified.len() < 2 || near <= TOLERANCE_PX + COLUMN_PX, "{point:?} is {near} px off");
             }
             prop_assert!(simplified.len() as f64 <= 4.0 * (width / COLUMN_PX + 1.0));

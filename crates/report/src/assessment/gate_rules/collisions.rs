@@ -92,13 +92,13 @@ fn check_no_collision_in_space(
     space: &str,
 ) -> GateVerdict {
     let usefulness = inputs.results.usefulness.as_ref();
-    let everyday = usefulness.and_then(|all| all.space_ends(controller, space));
-    let all = inputs
+    let everyday = usefulness.and_then(|report| report.space_ends(controller, space));
+    let larger_sample = inputs
         .sampled_ends(controller, space)
         .into_iter()
         .chain(everyday)
         .max_by_key(|(scenarios, _)| *scenarios);
-    match all {
+    match larger_sample {
         Some((scenarios @ 1.., ends)) => GateVerdict::new(
             ends.failures() + ends.ended_by_others == 0,
             describe_ends(&ends, scenarios),
@@ -112,8 +112,11 @@ impl GateInputs<'_> {
     fn sampled_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
         let mut spaces = self.plan.rate_spaces.iter();
         let index = spaces.position(|named| named.name == space)?;
-        let drawn = self.results.rate_spaces.spaces.get(index)?;
-        Some((drawn.random_scenarios, drawn.find(controller)?.ends.clone()))
+        let sample = self.results.rate_spaces.spaces.get(index)?;
+        Some((
+            sample.random_scenarios,
+            sample.find(controller)?.ends.clone(),
+        ))
     }
 }
 
@@ -138,7 +141,7 @@ fn describe_ends(ends: &RunEnds, scenarios: u64) -> String {
 }
 
 fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
-    let is_drawn = config.rate_spaces().iter().any(|known| known == space);
+    let is_drawn = config.rate_spaces().iter().any(|name| name == space);
     let is_driven = EVERYDAY_SPACES.contains(&space);
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,

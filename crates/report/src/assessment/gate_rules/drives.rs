@@ -12,7 +12,9 @@ pub(super) fn unnecessary_braking_at_most<'a>(
         format!("{controller}: unnecessary braking in at most {percent} % of drives in `traffic`"),
         share_problem(percent).or_else(|| drives_problem(config)),
         move |inputs| {
-            check_drives_at_most(inputs, controller, percent, |one| one.unnecessary_braking)
+            check_drives_at_most(inputs, controller, percent, |useful| {
+                useful.unnecessary_braking
+            })
         },
     )
 }
@@ -25,7 +27,9 @@ pub(super) fn left_behind_at_most<'a>(
     GateRule::new(
         format!("{controller}: falls behind in at most {percent} % of drives in `traffic`"),
         share_problem(percent).or_else(|| drives_problem(config)),
-        move |inputs| check_drives_at_most(inputs, controller, percent, |one| one.left_behind),
+        move |inputs| {
+            check_drives_at_most(inputs, controller, percent, |useful| useful.left_behind)
+        },
     )
 }
 
@@ -47,11 +51,12 @@ fn check_drives_at_most(
     percent: f64,
     count: impl Fn(&ControllerUsefulness) -> u64,
 ) -> GateVerdict {
-    let all = inputs.results.usefulness.as_ref();
-    let Some((all, useful)) = all.and_then(|all| Some((all, all.find(controller)?))) else {
+    let report = inputs.results.usefulness.as_ref();
+    let Some((report, useful)) = report.and_then(|report| Some((report, report.find(controller)?)))
+    else {
         return GateVerdict::fails("no drive was simulated");
     };
-    let drives = all.random_scenarios;
+    let drives = report.random_scenarios;
     let counted = count(useful);
     // The result of a drive without an answer is unknown: count it as the worse.
     let [unanswered, _] = useful.unanswered_runs();
@@ -68,8 +73,8 @@ fn check_drives_at_most(
 }
 
 fn check_string_stable(inputs: &GateInputs<'_>, controller: &str) -> GateVerdict {
-    let usefulness = inputs.results.usefulness.as_ref();
-    match usefulness.and_then(|all| all.find(controller)) {
+    let report = inputs.results.usefulness.as_ref();
+    match report.and_then(|report| report.find(controller)) {
         Some(useful) => GateVerdict::new(
             useful.oscillation_gain.damps_all(),
             useful.oscillation_gain.describe(),

@@ -17,7 +17,7 @@ pub(super) fn no_avoidable_failure<'a>(
 }
 
 fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
-    let is_searched = config.search_spaces().iter().any(|known| known == space);
+    let is_searched = config.search_spaces().iter().any(|name| name == space);
     (!is_searched).then(|| ("space", format!("`{space}` is not among `search.spaces`")))
 }
 
@@ -27,8 +27,8 @@ fn check_no_avoidable_failure(
     space: &str,
 ) -> GateVerdict {
     let mut spaces = inputs.results.searches.spaces.iter();
-    let searched = spaces.find(|searched| searched.name == space);
-    match searched.and_then(|searched| searched.find(controller)) {
+    let searches = spaces.find(|searches| searches.name == space);
+    match searches.and_then(|searches| searches.find(controller)) {
         Some(search) => check_search(search),
         None => GateVerdict::fails("there is no search for it"),
     }

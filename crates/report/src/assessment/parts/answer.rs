@@ -244,7 +244,7 @@ impl SafetyAnswer {
     /// Describes the answer with its domain and strength, so that it can be quoted alone. `relevant` are the claims
     /// that decide it.
     fn describe(self, subject: &str, relevant: &[&SubjectClaim<'_>], against: &[String]) -> String {
-        let besides = against.first().map_or(String::new(), |first| {
+        let objection = against.first().map_or(String::new(), |first| {
             format!(" Evidence against it: {first}.")
         });
         match self {
@@ -253,11 +253,11 @@ impl SafetyAnswer {
                 main_refutation(relevant)
             ),
             Self::Undecided => format!(
-                "Undecided: no result of this report bounds the failure rate of `{subject}`.{besides}"
+                "Undecided: no result of this report bounds the failure rate of `{subject}`.{objection}"
             ),
             Self::SafeInDomain => format!(
                 "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
-                 known about other situations.{besides}",
+                 known about other situations.{objection}",
                 list_assurances(relevant)
             ),
         }

@@ -8,7 +8,7 @@ use super::distinct_failure::{DistinctFailure, MethodResult};
 use super::failure_search::FailureSearch;
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
@@ -335,23 +335,25 @@ impl SpaceSearches {
         let subjects = plan.claim_subjects().into_iter();
         subjects
             .zip(&self.controllers)
-            .map(|(subject, search)| Evidence {
-                claim: AssuranceClaim {
-                    subject,
-                    property: Property::NoContact,
-                    domain: self.domain(plan),
-                },
-                strength: search.strength(),
-                source: EvidenceSource::from_part(
-                    ANCHOR,
-                    format!("{} simulations", search.evaluations()),
-                ),
-            })
+            .map(|(subject, search)| search.evidence(subject, self.domain(plan)))
             .collect()
     }
 }
 
 impl FailureSearch {
+    fn evidence(&self, subject: Subject, domain: Domain) -> Evidence {
+        let what = format!("{} simulations", self.evaluations());
+        Evidence {
+            claim: AssuranceClaim {
+                subject,
+                property: Property::NoContact,
+                domain,
+            },
+            strength: self.strength(),
+            source: EvidenceSource::from_part(ANCHOR, what),
+        }
+    }
+
     fn strength(&self) -> Strength {
         let runs = self.conclusive_evaluations();
         let unanswered = self.unanswered();

@@ -101,10 +101,10 @@ fn run_file_scenarios(
     indices: &[usize],
     motion: MotionRetention,
 ) -> Result<Vec<ScenarioCases>, RunError> {
-    let chosen = indices
+    let selected = indices
         .iter()
         .filter_map(|&index| plan.file_scenarios.get(index));
-    let scenarios: Vec<&Scenario> = chosen.map(|(_, scenario)| scenario).collect();
+    let scenarios: Vec<&Scenario> = selected.map(|(_, scenario)| scenario).collect();
     let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
     Ok(scenarios
         .iter()

@@ -332,25 +332,20 @@ pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg 
     });
     let panels: Vec<_> = panels.collect();
     let rows = drawn.len().div_ceil(PANELS_IN_ROW) as f64;
-    let description = drawn
-        .iter()
-        .map(|useful| {
-            format!(
-                "{}: {}",
-                useful.controller,
-                useful.oscillation_gain.describe()
-            )
-        })
-        .collect::<Vec<_>>()
-        .join("; ");
+    let descriptions: Vec<_> = drawn.iter().map(|useful| describe_gain(useful)).collect();
     let content = html! { (legend) @for panel in &panels { (panel) } };
     Svg::new(
         id,
         (width, legend_height + rows * step.1),
         "Gain over the frequency",
-        &description,
+        &descriptions.join("; "),
         content,
     )
+}
+
+fn describe_gain(useful: &ControllerUsefulness) -> String {
+    let gain = useful.oscillation_gain.describe();
+    format!("{}: {gain}", useful.controller)
 }
 
 /// Draws the legend of the lines of a panel, and returns its height.

@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::assessment::avoidance::CertifiedAvoidance;
 use crate::assessment::case::CaseResult;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, UncomparedText,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Subject, UncomparedText,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::report_block::{CaptionedDrawing, ReportBlock};
@@ -54,25 +54,32 @@ pub(super) fn evidence(
     plan.claim_subjects()
         .into_iter()
         .enumerate()
-        .map(|(index, subject)| {
-            let verdicts = scenarios
-                .iter()
-                .filter_map(|scenario| scenario.cases.get(index))
-                .map(|case| &case.verdict);
-            let runs = verdicts.clone().count() as u64;
-            let ends = RunEnds::from_verdicts(verdicts);
-            let what = format!("{} runs", runs - ends.ended_by_others);
-            Evidence {
-                claim: AssuranceClaim {
-                    subject,
-                    property: Property::NoContact,
-                    domain: domain(scenarios, part),
-                },
-                strength: ends.strength(runs),
-                source: EvidenceSource::from_part(part, what),
-            }
-        })
+        .map(|(index, subject)| evidence_about(index, subject, scenarios, part))
         .collect()
+}
+
+fn evidence_about(
+    index: usize,
+    subject: Subject,
+    scenarios: &[ScenarioCases],
+    part: &str,
+) -> Evidence {
+    let verdicts = scenarios
+        .iter()
+        .filter_map(|scenario| scenario.cases.get(index))
+        .map(|case| &case.verdict);
+    let runs = verdicts.clone().count() as u64;
+    let ends = RunEnds::from_verdicts(verdicts);
+    let what = format!("{} runs", runs - ends.ended_by_others);
+    Evidence {
+        claim: AssuranceClaim {
+            subject,
+            property: Property::NoContact,
+            domain: domain(scenarios, part),
+        },
+        strength: ends.strength(runs),
+        source: EvidenceSource::from_part(part, what),
+    }
 }
 
 pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {

@@ -208,20 +208,23 @@ impl Suites {
 
 fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
     (0..plan.controllers.len())
-        .map(|index| {
-            let subject = plan
-                .claim_subject(index, plan.config.estimator)
-                .filter(|_| planned.controller_indices.contains(&index))?;
-            let domain = Domain::Suite {
-                suite: planned.content_id.clone(),
-            };
-            Some(AssuranceClaim {
-                subject,
-                property: Property::PassesTests,
-                domain,
-            })
-        })
+        .map(|index| claim(plan, planned, index))
         .collect()
+}
+
+/// Returns the claim about a controller; `None` if the suite does not test it.
+fn claim(plan: &AssessmentPlan, planned: &PlannedSuite, index: usize) -> Option<AssuranceClaim> {
+    let subject = plan
+        .claim_subject(index, plan.config.estimator)
+        .filter(|_| planned.controller_indices.contains(&index))?;
+    let domain = Domain::Suite {
+        suite: planned.content_id.clone(),
+    };
+    Some(AssuranceClaim {
+        subject,
+        property: Property::PassesTests,
+        domain,
+    })
 }
 
 fn run_planned_suite(

@@ -139,8 +139,8 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
 
 /// Returns the hash of the domain of the first piece of evidence behind a status.
 fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
-    let place = status.pointer("/evidence/0")?.as_u64()?;
-    let domain = evidence.pointer(&format!("/evidence/{place}/claim/domain"))?;
+    let index = status.pointer("/evidence/0")?.as_u64()?;
+    let domain = evidence.pointer(&format!("/evidence/{index}/claim/domain"))?;
     Some(hash(&Domain::deserialize(domain).ok()?))
 }
 
