@@ -162,12 +162,12 @@ impl AssessmentPlan {
             .iter()
             .chain(&self.search_spaces)
             .map(|named| named.space.clone());
-        let mut all: Vec<_> = own
+        let mut spaces: Vec<_> = own
             .chain(everyday.filter_map(|name| built_in_space(name)))
             .collect();
         let mut names = BTreeSet::new();
-        all.retain(|space| names.insert(space.name().to_owned()));
-        all
+        spaces.retain(|space| names.insert(space.name().to_owned()));
+        spaces
     }
 
     /// True if a gate needs an earlier assessment to compare with.

@@ -196,17 +196,17 @@ impl AssessmentReport {
     pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
         let texts = self.texts()?.into_iter();
         let command_files = self.command_files.iter();
-        let mut all: Vec<(String, Vec<u8>)> = texts
+        let mut files: Vec<(String, Vec<u8>)> = texts
             .map(|(name, text)| (name.to_owned(), text.into_bytes()))
             .chain(self.results.parts().iter().flat_map(|part| part.files()))
             .chain(command_files.map(|file| (file.file.clone(), file.contents.clone())))
             .collect();
-        let contents = all
+        let contents = files
             .iter()
             .map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
-        all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
-        Ok(all)
+        files.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
+        Ok(files)
     }
 
     /// Returns the report in each of its formats, and the script that repeats its results.

@@ -73,6 +73,6 @@ pub(super) fn note_unanswered(
     unanswered: &FailedControllerRuns,
     runs: u64,
 ) -> String {
-    let words = unanswered.describe(runs);
-    format!("{controller} {words}. These are failures of the controller, but no collisions.")
+    let description = unanswered.describe(runs);
+    format!("{controller} {description}. These are failures of the controller, but no collisions.")
 }

@@ -93,9 +93,9 @@ fn collect_text_boxes(group: &usvg::Group, boxes: &mut Vec<(String, PixelRect)>)
                 let area = text.abs_bounding_box();
                 let [left, top, width, height] =
                     [area.left(), area.top(), area.width(), area.height()].map(f64::from);
-                let words = text.chunks().iter().map(usvg::TextChunk::text).collect();
+                let content = text.chunks().iter().map(usvg::TextChunk::text).collect();
                 boxes.push((
-                    words,
+                    content,
                     PixelRect {
                         left,
                         top,
@@ -131,17 +131,17 @@ proptest! {
         let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
         let (trace, impacts) = simulate_line(&heavy, ttc_s, after_contact);
         let svg = draw_figure(&trace, &impacts, layout);
-        let mut words = Vec::new();
-        collect_text_boxes(parse_tree(&svg).root(), &mut words);
-        prop_assert!(words.len() > 20);
+        let mut boxes = Vec::new();
+        collect_text_boxes(parse_tree(&svg).root(), &mut boxes);
+        prop_assert!(boxes.len() > 20);
         let (width, height) = svg.size();
         let whole = PixelRect { left: 0.0, top: 0.0, width, height };
-        for (rank, (text, area)) in words.iter().enumerate() {
+        for (rank, (text, area)) in boxes.iter().enumerate() {
             prop_assert!(whole.encloses(area), "{text:?} leaves the figure: {area:?}");
             // Boxes go from the highest ascender to the lowest descender of the font, which the texts hardly use.
             let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
             let core = PixelRect::from_center(middle, area.width, area.height * 0.7);
-            for (other, other_area) in words.iter().skip(rank + 1) {
+            for (other, other_area) in boxes.iter().skip(rank + 1) {
                 let middle = (other_area.left + other_area.width / 2.0, other_area.top + other_area.height / 2.0);
                 let other_core = PixelRect::from_center(middle, other_area.width, other_area.height * 0.7);
                 prop_assert!(!core.overlaps(&other_core), "{text:?} and {other:?} overlap: {area:?} {other_area:?}");

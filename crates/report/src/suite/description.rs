@@ -184,19 +184,19 @@ fn describe_sweep_failure(failure: SweepFailure) -> &'static str {
 
 /// Describes the reference drivers that could have prevented a failure.
 pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
-    let mut words: Vec<_> = failed
+    let mut parts: Vec<_> = failed
         .references
         .iter()
         .map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention)))
         .collect();
-    words.extend(failed.avoidability.describe());
+    parts.extend(failed.avoidability.describe());
     if failed.escape_survives_multi_body == Some(false) {
-        words.push("with the multi-body plant the escape COLLIDES".to_owned());
+        parts.push("with the multi-body plant the escape COLLIDES".to_owned());
     }
     if failed.survives_multi_body == Some(false) {
-        words.push("with the multi-body plant the point passes".to_owned());
+        parts.push("with the multi-body plant the point passes".to_owned());
     }
-    words.join("; ")
+    parts.join("; ")
 }
 
 pub(super) fn describe_prevention(prevention: Prevention) -> &'static str {

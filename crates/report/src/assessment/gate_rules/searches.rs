@@ -35,8 +35,8 @@ fn check_no_avoidable_failure(
 }
 
 fn check_search(search: &FailureSearch) -> GateVerdict {
-    if let Some(words) = search.describe_unanswered() {
-        return GateVerdict::fails(format!("it {words}"));
+    if let Some(unanswered) = search.describe_unanswered() {
+        return GateVerdict::fails(format!("it {unanswered}"));
     }
     let not_asked = search.count(AvoidabilityClass::NotAsked);
     let avoidable = search.count(AvoidabilityClass::Avoidable);

@@ -98,10 +98,7 @@ impl FirstPage {
 
 /// Sorts claims by their weight: a refutation outweighs everything.
 fn strongest_first(mut claims: Vec<SubjectClaim<'_>>) -> Vec<SubjectClaim<'_>> {
-    claims.sort_by(|a, b| {
-        let weight = b.status.strength.weight();
-        weight.total_cmp(&a.status.strength.weight())
-    });
+    claims.sort_by(|a, b| b.weight().total_cmp(&a.weight()));
     claims
 }
 

@@ -364,7 +364,7 @@ pub(super) fn check_certificate(
 
 /// Returns the evidence of accepted certificates, about controllers and about shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
-    let mut all: Vec<_> = proofs
+    let mut evidence: Vec<_> = proofs
         .iter()
         .flat_map(CheckedCertificate::evidence)
         .collect();
@@ -386,7 +386,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
             };
             let mut source = first.source();
             source.what = format!("{} certificates of safety kernels", certificates.len());
-            all.push(Evidence {
+            evidence.push(Evidence {
                 claim,
                 strength: Strength::Proved {
                     certificates: certificates.len(),
@@ -395,7 +395,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
             });
         }
     }
-    all
+    evidence
 }
 
 fn find_kernel_proof<'a>(

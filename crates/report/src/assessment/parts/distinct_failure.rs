@@ -35,21 +35,26 @@ pub struct MethodResult {
 }
 
 impl MethodResult {
-    pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
-        let own = all.failures.iter().filter(|kind| {
-            involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal)
-        });
-        let unanswered = all
+    pub(super) fn new(
+        method: &MethodSummary,
+        campaign: &CampaignSummary,
+        nominal: &Scenario,
+    ) -> Self {
+        let own: Vec<_> = campaign
             .failures
             .iter()
-            .filter(|kind| kind.failed_vehicle.is_some());
-        let unanswered = unanswered
-            .flat_map(|kind| &kind.by_method)
-            .filter(|by| by.method == method.method);
-        let own: Vec<_> = own
+            .filter(|kind| {
+                involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal)
+            })
             .flat_map(|kind| &kind.by_method)
             .filter(|by| by.method == method.method)
             .collect();
+        let unanswered = campaign
+            .failures
+            .iter()
+            .filter(|kind| kind.failed_vehicle.is_some())
+            .flat_map(|kind| &kind.by_method)
+            .filter(|by| by.method == method.method);
         let failures = own.iter().map(|by| by.count).sum();
         Self {
             method: method.method.clone(),

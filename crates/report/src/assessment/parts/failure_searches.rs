@@ -342,7 +342,7 @@ impl SpaceSearches {
 
 impl FailureSearch {
     fn evidence(&self, subject: Subject, domain: Domain) -> Evidence {
-        let what = format!("{} simulations", self.evaluations());
+        let description = format!("{} simulations", self.evaluations());
         Evidence {
             claim: AssuranceClaim {
                 subject,
@@ -350,7 +350,7 @@ impl FailureSearch {
                 domain,
             },
             strength: self.strength(),
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 

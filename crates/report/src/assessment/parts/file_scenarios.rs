@@ -43,11 +43,11 @@ impl FileScenarios {
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
-        let all: Vec<usize> = (0..plan.file_scenarios.len()).collect();
-        let mut scenarios = run_file_scenarios(plan, &all, MotionRetention::Drop)?;
+        let indices: Vec<usize> = (0..plan.file_scenarios.len()).collect();
+        let mut scenarios = run_file_scenarios(plan, &indices, MotionRetention::Drop)?;
         // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
-        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
+        work.add_runs((indices.len() * plan.controllers.len()) as u64)?;
         let detailed = run_detailed(&closest_first, work)?;
         for (&index, detailed) in closest_first.iter().zip(detailed) {
             scenarios[index] = detailed;

@@ -150,24 +150,24 @@ impl HarmRun {
     ) -> Result<Vec<Self>, AssessError> {
         let options =
             RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
-        let mut all = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
-        let collided: Vec<usize> = (0..all.len())
-            .filter(|&index| all[index].harm > 0.0)
+        let mut runs = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
+        let collided: Vec<usize> = (0..runs.len())
+            .filter(|&index| runs[index].harm > 0.0)
             .collect();
         let scenarios: Vec<_> = collided
             .iter()
             .map(|&index| scenarios[index].clone())
             .collect();
         let options = options.with_after_contact(AfterContact::Continue);
-        let runs = simulate_each(&scenarios, &options, RecordingLevel::Summary, Self::new)?;
-        for (index, run) in collided.into_iter().zip(runs) {
+        let continued = simulate_each(&scenarios, &options, RecordingLevel::Summary, Self::new)?;
+        for (index, run) in collided.into_iter().zip(continued) {
             // Braking of vehicles that stick together is no activation.
-            all[index] = Self {
-                activates: all[index].activates,
+            runs[index] = Self {
+                activates: runs[index].activates,
                 ..run
             };
         }
-        Ok(all)
+        Ok(runs)
     }
 
     fn gather(
@@ -186,13 +186,13 @@ impl HarmRun {
             &format!("harm of {} in {}", controller.name, named.space.name()),
             &inputs,
             || {
-                let mut all = Vec::new();
+                let mut runs = Vec::new();
                 for draws in batches(config.draws) {
                     let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
-                    all.extend(Self::simulate_all(&scenarios, controller, work)?);
+                    runs.extend(Self::simulate_all(&scenarios, controller, work)?);
                     work.add_runs(scenarios.len() as u64)?;
                 }
-                Ok(all)
+                Ok(runs)
             },
         )
     }

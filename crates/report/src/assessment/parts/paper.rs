@@ -52,14 +52,14 @@ impl PaperScenarios {
             return Ok(None);
         }
         let scenarios = Self::scenarios(plan)?;
-        let all: Vec<&Scenario> = scenarios.iter().collect();
+        let references: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(
-            &all,
+            &references,
             &plan.controllers,
             plan.config.estimator,
             MotionRetention::Keep,
         )?;
-        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
+        work.add_runs((references.len() * plan.controllers.len()) as u64)?;
         let avoidances = scenarios
             .par_iter()
             .map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work))

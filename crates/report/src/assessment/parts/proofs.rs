@@ -158,12 +158,16 @@ impl Proofs {
             let own = (proof.statement, proof.assumptions.as_slice());
             if !written.contains(&own) {
                 written.push(own);
-                let all: Vec<_> = proof
+                let assumptions: Vec<_> = proof
                     .assumptions
                     .iter()
                     .map(Assumption::to_string)
                     .collect();
-                lines.push(format!("{} assumes: {}", proof.statement, all.join("; ")));
+                lines.push(format!(
+                    "{} assumes: {}",
+                    proof.statement,
+                    assumptions.join("; ")
+                ));
             }
         }
         lines.extend(self.joint_confidence());
@@ -251,10 +255,10 @@ fn whole_space_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
 
 fn reach_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> ClaimDraft {
     let estimator = claim.subject.estimator;
-    let words = format!("{}, {}", claim.describe(), describe_estimator(estimator));
+    let claim_text = format!("{}, {}", claim.describe(), describe_estimator(estimator));
     let property = claim.property.clone();
     ClaimDraft::with_estimator(plan, estimator, ANCHOR, property, claim.domain.clone())
-        .with_words(words)
+        .with_text(claim_text)
 }
 
 /// Claims for each shield that its kernels avoid the leader. Shields with other limits prove other claims.

@@ -61,7 +61,7 @@ impl AssessmentProvenance {
             ..plan.config.clone()
         };
         let config = std::iter::once(format!("{config:?}"));
-        let all = config
+        let inputs = config
             .chain(scenarios)
             .chain(spaces)
             .collect::<Vec<_>>()
@@ -69,7 +69,7 @@ impl AssessmentProvenance {
         Self {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
-            config_sha256: sha256(&all),
+            config_sha256: sha256(&inputs),
             evidence: cache.hashes(),
             run_info: None,
         }

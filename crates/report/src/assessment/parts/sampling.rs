@@ -171,18 +171,18 @@ impl SpaceSample {
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let subjects = plan.claim_subjects();
         let first = subjects.first().zip(self.controllers.first());
-        let mut all = Vec::new();
+        let mut evidence = Vec::new();
         for (subject, sampled) in subjects.iter().zip(&self.controllers) {
-            all.extend(self.evidence_about(subject, sampled));
+            evidence.extend(self.evidence_about(subject, sampled));
             if let Some((first, first_sampled)) = first.filter(|(first, _)| *first != subject) {
                 let than = Property::FailsLessOften {
                     than: first.controller.clone(),
                 };
                 let strength = sampled.strength_against(first_sampled, self.random_scenarios);
-                all.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
+                evidence.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
             }
         }
-        all
+        evidence
     }
 
     fn evidence_about(&self, subject: &Subject, sampled: &ControllerSample) -> [Evidence; 3] {
@@ -214,7 +214,7 @@ impl SpaceSample {
         domain: Domain,
         strength: Strength,
     ) -> Evidence {
-        let what = format!(
+        let description = format!(
             "{} random scenarios, seed {}",
             self.random_scenarios, self.seed
         );
@@ -225,7 +225,7 @@ impl SpaceSample {
                 domain,
             },
             strength,
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 

@@ -70,7 +70,7 @@ fn evidence_about(
         .map(|case| &case.verdict);
     let runs = verdicts.clone().count() as u64;
     let ends = RunEnds::from_verdicts(verdicts);
-    let what = format!("{} runs", runs - ends.ended_by_others);
+    let description = format!("{} runs", runs - ends.ended_by_others);
     Evidence {
         claim: AssuranceClaim {
             subject,
@@ -78,7 +78,7 @@ fn evidence_about(
             domain: domain(scenarios, part),
         },
         strength: ends.strength(runs),
-        source: EvidenceSource::from_part(part, what),
+        source: EvidenceSource::from_part(part, description),
     }
 }
 
@@ -87,13 +87,13 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "scenario files and recordings",
     };
-    let all = scenarios
+    let content_ids = scenarios
         .iter()
         .map(|cases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario))
         .collect();
     Domain::Scenarios {
         about: UncomparedText(about.to_owned()),
-        all,
+        all: content_ids,
     }
 }
 

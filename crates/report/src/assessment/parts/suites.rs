@@ -297,9 +297,9 @@ impl SuiteOutcome {
 
     /// Returns the number of runs without an answer, of grid and search, and the reason of the first.
     pub(in crate::assessment) fn total_unanswered(&self) -> Option<FailedControllerRuns> {
-        let mut all = self.unanswered.clone();
-        FailedControllerRuns::merge(&mut all, self.unanswered_in_tolerance.clone());
-        all
+        let mut unanswered = self.unanswered.clone();
+        FailedControllerRuns::merge(&mut unanswered, self.unanswered_in_tolerance.clone());
+        unanswered
     }
 
     fn table_cell(&self) -> ReportCell {
@@ -308,7 +308,7 @@ impl SuiteOutcome {
             .total_unanswered()
             .map_or(0, |unanswered| unanswered.runs);
         let contact = self.worst.as_ref().filter(|_| unanswered < self.failures);
-        let mut words = match (self.points, self.passed, contact) {
+        let mut text = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
             (points, None, _) => format!(
                 "{} of {points}; the others cannot be run",
@@ -320,7 +320,7 @@ impl SuiteOutcome {
             (points, Some(_), None) => format!("{} of {points}", self.points_passed),
         };
         if unanswered > 0 {
-            words += &format!("; no answer in {unanswered} of {} runs", self.runs);
+            text += &format!("; no answer in {unanswered} of {} runs", self.runs);
         }
         let mark = self.passed.map_or(CellMark::Neutral, |passed| {
             if passed {
@@ -329,7 +329,7 @@ impl SuiteOutcome {
                 CellMark::Bad
             }
         });
-        ReportCell::with_mark(words, mark)
+        ReportCell::with_mark(text, mark)
     }
 }
 
@@ -584,18 +584,18 @@ impl SuiteFindings {
     fn evidence_for(&self, claim: AssuranceClaim, counts: &SuiteCounts) -> Evidence {
         let tests_strength = counts.strength_of_tests();
         if tests_strength.is_refutation() {
-            let what = format!("{} points of the tests", counts.points);
+            let description = format!("{} points of the tests", counts.points);
             return Evidence {
                 claim,
                 strength: tests_strength,
-                source: EvidenceSource::from_part(ANCHOR, what),
+                source: EvidenceSource::from_part(ANCHOR, description),
             };
         }
-        let what = format!("{} points of tests and search", counts.runs);
+        let description = format!("{} points of tests and search", counts.runs);
         Evidence {
             claim,
             strength: counts.strength_with_search(),
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }

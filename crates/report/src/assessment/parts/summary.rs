@@ -65,6 +65,12 @@ pub(super) struct SubjectClaim<'a> {
     pub(super) status: &'a ClaimStatus,
 }
 
+impl SubjectClaim<'_> {
+    pub(super) fn weight(&self) -> f64 {
+        self.status.strength.weight()
+    }
+}
+
 impl ClaimSummary {
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
@@ -271,7 +277,7 @@ impl ClaimRow {
 
     fn from_draft(draft: ClaimDraft, evidence: &Ledger) -> Option<Self> {
         let first = draft.claims.iter().flatten().next()?;
-        let claim = draft.words.unwrap_or_else(|| first.describe());
+        let claim = draft.text.unwrap_or_else(|| first.describe());
         let statuses = draft
             .claims
             .iter()

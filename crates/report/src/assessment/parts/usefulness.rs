@@ -553,7 +553,7 @@ impl UsefulnessReport {
         domain: &Domain,
         strength: Strength,
     ) -> Evidence {
-        let what = format!("{} drives, seed {}", self.random_scenarios, self.seed);
+        let description = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         Evidence {
             claim: AssuranceClaim {
                 subject: subject.clone(),
@@ -561,7 +561,7 @@ impl UsefulnessReport {
                 domain: domain.clone(),
             },
             strength,
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }
@@ -576,11 +576,11 @@ impl OscillationGain {
             property: Property::NoGrowingOscillation,
             domain: Self::domain(),
         };
-        let what = format!("{} operating points", self.points);
+        let description = format!("{} operating points", self.points);
         Evidence {
             claim,
             strength: self.strength(),
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }

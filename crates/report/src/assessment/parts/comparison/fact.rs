@@ -105,13 +105,13 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
     let controllers: Vec<String> = read(evidence, "summary/controllers")?;
     let mut domains = Vec::new();
     for row in read::<Vec<Value>>(evidence, "summary/claims")? {
-        let words: String = read(&row, "claim")?;
+        let claim_text: String = read(&row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
         let statuses: Vec<Value> = read(&row, "standings")?;
         let strengths: Vec<Strength> = read(&row, "standings")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
             return Err(format!(
-                "summary/claims: `{words}` needs one entry per controller"
+                "summary/claims: `{claim_text}` needs one entry per controller"
             ));
         }
         for (((controller, claim), strength), status) in
@@ -123,7 +123,7 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
                     .as_ref()
                     .map_or_else(String::new, |claim| hash(&claim.domain));
                 facts.insert(
-                    (format!("{controller}: {words}"), domain),
+                    (format!("{controller}: {claim_text}"), domain),
                     Fact {
                         description: strength.describe(),
                         is_failure: strength.is_refutation(),
@@ -170,13 +170,13 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
                 let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else {
                     continue;
                 };
-                let what = (
+                let key = (
                     format!("{controller}: smallest gap in {name}"),
                     content.to_owned(),
                 );
                 let description = format!("{gap_m:.2} m");
                 facts.insert(
-                    what,
+                    key,
                     Fact {
                         measure: Measure::GapM(gap_m),
                         description,
@@ -212,13 +212,13 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
                 *avoidable += usize::from(is_avoidable);
             }
             for (kind, [count, avoidable]) in kinds {
-                let what = (
+                let key = (
                     format!("{controller}: failure in `{name}`: {kind}"),
                     domain.clone(),
                 );
                 let description = format!("{count} found, {avoidable} avoidable");
                 facts.insert(
-                    what,
+                    key,
                     Fact {
                         measure: Measure::Found,
                         description,
