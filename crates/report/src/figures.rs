@@ -52,112 +52,147 @@ pub fn draw_learning_curve_with_reference(
     curve: &LearningCurve,
     stated: Option<&StatedConvergence<'_>>,
 ) -> Svg {
-    let LearningCurve {
-        preset,
-        seeds,
-        points,
-    } = curve;
-    let trained = points.last().map_or(1.0, |point| point.episode as f64);
-    // The stated result may lie beyond the trained episodes.
-    let last = stated.map_or(trained, |stated| {
-        1.1 * trained.max(stated.from_episode as f64)
-    });
-    let low = points
-        .iter()
-        .map(|point| point.mean_reward - point.deviation)
-        .fold(0.0, f64::min);
     let title = format!(
-        "Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation"
+        "Reward in evaluation, preset {}, {} seeds: mean and standard deviation",
+        curve.preset, curve.seeds
     );
-    let x = Axis::numeric("episode", (0.0, last), 8);
-    let y = Axis::numeric("", (low, COLLISION_FREE_REWARD * 1.06), 6);
-    let mut panel = Panel::new(panel_frame(HEADING_HEIGHT), &title, x, y);
-    let line = |of: &dyn Fn(&CurvePoint) -> f64| {
-        points
-            .iter()
-            .map(|p| (p.episode as f64, of(p)))
-            .collect::<Vec<_>>()
-    };
-    panel.add_band(
-        &line(&|p| p.mean_reward + p.deviation),
-        &line(&|p| p.mean_reward - p.deviation),
-        Ink::Series(0),
-    );
-    panel.add_horizontal_line(
-        COLLISION_FREE_REWARD,
-        Stroke {
-            dash: "8 3.5",
-            ..Stroke::solid(Ink::Muted, 1.2)
-        },
-    );
-    panel.add_line(&line(&|p| p.mean_reward), Stroke::series(0));
-    // Put notes where the right end of the curve is not.
-    let right: Vec<f64> = points
-        .iter()
-        .filter(|p| p.episode as f64 > 0.6 * trained)
-        .map(|p| p.mean_reward)
-        .collect();
-    let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
-    let words_at = |line: f64| {
-        (
-            last * 0.995,
-            COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line),
-        )
-    };
-    panel.add_note(
-        words_at(0.0),
-        Anchor::End,
-        "dashes: 22 500, no collision",
-        Ink::Muted,
-    );
-    let mut description =
-        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without a collision."
-            .to_owned();
+    let mut figure = LearningCurveFigure::new(&curve.points, stated, &title);
+    figure.add_mean_and_deviation(&curve.points);
+    figure.add_note(0.0, "dashes: 22 500, no collision", Ink::Muted);
     // The reward before any training is not learned.
-    if let Some(untrained) = points
-        .first()
-        .filter(|point| point.episode == 0)
-        .map(|point| point.mean_reward)
-    {
-        let words = format!("dots: {}, before any training", format_thousands(untrained));
-        panel.add_horizontal_line(
-            untrained,
+    if let Some(untrained) = curve.points.first().filter(|point| point.episode == 0) {
+        figure.add_untrained_reward(untrained.mean_reward);
+    }
+    if let Some(stated) = stated {
+        figure.add_stated_convergence(stated);
+    }
+    let content = figure.panel.draw(&Svg::id("learning-curve", "frame"));
+    Svg::new(
+        "learning-curve",
+        FIGURE_SIZE,
+        &title,
+        &figure.description,
+        content,
+    )
+}
+
+/// The figure of a learning curve while its lines and notes are added.
+struct LearningCurveFigure {
+    panel: Panel,
+    description: String,
+    /// Right end of the axis.
+    last_episode: f64,
+    /// Height of the first note, as a share of the reward without a collision.
+    first_note_height: f64,
+}
+
+impl LearningCurveFigure {
+    fn new(points: &[CurvePoint], stated: Option<&StatedConvergence<'_>>, title: &str) -> Self {
+        let trained = points.last().map_or(1.0, |point| point.episode as f64);
+        // The stated result may lie beyond the trained episodes.
+        let last_episode = stated.map_or(trained, |stated| {
+            1.1 * trained.max(stated.from_episode as f64)
+        });
+        let low = points
+            .iter()
+            .map(|point| point.mean_reward - point.deviation)
+            .fold(0.0, f64::min);
+        let x = Axis::numeric("episode", (0.0, last_episode), 8);
+        let y = Axis::numeric("", (low, COLLISION_FREE_REWARD * 1.06), 6);
+        // Put notes where the right end of the curve is not.
+        let right: Vec<f64> = points
+            .iter()
+            .filter(|point| point.episode as f64 > 0.6 * trained)
+            .map(|point| point.mean_reward)
+            .collect();
+        let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
+        Self {
+            panel: Panel::new(panel_frame(HEADING_HEIGHT), title, x, y),
+            description: "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without \
+                          a collision."
+                .to_owned(),
+            last_episode,
+            first_note_height: if is_high { 0.14 } else { 0.72 },
+        }
+    }
+
+    fn add_mean_and_deviation(&mut self, points: &[CurvePoint]) {
+        self.panel.add_band(
+            &curve_points(points, |point| point.mean_reward + point.deviation),
+            &curve_points(points, |point| point.mean_reward - point.deviation),
+            Ink::Series(0),
+        );
+        self.panel.add_horizontal_line(
+            COLLISION_FREE_REWARD,
+            Stroke {
+                dash: "8 3.5",
+                ..Stroke::solid(Ink::Muted, 1.2)
+            },
+        );
+        self.panel.add_line(
+            &curve_points(points, |point| point.mean_reward),
+            Stroke::series(0),
+        );
+    }
+
+    fn add_untrained_reward(&mut self, reward: f64) {
+        self.panel.add_horizontal_line(
+            reward,
             Stroke {
                 dash: "2 3",
                 ..Stroke::solid(Ink::Muted, 1.2)
             },
         );
-        panel.add_note(words_at(1.0), Anchor::End, &words, Ink::Muted);
-        description += &format!(" Untrained networks stand at {untrained:.0}.");
+        let note = format!("dots: {}, before any training", format_thousands(reward));
+        self.add_note(1.0, &note, Ink::Muted);
+        self.description += &format!(" Untrained networks stand at {reward:.0}.");
     }
-    if let Some(StatedConvergence {
-        source,
-        reward,
-        from_episode,
-    }) = stated
-    {
-        let at = (*from_episode as f64, *reward);
-        panel.add_segment(
-            at,
-            (last, *reward),
+
+    /// Adds a stated result: a ring at its first episode, and a line from there.
+    fn add_stated_convergence(&mut self, stated: &StatedConvergence<'_>) {
+        let StatedConvergence {
+            source,
+            reward,
+            from_episode,
+        } = *stated;
+        let start = (from_episode as f64, reward);
+        self.panel.add_segment(
+            start,
+            (self.last_episode, reward),
             Stroke {
                 width: 2.4,
                 ..Stroke::series(1)
             },
         );
-        panel.add_markers(&[at], Marker::Ring, Ink::Series(1));
-        let said = format!(
+        self.panel
+            .add_markers(&[start], Marker::Ring, Ink::Series(1));
+        let statement = format!(
             "{} from about episode {from_episode} on",
-            format_thousands(*reward)
+            format_thousands(reward)
         );
-        let words = format!("ring and line: {source}, by its text: {said}");
-        panel.add_note(words_at(-1.0), Anchor::End, &words, Ink::Series(1));
-        description += &format!(
-            " Of {source} only what its text states is drawn, {said}: its curve has no numbers."
+        let note = format!("ring and line: {source}, by its text: {statement}");
+        self.add_note(-1.0, &note, Ink::Series(1));
+        self.description += &format!(
+            " Of {source} only what its text states is drawn, {statement}: its curve has no numbers."
         );
     }
-    let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    Svg::new("learning-curve", FIGURE_SIZE, &title, &description, content)
+
+    /// Adds a note at the right edge, so many lines below the first note.
+    fn add_note(&mut self, lines_below: f64, text: &str, ink: Ink) {
+        let position = (
+            self.last_episode * 0.995,
+            COLLISION_FREE_REWARD * (self.first_note_height - 0.09 * lines_below),
+        );
+        self.panel.add_note(position, Anchor::End, text, ink);
+    }
+}
+
+/// Returns a line over the episodes of a learning curve.
+fn curve_points(points: &[CurvePoint], value: impl Fn(&CurvePoint) -> f64) -> Vec<(f64, f64)> {
+    points
+        .iter()
+        .map(|point| (point.episode as f64, value(point)))
+        .collect()
 }
 
 /// Formats a reward as in 22 500.
@@ -173,28 +208,27 @@ pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> S
         .iter()
         .flat_map(|(_, points)| points.iter().map(|point| point.1));
     let most_m = most_m.min(1.1 * heights.fold(1.0, f64::max));
-    let closing = lines
+    let closing_mps = lines
         .iter()
         .flat_map(|(_, points)| points.iter().map(|point| point.0));
-    let (low, high) = closing.fold((0.0_f64, 1.0_f64), |(low, high), value| {
-        (low.min(value), high.max(value))
-    });
-    let x = Axis::numeric("closing speed, m/s", (low, high), 8);
+    let least_mps = closing_mps.clone().fold(0.0, f64::min);
+    let most_mps = closing_mps.fold(1.0, f64::max);
+    let x = Axis::numeric("closing speed, m/s", (least_mps, most_mps), 8);
     let mut panel = Panel::new(
         panel_frame(HEADING_HEIGHT),
         title,
         x,
         Axis::numeric("", (0.0, most_m), 6),
     );
-    for (place, (name, points)) in lines.iter().enumerate() {
+    for (series, (name, points)) in lines.iter().enumerate() {
         let inside: Vec<_> = points
             .iter()
             .copied()
             .filter(|point| point.1 <= most_m)
             .collect();
-        panel.add_line(&inside, Stroke::series(place));
+        panel.add_line(&inside, Stroke::series(series));
         if let Some(&last) = inside.last() {
-            panel.add_note((last.0, last.1), Anchor::End, name, Ink::Series(place));
+            panel.add_note((last.0, last.1), Anchor::End, name, Ink::Series(series));
         }
     }
     let content = panel.draw(&Svg::id("invariant", "frame"));
@@ -206,49 +240,17 @@ pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> S
 /// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
-    type Points = Vec<(f64, f64)>;
-    let panel = |name: &str, top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
-        let all = || preview.lines.iter().flat_map(&of);
-        let time = Axis::numeric("s", extent(all().map(|point| point.0)), 8);
-        let value = Axis::numeric(
-            "",
-            pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.04),
-            6,
-        );
-        let mut panel = Panel::new(panel_frame(top), title, time, value);
-        for (index, line) in preview.lines.iter().enumerate() {
-            // A line is interrupted at gaps of the recording.
-            for part in of(line)
-                .chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5))
-            {
-                panel.add_line(
-                    part,
-                    Stroke {
-                        width: 1.0,
-                        ..Stroke::series(index)
-                    },
-                );
-            }
-        }
-        if let HardestBrakingResult::Braking(hardest) = &preview.hardest {
-            panel.add_vertical_line(
-                hardest.from_s,
-                Stroke {
-                    dash: "2 3",
-                    ..Stroke::solid(Ink::Muted, 1.2)
-                },
-            );
-        }
-        panel.draw(&Svg::id("recorded", name))
-    };
     let second = FIGURE_SIZE.1 + HEADING_HEIGHT;
     let content = html! {
-        (panel("speeds", HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps))
-        (panel("gaps", second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m))
+        (recording_panel(preview, HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps)
+            .draw(&Svg::id("recorded", "speeds")))
+        (recording_panel(preview, second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m)
+            .draw(&Svg::id("recorded", "gaps")))
     };
-    let (all, shown) = (preview.lead_vehicles, preview.lines.len());
     let description = format!(
-        "Of {all} vehicles, the {shown} longest recorded. The dots mark the hardest braking."
+        "Of {} vehicles, the {} longest recorded. The dots mark the hardest braking.",
+        preview.lead_vehicles,
+        preview.lines.len()
     );
     Svg::new(
         "recorded",
@@ -257,6 +259,44 @@ pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
         &description,
         content,
     )
+}
+
+/// Returns a panel with one quantity of each recorded vehicle over time.
+fn recording_panel(
+    preview: &Preview,
+    top: f64,
+    title: &str,
+    quantity: fn(&SpeedLine) -> &Vec<(f64, f64)>,
+) -> Panel {
+    let points = preview.lines.iter().flat_map(quantity);
+    let times_s = points.clone().map(|point| point.0);
+    let values = points.map(|point| point.1).chain([0.0]);
+    let time = Axis::numeric("s", extent(times_s), 8);
+    let value = Axis::numeric("", pad_interval(extent(values), 0.04), 6);
+    let mut panel = Panel::new(panel_frame(top), title, time, value);
+    // A line is interrupted at gaps of the recording.
+    let max_step_s = (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5);
+    for (index, line) in preview.lines.iter().enumerate() {
+        for part in quantity(line).chunk_by(|a, b| b.0 - a.0 <= max_step_s) {
+            panel.add_line(
+                part,
+                Stroke {
+                    width: 1.0,
+                    ..Stroke::series(index)
+                },
+            );
+        }
+    }
+    if let HardestBrakingResult::Braking(hardest) = &preview.hardest {
+        panel.add_vertical_line(
+            hardest.from_s,
+            Stroke {
+                dash: "2 3",
+                ..Stroke::solid(Ink::Muted, 1.2)
+            },
+        );
+    }
+    panel
 }
 
 #[cfg(test)]
@@ -285,7 +325,7 @@ mod tests {
 
     /// A stated result is drawn as a ring and a line with its source, so that it is not mistaken for a curve.
     #[test]
-    fn what_is_stated_of_another_curve_is_labelled_as_such() {
+    fn a_stated_result_of_another_curve_is_labelled_with_its_source() {
         let points = vec![CurvePoint {
             episode: 300,
             mean_reward: 1000.0,

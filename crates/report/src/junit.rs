@@ -45,10 +45,8 @@ pub(crate) struct JunitSuite {
 /// Renders suites as XML. Control characters are shown as escapes.
 pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
     let [skipped, failures, errors] = count_statuses(suites.iter().flat_map(|suite| &suite.cases));
-    let (name, tests) = (
-        escape(name),
-        suites.iter().map(|suite| suite.cases.len()).sum::<usize>(),
-    );
+    let name = escape(name);
+    let tests: usize = suites.iter().map(|suite| suite.cases.len()).sum();
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"{name}\" tests=\"{tests}\" \
          skipped=\"{skipped}\" failures=\"{failures}\" errors=\"{errors}\">\n"
@@ -71,7 +69,8 @@ fn count_statuses<'a>(cases: impl Iterator<Item = &'a JunitCase> + Clone) -> [us
 impl JunitSuite {
     fn write(&self, out: &mut String) -> fmt::Result {
         let [skipped, failures, errors] = count_statuses(self.cases.iter());
-        let (name, tests) = (escape(&self.name), self.cases.len());
+        let name = escape(&self.name);
+        let tests = self.cases.len();
         let close = if self.cases.is_empty() && self.properties.is_empty() {
             "/"
         } else {

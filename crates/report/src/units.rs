@@ -11,7 +11,8 @@ const VERBATIM_ELEMENTS: [&str; 4] = ["code", "script", "style", "svg"];
 /// Replaces the space before each unit in the text of an HTML page by a no-break space. A unit follows a digit or is in
 /// parentheses, as in the heading `peak brake (m/s²)`.
 pub(crate) fn insert_nbsp_before_units(page: &str) -> String {
-    let (mut joined, mut rest) = (String::with_capacity(page.len()), page);
+    let mut joined = String::with_capacity(page.len());
+    let mut rest = page;
     while let Some((text, tag)) = rest.find('<').map(|start| rest.split_at(start)) {
         push_with_nbsp(text, &mut joined);
         let element = VERBATIM_ELEMENTS

@@ -148,28 +148,23 @@ impl CertifiedAvoidance {
         work: &GatherContext<'_>,
     ) -> Result<Self, CacheError> {
         let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
-        let find = || {
-            Self::compute(
-                scenario,
-                AvoidOptions {
-                    certify_bound: true,
-                    ..AvoidOptions::default()
-                },
-            )
-        };
-        let found: Self = work.cache.get_or_gather(
+        let cached: Self = work.cache.get_or_gather(
             &format!("best of {}", scenario.spec().name),
             &text,
-            || Ok::<_, CacheError>(find()),
+            || Ok::<_, CacheError>(Self::compute(scenario)),
         )?;
-        Ok(if found.is_valid_for(scenario) {
-            found
+        Ok(if cached.is_valid_for(scenario) {
+            cached
         } else {
-            find()
+            Self::compute(scenario)
         })
     }
 
-    fn compute(scenario: &Scenario, options: AvoidOptions) -> Self {
+    fn compute(scenario: &Scenario) -> Self {
+        let options = AvoidOptions {
+            certify_bound: true,
+            ..AvoidOptions::default()
+        };
         match avoid(scenario, options) {
             Ok(avoidance) => {
                 let best = RoundedAvoidance::from_avoidance(scenario, &avoidance);

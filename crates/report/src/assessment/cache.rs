@@ -169,14 +169,14 @@ impl EvidenceCache {
         let value = gather()?;
         let evidence = to_json(&value)?;
         if let Some(path) = path {
-            let kept = CacheEntry {
+            let entry = CacheEntry {
                 name: name.to_owned(),
                 inputs_sha256: inputs_sha256.clone(),
                 program: self.program.clone(),
                 evidence_sha256: sha256(&evidence),
                 evidence: evidence.clone(),
             };
-            disk::write(&path, to_json(&kept)?).map_err(CacheError::from)?;
+            disk::write(&path, to_json(&entry)?).map_err(CacheError::from)?;
         }
         self.record(name, inputs_sha256, &evidence, false);
         Ok(value)
@@ -193,10 +193,10 @@ impl EvidenceCache {
         inputs: &impl Serialize,
     ) -> Result<ScratchFolder, CacheError> {
         let Some(folder) = &self.folder else {
-            let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
+            let temporary = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
             return Ok(ScratchFolder {
-                path: made.path().to_owned(),
-                _temporary: Some(made),
+                path: temporary.path().to_owned(),
+                _temporary: Some(temporary),
             });
         };
         let path = folder.join(self.file_stem(name, &sha256(to_json(inputs)?)));
@@ -222,8 +222,8 @@ impl EvidenceCache {
         name: &str,
         inputs_sha256: &str,
     ) -> Option<(String, T)> {
-        let found = fs::symlink_metadata(path).ok()?;
-        let is_plain = found.is_file() && found.len() <= MAX_ENTRY_BYTES;
+        let metadata = fs::symlink_metadata(path).ok()?;
+        let is_plain = metadata.is_file() && metadata.len() <= MAX_ENTRY_BYTES;
         let value = is_plain
             .then(|| self.read_verified(path, name, inputs_sha256))
             .flatten();
@@ -239,13 +239,13 @@ impl EvidenceCache {
         name: &str,
         inputs_sha256: &str,
     ) -> Option<(String, T)> {
-        let kept: CacheEntry =
+        let entry: CacheEntry =
             serde_json::from_slice(&regular_file::read(path, MAX_ENTRY_BYTES).ok()?).ok()?;
-        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
-        let value = (is_asked_for && kept.is_intact(&self.program))
-            .then(|| serde_json::from_str(&kept.evidence).ok())
+        let is_requested = entry.name == name && entry.inputs_sha256 == inputs_sha256;
+        let value = (is_requested && entry.is_intact(&self.program))
+            .then(|| serde_json::from_str(&entry.evidence).ok())
             .flatten()?;
-        Some((kept.evidence, value))
+        Some((entry.evidence, value))
     }
 
     fn record(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {

@@ -198,32 +198,19 @@ impl CaseVerdict {
     /// Describes the verdict in a few words.
     #[must_use]
     pub fn describe(&self) -> String {
-        let at = |contact: &RoundedContact| {
-            format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps)
-        };
         match self {
-            Self::Safe {
-                closing_ttc_s: None,
-            } => "no collision".to_owned(),
-            Self::Safe {
-                closing_ttc_s: Some(ttc_s),
-            } => {
-                format!("no collision, but TTC {ttc_s} s at the end")
-            }
-            Self::Hit(contact) => format!(
-                "{} hits {} at {}",
-                contact.rear_vehicle,
+            Self::Safe { closing_ttc_s } => closing_ttc_s
+                .map_or("no collision".to_owned(), |ttc_s| {
+                    format!("no collision, but TTC {ttc_s} s at the end")
+                }),
+            Self::Hit(contact) => contact.describe_hit(),
+            Self::WasHit(contact) => format!(
+                "{} hit from behind by {} at {} s, {} m/s",
                 contact.front_vehicle,
-                at(contact)
+                contact.rear_vehicle,
+                contact.time_s,
+                contact.impact_speed_mps
             ),
-            Self::WasHit(contact) => {
-                format!(
-                    "{} hit from behind by {} at {}",
-                    contact.front_vehicle,
-                    contact.rear_vehicle,
-                    at(contact)
-                )
-            }
             Self::ControllerFailed {
                 time_s,
                 vehicle,
@@ -232,12 +219,7 @@ impl CaseVerdict {
                 format!("controller of {vehicle} failed at {time_s} s: {reason}")
             }
             Self::OthersCollided(contact) => {
-                format!(
-                    "other vehicles: {} hits {} at {}",
-                    contact.rear_vehicle,
-                    contact.front_vehicle,
-                    at(contact)
-                )
+                format!("other vehicles: {}", contact.describe_hit())
             }
         }
     }
@@ -250,6 +232,15 @@ fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
     let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
     crumple_measure::ttc_s(pair.gaps_m().last()?.1, closing_mps)
         .filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
+}
+
+impl RoundedContact {
+    fn describe_hit(&self) -> String {
+        format!(
+            "{} hits {} at {} s, {} m/s",
+            self.rear_vehicle, self.front_vehicle, self.time_s, self.impact_speed_mps
+        )
+    }
 }
 
 impl From<&Contact> for RoundedContact {
@@ -276,20 +267,15 @@ pub(super) fn run_cases(
     estimator: EstimatorKind,
     motion: MotionRetention,
 ) -> Result<Vec<Vec<CaseResult>>, RunError> {
-    let prepare = |scenario, controller: &NamedController, after_contact| {
-        let options = RunOptions::new(controller.source.clone())
-            .with_estimator(estimator)
-            .with_after_contact(after_contact);
-        Run::new(scenario, options)
-    };
-    let pairs: Vec<_> = scenarios
+    let pairs: Vec<(&Scenario, &NamedController)> = scenarios
         .iter()
-        .flat_map(|&s| controllers.iter().map(move |c| (s, c)))
+        .flat_map(|&scenario| {
+            controllers
+                .iter()
+                .map(move |controller| (scenario, controller))
+        })
         .collect();
-    let runs = pairs
-        .iter()
-        .map(|(s, c)| prepare(s, c, AfterContact::Stop))
-        .collect::<Result<Vec<_>, _>>()?;
+    let runs = prepare_runs(&pairs, estimator, AfterContact::Stop)?;
     let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
         let mut case = CaseResult::new(pairs[index].0, pairs[index].1, simulated);
         if motion == MotionRetention::Drop {
@@ -297,14 +283,12 @@ pub(super) fn run_cases(
         }
         case
     });
-    let collided =
-        (0..cases.len()).filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }));
-    let collided: Vec<usize> = collided.collect();
-    let to_the_end = collided
-        .iter()
-        .map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
-    let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
-    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| {
+    let collided: Vec<usize> = (0..cases.len())
+        .filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }))
+        .collect();
+    let collided_pairs: Vec<_> = collided.iter().map(|&index| pairs[index]).collect();
+    let runs = prepare_runs(&collided_pairs, estimator, AfterContact::Continue)?;
+    let pile_ups = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| {
         PileUp::from_simulated(&simulated)
     });
     for (index, pile_up) in collided.into_iter().zip(pile_ups) {
@@ -317,33 +301,46 @@ pub(super) fn run_cases(
         .collect())
 }
 
+fn prepare_runs(
+    pairs: &[(&Scenario, &NamedController)],
+    estimator: EstimatorKind,
+    after_contact: AfterContact,
+) -> Result<Vec<Run>, RunError> {
+    pairs
+        .iter()
+        .map(|(scenario, controller)| {
+            let options = RunOptions::new(controller.source.clone())
+                .with_estimator(estimator)
+                .with_after_contact(after_contact);
+            Run::new(scenario, options)
+        })
+        .collect()
+}
+
 impl PileUp {
     fn from_simulated(simulated: &SimulationResult) -> Option<Self> {
-        let of = |vehicle| crumple_measure::max_delta_v_mps(&simulated.impacts, vehicle);
+        let delta_v_mps = (0..simulated.vehicles.len())
+            .map(|vehicle| crumple_measure::max_delta_v_mps(&simulated.impacts, vehicle));
         (!simulated.impacts.is_empty()).then(|| Self {
             impacts: simulated.impacts.len(),
             vehicles: simulated.vehicles_involved(),
-            max_delta_v_mps: largest((0..simulated.vehicles.len()).map(of)).map(Rounded::new),
+            max_delta_v_mps: largest(delta_v_mps).map(Rounded::new),
         })
     }
 }
 
 impl CaseResult {
     fn new(scenario: &Scenario, controller: &NamedController, simulated: SimulationResult) -> Self {
-        let trace = simulated.trace.as_ref();
-        let measured = |index: usize| {
-            trace.and_then(|trace| Measures::from_trace(trace, &simulated.impacts, index))
-        };
         let under_test: Vec<usize> = (0..scenario.vehicles().len())
             .filter(|&index| scenario.is_under_test(index))
             .collect();
         let own: Vec<Measures> = under_test
             .iter()
-            .filter_map(|&index| measured(index))
+            .filter_map(|&index| measure_vehicle(&simulated, index))
             .collect();
         let followers: Vec<Measures> = under_test
             .iter()
-            .filter_map(|&index| measured(index + 1))
+            .filter_map(|&index| measure_vehicle(&simulated, index + 1))
             .collect();
         Self {
             controller: controller.name.clone(),
@@ -357,7 +354,7 @@ impl CaseResult {
             peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
             induced_brake_mps2: largest(
                 own.iter()
-                    .map(|m| m.induced.and_then(|imposed| imposed.peak_brake_mps2)),
+                    .map(|m| m.induced.and_then(|induced| induced.peak_brake_mps2)),
             )
             .map(Rounded::new),
             pile_up: None,
@@ -367,6 +364,10 @@ impl CaseResult {
     }
 }
 
+fn measure_vehicle(simulated: &SimulationResult, index: usize) -> Option<Measures> {
+    Measures::from_trace(simulated.trace.as_ref()?, &simulated.impacts, index)
+}
+
 impl RoundedLeadMeasures {
     fn worst(vehicles: &[Measures]) -> Self {
         let ahead: Vec<_> = vehicles
@@ -374,22 +375,20 @@ impl RoundedLeadMeasures {
             .filter_map(|measures| measures.ahead)
             .collect();
         // At a collision the required deceleration is infinite, so there is no maximum.
-        let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
-        let demand = |of: fn(&crumple_measure::LeadMeasures) -> Option<f64>| {
-            if touched {
-                None
-            } else {
-                largest(ahead.iter().map(of)).map(Rounded::new)
-            }
-        };
+        let has_collided = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
+        let without_collision = if has_collided { &[] } else { ahead.as_slice() };
         Self {
             min_gap_m: smallest(ahead.iter().map(|a| a.min_gap_m)).map(Rounded::new),
             min_ttc_s: smallest(ahead.iter().map(|a| a.min_ttc_s)).map(Rounded::new),
             min_time_headway_s: smallest(ahead.iter().map(|a| a.min_time_headway_s))
                 .map(Rounded::new),
             min_time_gap_s: smallest(ahead.iter().map(|a| a.min_time_gap_s)).map(Rounded::new),
-            max_drac_mps2: demand(|a| a.max_drac_mps2),
-            max_required_brake_mps2: demand(|a| a.max_required_brake_mps2),
+            max_drac_mps2: largest(without_collision.iter().map(|a| a.max_drac_mps2))
+                .map(Rounded::new),
+            max_required_brake_mps2: largest(
+                without_collision.iter().map(|a| a.max_required_brake_mps2),
+            )
+            .map(Rounded::new),
             tet_s: largest(ahead.iter().map(|a| Some(a.tet_s)))
                 .unwrap_or(0.0)
                 .into(),

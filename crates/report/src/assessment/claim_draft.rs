@@ -10,7 +10,7 @@ pub(super) struct ClaimDraft {
     /// Anchor of the part with the evidence.
     pub(super) part: &'static str,
     /// Claim in words, if they differ from its own description.
-    pub(super) words: Option<String>,
+    pub(super) text: Option<String>,
     /// Claim about each controller; absent if it does not apply.
     pub(super) claims: Vec<Option<AssuranceClaim>>,
 }
@@ -19,7 +19,7 @@ impl ClaimDraft {
     pub(super) fn new(part: &'static str, claims: Vec<Option<AssuranceClaim>>) -> Self {
         Self {
             part,
-            words: None,
+            text: None,
             claims,
         }
     }
@@ -42,19 +42,19 @@ impl ClaimDraft {
         property: Property,
         domain: Domain,
     ) -> Self {
-        let claim = |index| {
+        let claims = (0..plan.controllers.len()).map(|index| {
             Some(AssuranceClaim {
                 subject: plan.claim_subject(index, estimator)?,
                 property: property.clone(),
                 domain: domain.clone(),
             })
-        };
-        Self::new(part, (0..plan.controllers.len()).map(claim).collect())
+        });
+        Self::new(part, claims.collect())
     }
 
-    pub(super) fn with_words(self, words: String) -> Self {
+    pub(super) fn with_text(self, text: String) -> Self {
         Self {
-            words: Some(words),
+            text: Some(text),
             ..self
         }
     }

@@ -98,35 +98,52 @@ impl AssessmentPlan {
     /// # Errors
     /// [`CacheError::Encoding`] if one of them cannot be encoded.
     pub(super) fn command_files(&self) -> Result<Vec<CommandFile>, CacheError> {
-        let mut files: Vec<CommandFile> = Vec::new();
-        let mut add = |file: String, contents: Vec<u8>| {
-            if !files.iter().any(|known| known.file == file) {
-                files.push(CommandFile { file, contents });
-            }
-        };
+        let mut files = self.policy_files()?;
+        files.extend(self.network_files()?);
+        files.extend(self.process_files()?);
+        files.extend(self.space_files());
+        files.extend(self.certificate_policy_files());
+        files.extend(self.scenario_files()?);
+        let mut paths = BTreeSet::new();
+        files.retain(|file| paths.insert(file.file.clone()));
+        Ok(files)
+    }
+
+    /// Returns the policies that were read from files; others need no file.
+    fn policy_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let mut files = Vec::new();
         for controller in &self.controllers {
-            // Only policies that were read from files need to be stored.
-            if let (Some(word), Some(policy)) =
-                (controller_arg(&*controller.source), controller.policy())
-                && word.ends_with(&policy_path(&policy))
+            if let Some(argument) = controller_arg(&*controller.source)
+                && let Some(policy) = controller.policy()
+                && argument.ends_with(&policy_path(&policy))
             {
-                add(
-                    policy_path(&policy),
-                    policy.to_bytes().map_err(CacheError::encoding)?,
-                );
+                files.push(CommandFile {
+                    file: policy_path(&policy),
+                    contents: policy.to_bytes().map_err(CacheError::encoding)?,
+                });
             }
         }
-        for network in self
-            .controllers
-            .iter()
-            .filter_map(|controller| controller.source.unshielded().downcast_ref())
-        {
-            for (name, contents) in
-                controller_file::to_files(network).map_err(CacheError::encoding)?
-            {
-                add(network_path(&name), contents);
-            }
+        Ok(files)
+    }
+
+    fn network_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let mut files = Vec::new();
+        for controller in &self.controllers {
+            let Some(network) = controller.source.unshielded().downcast_ref() else {
+                continue;
+            };
+            let contents_by_name =
+                controller_file::to_files(network).map_err(CacheError::encoding)?;
+            files.extend(contents_by_name.map(|(name, contents)| CommandFile {
+                file: network_path(&name),
+                contents,
+            }));
         }
+        Ok(files)
+    }
+
+    fn process_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let mut files = Vec::new();
         for controller in &self.controllers {
             let Some(process) = controller.source.unshielded().downcast_ref() else {
                 continue;
@@ -134,38 +151,53 @@ impl AssessmentPlan {
             let Some(folder) = process_folder(process) else {
                 continue;
             };
-            let copied = |problem| CacheError::Copy {
-                controller: controller.name.clone(),
-                problem,
-            };
-            for (name, contents) in process.portable_files().map_err(copied)? {
-                add(format!("{folder}/{name}"), contents);
-            }
+            let copies = process
+                .portable_files()
+                .map_err(|problem| CacheError::Copy {
+                    controller: controller.name.clone(),
+                    problem,
+                })?;
+            files.extend(copies.into_iter().map(|(name, contents)| CommandFile {
+                file: format!("{folder}/{name}"),
+                contents,
+            }));
         }
-        for own in self
-            .rate_spaces
+        Ok(files)
+    }
+
+    fn space_files(&self) -> impl Iterator<Item = CommandFile> {
+        self.rate_spaces
             .iter()
             .chain(&self.search_spaces)
             .filter(|named| !named.is_built_in())
-        {
-            add(own.path(), own.text.clone().into_bytes());
-        }
-        for given in &self.certificates {
-            // A certificate may name any file. The checker looks for one of that name in the certificate's folder.
-            if let (Some((file, digest)), Some(policy)) =
-                (given.certificate.policy_reference(), &given.policy)
-                && sha256(policy) == digest
-                && let Some(name) = Path::new(file).file_name()
-            {
-                add(
-                    format!("certificates/{}", name.to_string_lossy()),
-                    policy.clone(),
-                );
-            }
-        }
+            .map(|named| CommandFile {
+                file: named.path(),
+                contents: named.text.clone().into_bytes(),
+            })
+    }
+
+    /// Returns the policies of certificates. A certificate may name any file, and the checker looks for one of that
+    /// name in the certificate's folder.
+    fn certificate_policy_files(&self) -> impl Iterator<Item = CommandFile> {
+        self.certificates.iter().filter_map(|given| {
+            let (file, digest) = given.certificate.policy_reference()?;
+            let policy = given.policy.as_ref()?;
+            let name = Path::new(file).file_name()?;
+            (sha256(policy) == digest).then(|| CommandFile {
+                file: format!("certificates/{}", name.to_string_lossy()),
+                contents: policy.clone(),
+            })
+        })
+    }
+
+    fn scenario_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let mut files = Vec::new();
         for (_, scenario) in &self.file_scenarios {
             let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
-            add(scenario_path(scenario), text.into_bytes());
+            files.push(CommandFile {
+                file: scenario_path(scenario),
+                contents: text.into_bytes(),
+            });
         }
         Ok(files)
     }
@@ -194,12 +226,12 @@ pub(super) fn replay_script<'a>(
     // A command on an edited file may fail for another reason than reported.
     script += &format!("run fsck .\nrun {CHECK_ARGUMENTS}\n");
     // Controllers that fail at the same point of a suite share the command of its escape.
-    let mut said = BTreeSet::new();
+    let mut written = BTreeSet::new();
     for command in recount
         .into_iter()
         .chain(commands)
         .map(CrumpleCommand::shell_quoted)
-        .filter(|command| said.insert(command.clone()))
+        .filter(|command| written.insert(command.clone()))
     {
         script += &format!("run {command}\n");
     }

@@ -177,27 +177,24 @@ impl AssessConfig {
     /// Returns the names of the scenario spaces whose failure rates are measured.
     #[must_use]
     pub fn rate_spaces(&self) -> Vec<String> {
-        let unless_named = || vec![if self.paper { "paper" } else { "high-risk" }.to_owned()];
-        self.distributions.clone().unwrap_or_else(unless_named)
+        self.distributions.clone().unwrap_or_else(|| {
+            let default = if self.paper { "paper" } else { "high-risk" };
+            vec![default.to_owned()]
+        })
     }
 
     /// Returns the names of the scenario spaces that are searched for failures.
     #[must_use]
     pub fn search_spaces(&self) -> Vec<String> {
-        let of_the_paper = self.paper.then(|| "paper".to_owned());
-        let unless_named = || {
-            of_the_paper
-                .into_iter()
-                .chain(["high-risk".to_owned()])
-                .collect()
-        };
-        self.search.spaces.clone().unwrap_or_else(unless_named)
+        self.search.spaces.clone().unwrap_or_else(|| {
+            let paper = self.paper.then(|| "paper".to_owned());
+            paper.into_iter().chain(["high-risk".to_owned()]).collect()
+        })
     }
 }
 
 impl Default for AssessConfig {
     fn default() -> Self {
-        let (baseline, road) = ("baseline".to_owned(), "road".to_owned());
         Self {
             version: CONFIG_VERSION,
             controllers: compared_controllers(),
@@ -217,11 +214,11 @@ impl Default for AssessConfig {
             certificates: None,
             gates: vec![
                 AssessmentGate::NoCollisionInPaperScenarios {
-                    controller: road.clone(),
+                    controller: "road".to_owned(),
                 },
                 AssessmentGate::RateNotAbove {
-                    controller: road,
-                    than: baseline,
+                    controller: "road".to_owned(),
+                    than: "baseline".to_owned(),
                     space: None,
                 },
                 AssessmentGate::ProofsAccepted {},

@@ -20,7 +20,8 @@ pub(super) fn controller_arg(source: &dyn ControllerSource) -> Option<String> {
         return Some(network_path(&controller_file::file_name(network)));
     }
     if let Some(process) = source.downcast_ref::<ProcessController>() {
-        let (folder, file) = (process_folder(process)?, process.portable_file()?);
+        let folder = process_folder(process)?;
+        let file = process.portable_file()?;
         return Some(format!("{folder}/{file}"));
     }
     let policy = source.downcast_ref::<PolicySource>()?;

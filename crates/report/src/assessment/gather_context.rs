@@ -42,10 +42,10 @@ impl<'a> GatherContext<'a> {
         gather: impl FnOnce() -> Result<T, AssessError>,
     ) -> Result<T, AssessError> {
         self.cache.get_or_gather(name, inputs, || {
-            let found = gather()?;
+            let evidence = gather()?;
             self.add_runs(0)?;
             self.ensure_all_trusted()?;
-            Ok(found)
+            Ok(evidence)
         })
     }
 

@@ -11,12 +11,12 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     };
     gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
     for row in &assessment.summary.claims {
-        let made = row
+        let claims = row
             .claims
             .iter()
             .zip(&row.statuses)
             .filter(|(claim, _)| claim.is_some());
-        for (claim, status) in made {
+        for (claim, status) in claims {
             let controller = claim
                 .as_ref()
                 .map_or("", |claim| claim.subject.controller.name.as_str());

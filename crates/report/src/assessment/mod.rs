@@ -181,7 +181,7 @@ impl AssessmentPlan {
         let drawn = self.config.draws
             * self.rate_spaces.len() as u64
             * if self.config.harm.is_some() { 2 } else { 1 };
-        let each = scenarios + drawn + searches;
+        let runs_per_controller = scenarios + drawn + searches;
         let learned = self
             .controllers
             .iter()
@@ -196,7 +196,7 @@ impl AssessmentPlan {
             .sum();
         tested
             + driven
-            + controllers.saturating_mul(each)
+            + controllers.saturating_mul(runs_per_controller)
             + counted.saturating_mul(self.config.rates.runs)
     }
 }

@@ -75,8 +75,8 @@ impl NamedSpace {
         self.space
             .scenario(&self.space.nominal())
             .is_ok_and(|scenario| {
-                let is_other = |index: usize| !scenario.is_under_test(index);
-                (1..scenario.vehicles().len()).any(|rear| is_other(rear) && is_other(rear - 1))
+                (1..scenario.vehicles().len())
+                    .any(|rear| !scenario.is_under_test(rear) && !scenario.is_under_test(rear - 1))
             })
     }
 }
@@ -176,12 +176,12 @@ impl AssessmentPlan {
             .iter()
             .chain(&self.search_spaces)
             .map(|named| named.space.clone());
-        let mut all: Vec<_> = own
+        let mut spaces: Vec<_> = own
             .chain(everyday.filter_map(|name| built_in_space(name)))
             .collect();
         let mut names = BTreeSet::new();
-        all.retain(|space| names.insert(space.name().to_owned()));
-        all
+        spaces.retain(|space| names.insert(space.name().to_owned()));
+        spaces
     }
 
     /// True if a gate needs an earlier assessment to compare with.
@@ -196,13 +196,12 @@ impl AssessmentPlan {
     /// Returns the subject of claims about a controller. A controller without identity equals no other one.
     pub(super) fn claim_subject(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
         let controller = self.controllers.get(index)?;
-        let unknown = || {
+        let sha256 = controller.source.identity().unwrap_or_else(|| {
             sha256(format!(
                 "controller {index} of one report, {}",
                 controller.name
             ))
-        };
-        let sha256 = controller.source.identity().unwrap_or_else(unknown);
+        });
         Some(Subject {
             controller: ContentId {
                 name: controller.name.clone(),
@@ -266,13 +265,11 @@ impl AssessmentPlan {
 
     /// Returns the controller's name as part of a path, unique in the plan.
     pub(super) fn controller_slug(&self, index: usize) -> String {
-        let of = |index: usize| {
-            self.controllers
-                .get(index)
-                .map(|controller| slug(&controller.name))
+        let Some(own) = self.controllers.get(index).map(|own| slug(&own.name)) else {
+            return String::new();
         };
-        let own = of(index).unwrap_or_default();
-        let is_taken = (0..index).any(|other| of(other).as_deref() == Some(own.as_str()));
+        let mut before = self.controllers.iter().take(index);
+        let is_taken = before.any(|controller| slug(&controller.name) == own);
         if is_taken {
             format!("{own}-{index}")
         } else {
@@ -305,13 +302,13 @@ pub(super) fn file_stem(name: &str) -> String {
 }
 
 fn default_subject(controllers: &[NamedController]) -> usize {
-    let is_bare = |controller: &NamedController| {
-        controller.source.is_learned() && controller.source.as_shield().is_none()
-    };
     let road = controllers
         .iter()
         .position(|controller| controller.name == "road");
-    road.or_else(|| controllers.iter().position(is_bare))
+    let unshielded_policy = controllers.iter().position(|controller| {
+        controller.source.is_learned() && controller.source.as_shield().is_none()
+    });
+    road.or(unshielded_policy)
         .unwrap_or(controllers.len().saturating_sub(1))
 }
 
@@ -323,19 +320,26 @@ fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate
     {
         return Vec::new();
     }
-    let given = |(name, text): &(&str, &str)| {
-        let policy = Some(Policy::reference_bytes().to_vec());
-        Some(GivenCertificate {
-            name: (*name).to_owned(),
-            certificate: Certificate::from_json(text).ok()?,
-            policy,
+    SHIPPED_CERTIFICATES
+        .iter()
+        .filter_map(|(name, text)| {
+            Some(GivenCertificate {
+                name: (*name).to_owned(),
+                certificate: Certificate::from_json(text).ok()?,
+                policy: Some(Policy::reference_bytes().to_vec()),
+            })
         })
-    };
-    SHIPPED_CERTIFICATES.iter().filter_map(given).collect()
+        .collect()
 }
 
 pub(super) fn not_among_controllers(name: &str) -> String {
     format!("`{name}` is not among `controllers`")
+}
+
+/// Scenarios of the recordings, and the parts that are left out.
+struct ImportedRecordings {
+    scenarios: Vec<ImportedScenario>,
+    left_out: Vec<DroppedItem>,
 }
 
 struct PlanLoader<'a> {
@@ -373,39 +377,20 @@ impl PlanLoader<'_> {
         controllers: Vec<NamedController>,
     ) -> Result<AssessmentPlan, AssessConfigError> {
         self.check_numbers(&config)?;
-        // Controllers have one name, however the configuration spells it.
-        let place_of = |name: &mut String| {
-            if let Ok(found) = find_for_user(name, self.folder) {
-                *name = found.name;
-            }
-            controllers
-                .iter()
-                .position(|controller| controller.name == *name)
-        };
         let subject_index = match &mut config.subject {
             None => default_subject(&controllers),
-            Some(name) => place_of(name)
+            Some(name) => self
+                .find_controller(&controllers, name)
                 .ok_or_else(|| self.field_error("subject", not_among_controllers(name)))?,
         };
-        let suites = PlannedSuite::from_config(&mut config, self.folder, &controllers, place_of)
-            .map_err(|(field, problem)| self.field_error(&field, problem))?;
-        for (index, gate) in config.gates.iter_mut().enumerate() {
-            for (field, name) in gate.controllers_mut() {
-                place_of(name).ok_or_else(|| {
-                    self.field_error(
-                        &format!("gates[{index}].{field}"),
-                        not_among_controllers(name),
-                    )
-                })?;
-            }
-        }
-        for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, problem)) = gate.config_problem(&config) {
-                return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
-            }
-        }
-        let (recorded, left_out) = self.import_recordings(&config)?;
-        let file_scenarios = self.load_scenarios(&config, recorded)?;
+        let folder = self.folder;
+        let suites = PlannedSuite::from_config(&mut config, folder, &controllers, |name| {
+            self.find_controller(&controllers, name)
+        })
+        .map_err(|(field, problem)| self.field_error(&field, problem))?;
+        self.check_gates(&mut config, &controllers)?;
+        let recordings = self.import_recordings(&config)?;
+        let file_scenarios = self.load_scenarios(&config, recordings.scenarios)?;
         let search_spaces = self.load_spaces(
             "search.spaces",
             &config.search_spaces(),
@@ -416,24 +401,14 @@ impl PlanLoader<'_> {
             &config.rate_spaces(),
             &config.controllers_of_files,
         )?;
-        let clash = rate_spaces.iter().find(|one| {
-            search_spaces.iter().any(|other| {
-                one.space.name() == other.space.name() && one.content_id != other.content_id
-            })
-        });
-        if let Some(one) = clash.map(|one| one.space.name()) {
-            let problem = format!(
-                "the name `{one}` belongs to another space in `search.spaces`; rename one of them"
-            );
-            return Err(self.field_error("distributions", problem));
-        }
+        self.check_space_names(&rate_spaces, &search_spaces)?;
         let given = config.certificates.clone();
         let mut plan = AssessmentPlan {
             config,
             controllers,
             subject_index,
             file_scenarios,
-            left_out,
+            left_out: recordings.left_out,
             suites,
             rate_spaces,
             search_spaces,
@@ -449,6 +424,60 @@ impl PlanLoader<'_> {
         Ok(plan)
     }
 
+    /// Returns the index of a controller, and makes its name canonical: controllers have one name, however the
+    /// configuration spells it.
+    fn find_controller(&self, controllers: &[NamedController], name: &mut String) -> Option<usize> {
+        if let Ok(controller) = find_for_user(name, self.folder) {
+            *name = controller.name;
+        }
+        controllers
+            .iter()
+            .position(|controller| controller.name == *name)
+    }
+
+    /// Makes the controllers' names of all gates canonical, and checks the gates.
+    fn check_gates(
+        &self,
+        config: &mut AssessConfig,
+        controllers: &[NamedController],
+    ) -> Result<(), AssessConfigError> {
+        for (index, gate) in config.gates.iter_mut().enumerate() {
+            for (field, name) in gate.controllers_mut() {
+                if self.find_controller(controllers, name).is_none() {
+                    let field = format!("gates[{index}].{field}");
+                    return Err(self.field_error(&field, not_among_controllers(name)));
+                }
+            }
+        }
+        for (index, gate) in config.gates.iter().enumerate() {
+            if let Some((field, problem)) = gate.config_problem(config) {
+                return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that no space for rates has the name of another space that is searched.
+    fn check_space_names(
+        &self,
+        rate_spaces: &[NamedSpace],
+        search_spaces: &[NamedSpace],
+    ) -> Result<(), AssessConfigError> {
+        let clash = rate_spaces.iter().find(|rate| {
+            search_spaces.iter().any(|search| {
+                rate.space.name() == search.space.name() && rate.content_id != search.content_id
+            })
+        });
+        let Some(clash) = clash else {
+            return Ok(());
+        };
+        let name = clash.space.name();
+        let problem = format!(
+            "the name `{name}` belongs to another space in `search.spaces`; rename one of them"
+        );
+        Err(self.field_error("distributions", problem))
+    }
+
     fn add_controller(
         &self,
         controllers: &mut Vec<NamedController>,
@@ -457,7 +486,7 @@ impl PlanLoader<'_> {
     ) -> Result<(), AssessConfigError> {
         let is_new = controllers
             .iter()
-            .all(|known| known.name != controller.name);
+            .all(|other| other.name != controller.name);
         self.ensure(is_new, field, || {
             format!("`{}` appears twice; remove one", controller.name)
         })?;
@@ -478,7 +507,8 @@ impl PlanLoader<'_> {
                 format!("must be at most {MAX_DRAWS}, found {draws}")
             })?;
         }
-        let (budget, runs) = (config.search.budget, config.rates.runs);
+        let budget = config.search.budget;
+        let runs = config.rates.runs;
         self.ensure(
             (1..=MAX_EVALUATIONS).contains(&budget),
             "search.budget",
@@ -520,30 +550,39 @@ impl PlanLoader<'_> {
         Ok(controllers)
     }
 
-    /// Returns the scenarios of the recordings and the dropped parts.
     fn import_recordings(
         &self,
         config: &AssessConfig,
-    ) -> Result<(Vec<ImportedScenario>, Vec<DroppedItem>), AssessConfigError> {
-        let wrong = |problem: String| self.field_error("recordings", problem);
+    ) -> Result<ImportedRecordings, AssessConfigError> {
         let paths: Vec<_> = config
             .recordings
             .iter()
             .map(|named| self.folder.join(named))
             .collect();
         let mut scenarios = Vec::new();
-        let mut take = |scenario| {
-            scenarios.push(scenario);
-            true
-        };
-        let imported = import(&paths, None, &ImportOptions::default(), None, &mut take)
-            .map_err(|error| wrong(error.to_string()))?;
+        let imported = import(
+            &paths,
+            None,
+            &ImportOptions::default(),
+            None,
+            &mut |scenario| {
+                scenarios.push(scenario);
+                true
+            },
+        )
+        .map_err(|error| self.field_error("recordings", error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
-            Some(empty) => Err(wrong(format!(
-                "{}: the recording has no braking episode that fits a scenario",
-                empty.path.display()
-            ))),
-            None => Ok((scenarios, imported.dropped)),
+            Some(empty) => Err(self.field_error(
+                "recordings",
+                format!(
+                    "{}: the recording has no braking episode that fits a scenario",
+                    empty.path.display()
+                ),
+            )),
+            None => Ok(ImportedRecordings {
+                scenarios,
+                left_out: imported.dropped,
+            }),
         }
     }
 
@@ -552,48 +591,72 @@ impl PlanLoader<'_> {
         config: &AssessConfig,
         recorded: Vec<ImportedScenario>,
     ) -> Result<Vec<(PathBuf, Scenario)>, AssessConfigError> {
-        let mut traffic = Vec::new();
-        for (index, named) in config.scenarios.iter().enumerate() {
+        let mut scenarios = Vec::new();
+        for (index, path) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
-            let at = self.folder.join(named);
-            self.ensure(at.exists(), &field, || {
-                format!("{} does not exist", at.display())
-            })?;
-            let found = file::load_all(&at, &config.controllers_of_files)?;
-            self.ensure(!found.is_empty(), &field, || {
-                format!("the folder {} has no scenario file", named.display())
-            })?;
-            let untested = found
-                .iter()
-                .find(|(_, scenario)| !scenario.has_vehicle_under_test());
-            if let Some((path, _)) = untested {
-                return Err(self.field_error(
-                    &field,
-                    format!("{}: no vehicle is under test", path.display()),
-                ));
-            }
-            traffic.extend(found);
+            scenarios.extend(self.load_scenario_files(
+                &field,
+                path,
+                &config.controllers_of_files,
+            )?);
         }
-        traffic.extend(
+        scenarios.extend(
             recorded
                 .into_iter()
-                .map(|found| (PathBuf::from(found.file_name), found.scenario)),
+                .map(|imported| (PathBuf::from(imported.file_name), imported.scenario)),
         );
+        self.check_scenario_names(&scenarios)?;
+        Ok(scenarios)
+    }
+
+    /// Loads a scenario file, or all scenario files of a folder.
+    fn load_scenario_files(
+        &self,
+        field: &str,
+        relative_path: &Path,
+        opener: &dyn OpenDriver,
+    ) -> Result<Vec<(PathBuf, Scenario)>, AssessConfigError> {
+        let path = self.folder.join(relative_path);
+        self.ensure(path.exists(), field, || {
+            format!("{} does not exist", path.display())
+        })?;
+        let scenarios = file::load_all(&path, opener)?;
+        self.ensure(!scenarios.is_empty(), field, || {
+            format!(
+                "the folder {} has no scenario file",
+                relative_path.display()
+            )
+        })?;
+        let untested = scenarios
+            .iter()
+            .find(|(_, scenario)| !scenario.has_vehicle_under_test());
+        if let Some((path, _)) = untested {
+            let problem = format!("{}: no vehicle is under test", path.display());
+            return Err(self.field_error(field, problem));
+        }
+        Ok(scenarios)
+    }
+
+    /// Checks that each name of a scenario is unique, also among built-in scenarios.
+    fn check_scenario_names(
+        &self,
+        scenarios: &[(PathBuf, Scenario)],
+    ) -> Result<(), AssessConfigError> {
         let mut names: Vec<_> = built_in_scenario_names()
             .iter()
             .map(|(name, _)| (*name).to_owned())
             .collect();
-        for (found_at, scenario) in &traffic {
+        for (path, scenario) in scenarios {
             let name = &scenario.spec().name;
             self.ensure(!names.contains(name), "scenarios", || {
                 format!(
                     "{}: another scenario has the name `{name}`; rename one of them",
-                    found_at.display()
+                    path.display()
                 )
             })?;
             names.push(name.clone());
         }
-        Ok(traffic)
+        Ok(())
     }
 
     fn load_spaces(
@@ -605,80 +668,86 @@ impl PlanLoader<'_> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
-            let wrong = |problem: String| self.field_error(&field, problem);
-            let space = match built_in_space(name) {
-                Some(space) => space,
-                None if name.ends_with(".toml") => {
-                    space_file::load(&self.folder.join(name), opener)
-                        .map_err(|error| wrong(error.to_string()))?
-                }
-                None => {
-                    return Err(wrong(format!(
-                        "`{name}` is neither a built-in space nor a .toml file"
-                    )));
-                }
-            };
-            let nominal = space.scenario(&space.nominal());
-            let nominal = nominal.map_err(|error| {
-                wrong(format!("{name}: the nominal scenario is invalid: {error}"))
-            })?;
-            let is_tested = nominal.has_vehicle_under_test();
-            self.ensure(is_tested, &field, || {
-                format!("{name}: no vehicle is under test")
-            })?;
+            let space = self.load_space(&field, name, opener)?;
             let is_new = spaces
                 .iter()
-                .all(|known| known.space.name() != space.name());
+                .all(|other| other.space.name() != space.name());
             self.ensure(is_new, &field, || {
                 format!(
                     "another space has the name `{}`; rename one of them",
                     space.name()
                 )
             })?;
-            let named = NamedSpace::new(name, space).map_err(|error| wrong(error.to_string()))?;
-            let own = named.space.name();
-            let built_in = built_in_space(own).and_then(|known| space_file::to_toml(&known).ok());
-            self.ensure(
-                built_in.is_none_or(|built_in| built_in == named.text),
-                &field,
-                || {
-                    format!(
-                        "a built-in space with other contents has the name `{own}`; rename this one"
-                    )
-                },
-            )?;
+            let named = NamedSpace::new(name, space)
+                .map_err(|error| self.field_error(&field, error.to_string()))?;
+            let own_name = named.space.name();
+            let built_in =
+                built_in_space(own_name).and_then(|space| space_file::to_toml(&space).ok());
+            let is_same = built_in.is_none_or(|built_in| built_in == named.text);
+            self.ensure(is_same, &field, || {
+                format!(
+                    "a built-in space with other contents has the name `{own_name}`; rename this one"
+                )
+            })?;
             spaces.push(named);
         }
         Ok(spaces)
     }
 
+    /// Loads a space with a valid nominal scenario that tests a vehicle.
+    fn load_space(
+        &self,
+        field: &str,
+        name: &str,
+        opener: &dyn OpenDriver,
+    ) -> Result<ScenarioSpace, AssessConfigError> {
+        let space = match built_in_space(name) {
+            Some(space) => space,
+            None if name.ends_with(".toml") => space_file::load(&self.folder.join(name), opener)
+                .map_err(|error| self.field_error(field, error.to_string()))?,
+            None => {
+                let problem = format!("`{name}` is neither a built-in space nor a .toml file");
+                return Err(self.field_error(field, problem));
+            }
+        };
+        let nominal = space.scenario(&space.nominal()).map_err(|error| {
+            let problem = format!("{name}: the nominal scenario is invalid: {error}");
+            self.field_error(field, problem)
+        })?;
+        self.ensure(nominal.has_vehicle_under_test(), field, || {
+            format!("{name}: no vehicle is under test")
+        })?;
+        Ok(space)
+    }
+
     fn load_certificates(
         &self,
         paths: &[PathBuf],
-        made_here: &[String],
+        generated_names: &[String],
     ) -> Result<Vec<GivenCertificate>, AssessConfigError> {
         let mut given: Vec<GivenCertificate> = Vec::new();
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
-            let at = self.folder.join(path);
-            let wrong =
-                |error: String| self.field_error(&field, format!("{}: {error}", at.display()));
-            let file = regular_file::open(&at).map_err(|error| wrong(error.to_string()))?;
-            let certificate =
-                Certificate::from_reader(file).map_err(|error| wrong(error.to_string()))?;
-            let name = at
+            let path = self.folder.join(path);
+            let certificate = regular_file::open(&path)
+                .map_err(|error| error.to_string())
+                .and_then(|file| Certificate::from_reader(file).map_err(|error| error.to_string()))
+                .map_err(|error| {
+                    self.field_error(&field, format!("{}: {error}", path.display()))
+                })?;
+            let name = path
                 .file_stem()
                 .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
-            self.ensure(!made_here.contains(&name), &field, || {
+            self.ensure(!generated_names.contains(&name), &field, || {
                 format!(
                     "this assessment writes a certificate with the name `{name}`; rename the file"
                 )
             })?;
-            self.ensure(given.iter().all(|known| known.name != name), &field, || {
+            self.ensure(given.iter().all(|other| other.name != name), &field, || {
                 format!("another certificate has the name `{name}`; rename the file")
             })?;
             let policy = certificate
-                .read_policy(&at, None)
+                .read_policy(&path, None)
                 .or_else(|| Some(Policy::reference_bytes().to_vec()));
             given.push(GivenCertificate {
                 name,

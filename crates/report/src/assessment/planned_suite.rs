@@ -40,67 +40,42 @@ pub(super) struct PlannedSuite {
 }
 
 impl PlannedSuite {
-    /// Loads the suites of a configuration; an error is a field and its problem. `place_of` also makes a name
-    /// canonical.
+    /// Loads the suites of a configuration; an error is a field and its problem. `find_controller` returns the
+    /// index of a controller and makes its name canonical.
     pub(super) fn from_config(
         config: &mut AssessConfig,
         folder: &Path,
         controllers: &[NamedController],
-        place_of: impl Fn(&mut String) -> Option<usize>,
+        find_controller: impl Fn(&mut String) -> Option<usize>,
     ) -> Result<Vec<Self>, (String, String)> {
-        if config.suites.len() > MAX_SUITES {
-            return Err((
-                "suites".to_owned(),
-                format!(
-                    "must be at most {MAX_SUITES}, found {}",
-                    config.suites.len()
-                ),
-            ));
+        let count = config.suites.len();
+        if count > MAX_SUITES {
+            let problem = format!("must be at most {MAX_SUITES}, found {count}");
+            return Err(("suites".to_owned(), problem));
         }
         let mut planned: Vec<Self> = Vec::new();
-        for (index, asked) in config.suites.iter_mut().enumerate() {
+        for (index, suite_config) in config.suites.iter_mut().enumerate() {
             let field = format!("suites[{index}].suite");
-            let suite =
-                find_suite(&asked.suite, folder).map_err(|problem| (field.clone(), problem))?;
-            if planned
-                .iter()
-                .any(|known| known.suite.spec().name == suite.spec().name)
-            {
-                return Err((
-                    field,
-                    format!(
-                        "another suite has the name `{}`; rename one of them",
-                        suite.spec().name
-                    ),
-                ));
+            let suite = find_suite(&suite_config.suite, folder)
+                .map_err(|problem| (field.clone(), problem))?;
+            let name = suite.spec().name.clone();
+            if planned.iter().any(|other| other.suite.spec().name == name) {
+                let problem = format!("another suite has the name `{name}`; rename one of them");
+                return Err((field, problem));
             }
-            let mut controller_indices: Vec<_> = match &mut asked.controllers {
+            let controller_indices = match &mut suite_config.controllers {
                 None => (0..controllers.len()).collect(),
-                Some(names) if names.is_empty() => {
-                    let problem = "must name at least one controller".to_owned();
-                    return Err((format!("suites[{index}].controllers"), problem));
-                }
                 Some(names) => {
-                    let find = |(place, name): (usize, &mut String)| {
-                        let field = format!("suites[{index}].controllers[{place}]");
-                        place_of(name).ok_or_else(|| (field, not_among_controllers(name)))
-                    };
-                    names
-                        .iter_mut()
-                        .enumerate()
-                        .map(find)
-                        .collect::<Result<Vec<_>, _>>()?
+                    let field = format!("suites[{index}].controllers");
+                    find_controllers(names, &field, &find_controller)?
                 }
             };
-            controller_indices.sort_unstable();
-            controller_indices.dedup();
             let text =
                 serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
-            let content_id = ContentId::new(suite.spec().name.as_str(), text);
             planned.push(Self {
-                config_name: asked.suite.clone(),
+                config_name: suite_config.suite.clone(),
                 suite,
-                content_id,
+                content_id: ContentId::new(name, text),
                 controller_indices,
             });
         }
@@ -123,6 +98,29 @@ impl PlannedSuite {
     }
 }
 
+/// Returns the sorted indices of named controllers, each once; an error is a field and its problem.
+fn find_controllers(
+    names: &mut [String],
+    field: &str,
+    find_controller: &impl Fn(&mut String) -> Option<usize>,
+) -> Result<Vec<usize>, (String, String)> {
+    if names.is_empty() {
+        let problem = "must name at least one controller".to_owned();
+        return Err((field.to_owned(), problem));
+    }
+    let mut indices = Vec::new();
+    for (position, name) in names.iter_mut().enumerate() {
+        let index = find_controller(name).ok_or_else(|| {
+            let field = format!("{field}[{position}]");
+            (field, not_among_controllers(name))
+        })?;
+        indices.push(index);
+    }
+    indices.sort_unstable();
+    indices.dedup();
+    Ok(indices)
+}
+
 fn find_suite(name: &str, folder: &Path) -> Result<TestSuite, String> {
     if let Some(suite) = TestSuite::shipped(name) {
         return suite.map_err(|error| error.to_string());
@@ -131,10 +129,10 @@ fn find_suite(name: &str, folder: &Path) -> Result<TestSuite, String> {
         .extension()
         .is_none_or(|ending| ending != "toml")
     {
-        let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
+        let shipped: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
         return Err(format!(
             "`{name}` is neither a built-in suite ({}) nor a .toml file",
-            known.join(", ")
+            shipped.join(", ")
         ));
     }
     let suite = TestSuite::load(&folder.join(name)).map_err(|error| error.to_string())?;

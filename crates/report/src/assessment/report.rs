@@ -194,18 +194,18 @@ impl AssessmentReport {
     /// None in practice; an error of the serializer is passed on.
     pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
         let texts = self.texts()?.into_iter();
-        let needed = self.command_files.iter();
-        let mut all: Vec<(String, Vec<u8>)> = texts
+        let command_files = self.command_files.iter();
+        let mut files: Vec<(String, Vec<u8>)> = texts
             .map(|(name, text)| (name.to_owned(), text.into_bytes()))
             .chain(self.results.parts().iter().flat_map(|part| part.files()))
-            .chain(needed.map(|needed| (needed.file.clone(), needed.contents.clone())))
+            .chain(command_files.map(|file| (file.file.clone(), file.contents.clone())))
             .collect();
-        let contents = all
+        let contents = files
             .iter()
             .map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
-        all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
-        Ok(all)
+        files.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
+        Ok(files)
     }
 
     /// Returns the report in each of its formats, and the script that repeats its results.
@@ -225,16 +225,16 @@ impl AssessmentReport {
     /// Returns every command that reproduces a result of the report, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let failures = self.results.searches.failures();
-        let of_suites = self.results.suites.iter().flat_map(Suites::commands);
+        let suite_commands = self.results.suites.iter().flat_map(Suites::commands);
         failures
             .flat_map(DistinctFailure::commands)
-            .chain(of_suites)
+            .chain(suite_commands)
     }
 }
 
-fn evaluate_gates(found: &GateInputs<'_>) -> Vec<GateResult> {
-    let gates = found.plan.config.gates.iter();
-    gates.map(|gate| gate.evaluate(found)).collect()
+fn evaluate_gates(inputs: &GateInputs<'_>) -> Vec<GateResult> {
+    let gates = inputs.plan.config.gates.iter();
+    gates.map(|gate| gate.evaluate(inputs)).collect()
 }
 
 /// Content of a report folder, as its `work.json` states it.

@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_stored_is_what_is_shown() {
+    fn stored_and_shown_numbers_are_equal() {
         let number = Rounded::<2>::new(-0.0012);
         assert_eq!(
             (

@@ -32,10 +32,8 @@ impl RunEnds {
     }
 
     pub(super) fn add(&mut self, verdict: &CaseVerdict) {
-        let (hit, was_hit) = (
-            matches!(verdict, CaseVerdict::Hit(_)),
-            matches!(verdict, CaseVerdict::WasHit(_)),
-        );
+        let hit = matches!(verdict, CaseVerdict::Hit(_));
+        let was_hit = matches!(verdict, CaseVerdict::WasHit(_));
         self.collisions += u64::from(hit || was_hit);
         FailedControllerRuns::merge(&mut self.unanswered, verdict.unanswered());
         self.ended_by_others += u64::from(!verdict.is_conclusive());
@@ -75,6 +73,6 @@ pub(super) fn note_unanswered(
     unanswered: &FailedControllerRuns,
     runs: u64,
 ) -> String {
-    let words = unanswered.describe(runs);
-    format!("{controller} {words}. These are failures of the controller, but no collisions.")
+    let description = unanswered.describe(runs);
+    format!("{controller} {description}. These are failures of the controller, but no collisions.")
 }

@@ -126,20 +126,21 @@ impl ReportTable {
         self.rows.push(cells);
     }
 
+    fn is_number_column(&self, column: usize) -> bool {
+        self.rows.iter().all(|row| {
+            row.get(column)
+                .is_some_and(|cell| cell.mark == CellMark::Number)
+        })
+    }
+
     /// Renders the table in a frame that scrolls horizontally on a narrow page. The first column heads its row.
     pub(super) fn to_html(&self) -> Markup {
-        let is_number = |column: usize| {
-            self.rows.iter().all(|row| {
-                row.get(column)
-                    .is_some_and(|cell| cell.mark == CellMark::Number)
-            })
-        };
         html! {
             div.scroll tabindex="0" {
                 table {
                     thead { tr {
                         @for (column, name) in self.header.iter().enumerate() {
-                            th scope="col" class=[is_number(column).then_some("number")] { (name) }
+                            th scope="col" class=[self.is_number_column(column).then_some("number")] { (name) }
                         }
                     } }
                     tbody {
@@ -159,18 +160,18 @@ impl ReportTable {
     }
 
     pub(super) fn write_markdown(&self, out: &mut Markdown) {
-        let first = self.rows.first();
-        let set = |column: usize| match first.and_then(|row| row.get(column)).map(|cell| cell.mark)
-        {
-            Some(CellMark::Number) => "---:",
-            _ => "---",
-        };
-        let columns: Vec<_> = (0..self.header.len()).map(set).collect();
-        let cells = |row: &Vec<ReportCell>| {
+        let first_row = self.rows.first();
+        let alignments: Vec<_> = (0..self.header.len())
+            .map(|column| match first_row.and_then(|row| row.get(column)) {
+                Some(cell) if cell.mark == CellMark::Number => "---:",
+                _ => "---",
+            })
+            .collect();
+        let rows = self.rows.iter().map(|row| {
             row.iter()
                 .map(|cell| cell.mark.sign().to_owned() + &cell.text)
                 .collect()
-        };
-        out.table(&self.header, &columns, self.rows.iter().map(cells));
+        });
+        out.table(&self.header, &alignments, rows);
     }
 }

@@ -25,11 +25,11 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Creates an axis of numbers with about `most` (5 to 10) labels.
+    /// Creates an axis of numbers with at most `max_labels` (clamped to 5 to 10) labels.
     #[must_use]
-    pub fn numeric(title: &str, domain: (f64, f64), most: usize) -> Self {
+    pub fn numeric(title: &str, domain: (f64, f64), max_labels: usize) -> Self {
         let domain = drawable_interval(domain);
-        let marks = Ticks::new(domain, most).labels().collect();
+        let marks = Ticks::new(domain, max_labels).labels().collect();
         Self {
             title: title.to_owned(),
             domain,
@@ -103,8 +103,8 @@ impl Axis {
                 (draw_line((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
             }
             @if !self.title.is_empty() {
-                @let at = (frame.right(), bottom + 30.0);
-                (draw_text(at, Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
+                @let baseline = (frame.right(), bottom + 30.0);
+                (draw_text(baseline, Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
             }
         }
     }

@@ -21,9 +21,26 @@ pub enum CellStyle {
     Crossed,
 }
 
+impl CellStyle {
+    fn ink(self) -> Ink {
+        match self {
+            Self::Blank => Ink::Series(2),
+            Self::Crossed => Ink::Alert,
+        }
+    }
+
+    fn fill_opacity(self) -> &'static str {
+        match self {
+            Self::Blank => "0.16",
+            Self::Crossed => "0.2",
+        }
+    }
+}
+
 /// Draws all cells of one style.
-pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
-    let (mut outline, mut strokes) = (String::new(), String::new());
+pub fn draw_cells(style: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
+    let mut outline = String::new();
+    let mut strokes = String::new();
     for PixelRect {
         left,
         top,
@@ -31,31 +48,29 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
         height,
     } in frames
     {
-        let (x, y) = (left + width / 2.0, top + height / 2.0);
         // Writing to a string cannot fail.
         let _ = write!(
             outline,
             "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z",
             -width
         );
-        match look {
+        match style {
             CellStyle::Blank => {}
             CellStyle::Crossed => {
                 let arm = 0.2 * width.min(height);
-                let (from, to) = (-2.0 * arm, 2.0 * arm);
+                let from = -2.0 * arm;
+                let to = 2.0 * arm;
                 let _ = write!(
                     strokes,
                     "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}",
-                    x - arm,
-                    y - arm
+                    left + width / 2.0 - arm,
+                    top + height / 2.0 - arm
                 );
             }
         }
     }
-    let (ink, opacity) = match look {
-        CellStyle::Blank => (Ink::Series(2), "0.16"),
-        CellStyle::Crossed => (Ink::Alert, "0.2"),
-    };
+    let ink = style.ink();
+    let opacity = style.fill_opacity();
     html! {
         @if !outline.is_empty() { path d=(outline) fill=(ink.hex()) fill-opacity=(opacity) {} }
         @if !strokes.is_empty() { path d=(strokes) fill="none" stroke=(ink.hex()) stroke-width="1.1" {} }
@@ -65,12 +80,14 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
 /// Draws a legend of lines and their meanings, in rows no wider than the figure, and returns its height.
 #[must_use]
 pub fn draw_legend(entries: &[(Stroke, &str)], width: f64) -> (Markup, f64) {
-    let (mut x, mut row) = (0.0, 0.0);
+    let mut x = 0.0;
+    let mut row = 0.0;
     let mut drawn = Vec::new();
     for &(stroke, text) in entries {
-        let wide = SWATCH_SIZE + 7.0 + text_width(text, TEXT_SIZE);
-        if x > 0.0 && x + wide > width {
-            (x, row) = (0.0, row + 1.0);
+        let entry_width = SWATCH_SIZE + 7.0 + text_width(text, TEXT_SIZE);
+        if x > 0.0 && x + entry_width > width {
+            x = 0.0;
+            row += 1.0;
         }
         let y = LEGEND_ROW_HEIGHT * (row + 0.5);
         let sample =
@@ -80,7 +97,7 @@ pub fn draw_legend(entries: &[(Stroke, &str)], width: f64) -> (Markup, f64) {
             (draw_line((sample.left, y), (sample.right(), y), stroke))
             (draw_text((after, y + TEXT_SIZE * 0.35), Anchor::Start, text, TEXT_SIZE, Ink::Text, false))
         });
-        x += wide + 16.0;
+        x += entry_width + 16.0;
     }
     (
         html! { @for entry in drawn { (entry) } },

@@ -34,11 +34,8 @@ pub(super) struct FigureLayout {
 }
 
 impl FigureLayout {
-    pub(super) fn new(figure: &MotionFigure<'_>, layout: PanelArrangement) -> Self {
-        let vehicles = figure.trace.vehicles.len();
-        let widest_tag = tag_width(&vehicles.saturating_sub(1).to_string());
-        let tall = |least: f64| least.max(LABEL_STEP * vehicles as f64);
-        let width = match layout {
+    pub(super) fn new(figure: &MotionFigure<'_>, arrangement: PanelArrangement) -> Self {
+        let width = match arrangement {
             PanelArrangement::Wide => 960.0,
             PanelArrangement::Stacked => 360.0,
             PanelArrangement::Column => 470.0,
@@ -49,65 +46,28 @@ impl FigureLayout {
             wrap_to_width(figure.title, TITLE_SIZE, width - 4.0)
         };
         let top = title.len() as f64 * TITLE_SIZE * 1.3;
-        let ([position, speed, gap], labels_right) = match layout {
-            PanelArrangement::Wide => {
-                let name = |index| text_width(&vehicle_name(figure, index), TEXT_SIZE);
-                let names = (0..vehicles)
-                    .map(name)
-                    .fold(0.0, f64::max)
-                    .min(MAX_NAME_WIDTH);
-                let labels = 14.0 + widest_tag + names;
-                let unit = (width - 3.0 * LEFT_MARGIN - labels - 36.0) / 3.3;
-                let frame = |left, width| PixelRect {
-                    left,
-                    top: top + HEADING_HEIGHT,
-                    width,
-                    height: tall(240.0),
-                };
-                let position = frame(LEFT_MARGIN, 1.3 * unit);
-                let speed = frame(position.right() + labels + LEFT_MARGIN + 8.0, unit);
-                let gap = frame(speed.right() + LEFT_MARGIN + 16.0, unit);
-                ([position, speed, gap], position.right() + labels)
+        let vehicles = figure.trace.vehicles.len();
+        let widest_tag = tag_width(&vehicles.saturating_sub(1).to_string());
+        let frames = match arrangement {
+            PanelArrangement::Wide => PanelFrames::in_row(figure, width, top, widest_tag),
+            PanelArrangement::Stacked => {
+                PanelFrames::in_column(figure, width, top, widest_tag, [230.0, 190.0])
             }
-            PanelArrangement::Stacked | PanelArrangement::Column => {
-                let (first, others) = if layout == PanelArrangement::Stacked {
-                    (230.0, 190.0)
-                } else {
-                    (190.0, 130.0)
-                };
-                let width_of_plot = width - LEFT_MARGIN - widest_tag - 18.0;
-                let frame = |above: f64, height| PixelRect {
-                    left: LEFT_MARGIN,
-                    top: above + HEADING_HEIGHT,
-                    width: width_of_plot,
-                    height,
-                };
-                let position = frame(
-                    top + LEGEND_ROW_HEIGHT * legend_rows(figure, width).len() as f64,
-                    tall(first),
-                );
-                let speed = frame(position.bottom() + BOTTOM_MARGIN, others);
-                (
-                    [
-                        position,
-                        speed,
-                        frame(speed.bottom() + BOTTOM_MARGIN, others),
-                    ],
-                    width,
-                )
+            PanelArrangement::Column => {
+                PanelFrames::in_column(figure, width, top, widest_tag, [190.0, 130.0])
             }
         };
         // In a row all panels end at the same height.
-        let height = gap.bottom() + BOTTOM_MARGIN;
+        let height = frames.gap.bottom() + BOTTOM_MARGIN;
         Self {
-            arrangement: layout,
+            arrangement,
             width,
             height,
             title,
-            position,
-            speed,
-            gap,
-            labels_right,
+            position: frames.position,
+            speed: frames.speed,
+            gap: frames.gap,
+            labels_right: frames.labels_right,
             widest_tag,
         }
     }
@@ -137,6 +97,84 @@ impl FigureLayout {
             }
         }
     }
+}
+
+/// The frames of the three panels, and the right end of the labels beside the time-space diagram.
+struct PanelFrames {
+    position: PixelRect,
+    speed: PixelRect,
+    gap: PixelRect,
+    labels_right: f64,
+}
+
+impl PanelFrames {
+    /// Returns frames beside each other, with room for names between the first two.
+    fn in_row(figure: &MotionFigure<'_>, width: f64, top: f64, widest_tag: f64) -> Self {
+        let names = (0..figure.trace.vehicles.len())
+            .map(|index| text_width(&vehicle_name(figure, index), TEXT_SIZE))
+            .fold(0.0, f64::max)
+            .min(MAX_NAME_WIDTH);
+        let labels = 14.0 + widest_tag + names;
+        let unit = (width - 3.0 * LEFT_MARGIN - labels - 36.0) / 3.3;
+        let position = PixelRect {
+            left: LEFT_MARGIN,
+            top: top + HEADING_HEIGHT,
+            width: 1.3 * unit,
+            height: height_for_labels(figure, 240.0),
+        };
+        let speed = PixelRect {
+            left: position.right() + labels + LEFT_MARGIN + 8.0,
+            width: unit,
+            ..position
+        };
+        let gap = PixelRect {
+            left: speed.right() + LEFT_MARGIN + 16.0,
+            ..speed
+        };
+        Self {
+            position,
+            speed,
+            gap,
+            labels_right: position.right() + labels,
+        }
+    }
+
+    /// Returns frames below each other and below the legend, with the heights of the first and of the other panels.
+    fn in_column(
+        figure: &MotionFigure<'_>,
+        width: f64,
+        top: f64,
+        widest_tag: f64,
+        [first_height, other_height]: [f64; 2],
+    ) -> Self {
+        let legend_height = LEGEND_ROW_HEIGHT * legend_rows(figure, width).len() as f64;
+        let position = PixelRect {
+            left: LEFT_MARGIN,
+            top: top + legend_height + HEADING_HEIGHT,
+            width: width - LEFT_MARGIN - widest_tag - 18.0,
+            height: height_for_labels(figure, first_height),
+        };
+        let speed = PixelRect {
+            top: position.bottom() + BOTTOM_MARGIN + HEADING_HEIGHT,
+            height: other_height,
+            ..position
+        };
+        let gap = PixelRect {
+            top: speed.bottom() + BOTTOM_MARGIN + HEADING_HEIGHT,
+            ..speed
+        };
+        Self {
+            position,
+            speed,
+            gap,
+            labels_right: width,
+        }
+    }
+}
+
+/// Returns the height of a panel that has room for the labels of all vehicles.
+fn height_for_labels(figure: &MotionFigure<'_>, min_height: f64) -> f64 {
+    min_height.max(LABEL_STEP * figure.trace.vehicles.len() as f64)
 }
 
 fn legend_rows(figure: &MotionFigure<'_>, width: f64) -> Vec<Vec<(f64, usize)>> {

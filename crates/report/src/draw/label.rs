@@ -86,9 +86,10 @@ pub(crate) fn truncate_to_width(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
         return text.to_owned();
     }
-    let mut kept: Vec<char> = text.chars().collect();
-    while kept.pop().is_some() {
-        let candidate = format!("{}\u{2026}", kept.iter().collect::<String>().trim_end());
+    let mut letters: Vec<char> = text.chars().collect();
+    while letters.pop().is_some() {
+        let start: String = letters.iter().collect();
+        let candidate = format!("{}\u{2026}", start.trim_end());
         if text_width(&candidate, size) <= width {
             return candidate;
         }
@@ -116,21 +117,18 @@ pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
 #[must_use]
 pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..wanted.len()).collect();
-    let aim = |index: usize| {
-        wanted
-            .get(index)
-            .copied()
-            .filter(|w| w.is_finite())
-            .unwrap_or(limits.0)
-    };
-    order.sort_by(|&a, &b| aim(a).total_cmp(&aim(b)));
+    order.sort_by(|&a, &b| {
+        let wanted_a = finite_or(wanted, a, limits.0);
+        wanted_a.total_cmp(&finite_or(wanted, b, limits.0))
+    });
     let room = (limits.1 - limits.0).max(0.0);
     let spacing = spacing.min(room / (order.len().saturating_sub(1).max(1)) as f64);
 
     // Least squares under an ordering: subtract the spacing, pool adjacent violators (Ayer et al., 1955), and add it.
     let mut pools: Vec<(f64, usize)> = Vec::new();
     for (rank, &index) in order.iter().enumerate() {
-        let mut pool = (aim(index) - rank as f64 * spacing, 1);
+        let wanted_here = finite_or(wanted, index, limits.0);
+        let mut pool = (wanted_here - rank as f64 * spacing, 1);
         while let Some(&(mean, count)) = pools.last()
             && mean > pool.0
         {
@@ -148,11 +146,17 @@ pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) ->
         .iter()
         .flat_map(|&(mean, count)| std::iter::repeat_n(mean, count));
     for ((rank, &index), base) in order.iter().enumerate().zip(bases) {
-        if let Some(place) = placed.get_mut(index) {
-            *place = base.min(top).max(limits.0) + rank as f64 * spacing;
+        if let Some(position) = placed.get_mut(index) {
+            *position = base.min(top).max(limits.0) + rank as f64 * spacing;
         }
     }
     placed
+}
+
+/// Returns the value of that index, or the default for a value that is not finite.
+fn finite_or(values: &[f64], index: usize, default: f64) -> f64 {
+    let value = values.get(index).copied().filter(|value| value.is_finite());
+    value.unwrap_or(default)
 }
 
 const CANDIDATES: usize = 64;
@@ -161,51 +165,62 @@ const CANDIDATES: usize = 64;
 const MAX_CLEARANCE_PX: f64 = 22.0;
 
 /// Returns centres for one label on each line, where the lines are far apart; `None` if there is no room. `lines` run
-/// from left to right; `sizes` are widths and heights of the labels. Labels stay inside `frame` and avoid `taken`, to
-/// which they are added.
+/// from left to right; `sizes` are widths and heights of the labels. Labels stay inside `frame` and avoid `occupied`,
+/// to which they are added.
 pub(crate) fn place_line_labels(
     lines: &[Vec<PixelPoint>],
     sizes: &[(f64, f64)],
     frame: PixelRect,
-    taken: &mut Vec<PixelRect>,
+    occupied: &mut Vec<PixelRect>,
 ) -> Vec<Option<PixelPoint>> {
     let mut centres = Vec::with_capacity(lines.len());
-    for (index, (line, &(width, height))) in lines.iter().zip(sizes).enumerate() {
-        let (from, to) = (
-            line.first().map_or(0.0, |p| p.0),
-            line.last().map_or(0.0, |p| p.0),
+    for (index, &size) in sizes.iter().enumerate().take(lines.len()) {
+        let centre = place_label(lines, index, size, frame, occupied);
+        occupied.extend(
+            centre.map(|centre| PixelRect::from_center(centre, size.0 + 2.0, size.1 + 2.0)),
         );
-        let mut best: Option<(f64, PixelPoint)> = None;
-        for step in 0..=CANDIDATES {
-            let x = from + (to - from) * step as f64 / CANDIDATES as f64;
-            let Some(y) = interpolate_y(line, x) else {
-                continue;
-            };
-            let label = PixelRect::from_center((x, y), width, height);
-            if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
-                continue;
-            }
-            let others = lines
-                .iter()
-                .enumerate()
-                .filter(|(other, _)| *other != index);
-            let clearance = others
-                .flat_map(|(_, other)| {
-                    [x - width / 2.0, x, x + width / 2.0].map(|x| interpolate_y(other, x))
-                })
-                .flatten()
-                .map(|other| (other - y).abs())
-                .fold(MAX_CLEARANCE_PX, f64::min);
-            if best.is_none_or(|(score, _)| clearance > score) {
-                best = Some((clearance, (x, y)));
-            }
-        }
-        taken.extend(
-            best.map(|(_, centre)| PixelRect::from_center(centre, width + 2.0, height + 2.0)),
-        );
-        centres.push(best.map(|(_, centre)| centre));
+        centres.push(centre);
     }
     centres
+}
+
+/// Returns the centre of a label on the line with that index, as far from other lines as possible.
+fn place_label(
+    lines: &[Vec<PixelPoint>],
+    index: usize,
+    (width, height): (f64, f64),
+    frame: PixelRect,
+    occupied: &[PixelRect],
+) -> Option<PixelPoint> {
+    let line = lines.get(index)?;
+    let from = line.first().map_or(0.0, |point| point.0);
+    let to = line.last().map_or(0.0, |point| point.0);
+    let mut best: Option<(f64, PixelPoint)> = None;
+    for step in 0..=CANDIDATES {
+        let x = from + (to - from) * step as f64 / CANDIDATES as f64;
+        let Some(y) = interpolate_y(line, x) else {
+            continue;
+        };
+        let label = PixelRect::from_center((x, y), width, height);
+        if !frame.encloses(&label) || occupied.iter().any(|other| other.overlaps(&label)) {
+            continue;
+        }
+        let others = lines
+            .iter()
+            .enumerate()
+            .filter(|(other, _)| *other != index);
+        let clearance = others
+            .flat_map(|(_, other)| {
+                [x - width / 2.0, x, x + width / 2.0].map(|x| interpolate_y(other, x))
+            })
+            .flatten()
+            .map(|other_y| (other_y - y).abs())
+            .fold(MAX_CLEARANCE_PX, f64::min);
+        if best.is_none_or(|(score, _)| clearance > score) {
+            best = Some((clearance, (x, y)));
+        }
+    }
+    best.map(|(_, centre)| centre)
 }
 
 /// Returns y at `x` of a line that runs from left to right; `None` outside it.
@@ -243,7 +258,7 @@ mod tests {
         }
 
         #[test]
-        fn labels_on_lines_cover_neither_each_other_nor_what_is_taken(
+        fn labels_on_lines_cover_neither_each_other_nor_occupied_rectangles(
             heights in proptest::collection::vec(proptest::collection::vec(0.0..240.0f64, 2..30), 1..20),
         ) {
             let frame = PixelRect { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
@@ -253,8 +268,8 @@ mod tests {
                 .collect();
             let sizes = vec![(16.0, 14.0); lines.len()];
             let corner = PixelRect { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
-            let mut taken = vec![corner];
-            let places = place_line_labels(&lines, &sizes, frame, &mut taken);
+            let mut occupied = vec![corner];
+            let places = place_line_labels(&lines, &sizes, frame, &mut occupied);
             let labels: Vec<_> = places.iter().flatten().map(|&at| PixelRect::from_center(at, 16.0, 14.0)).collect();
             for (i, label) in labels.iter().enumerate() {
                 prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
@@ -264,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_want_their_place_keep_it() {
+    fn labels_with_enough_distance_keep_their_positions() {
         assert_eq!(
             spread_evenly(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)),
             [10.0, 90.0, 50.0]

@@ -142,11 +142,10 @@ impl Svg {
     }
 
     fn element(&self, alone: bool) -> Markup {
-        let (width, height) = (Px(self.width), Px(self.height));
-        let (title, description) = (
-            format!("{}-title", self.prefix),
-            format!("{}-desc", self.prefix),
-        );
+        let width = Px(self.width);
+        let height = Px(self.height);
+        let title = format!("{}-title", self.prefix);
+        let description = format!("{}-desc", self.prefix);
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="draw" width=(width) height=(height)
                 viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONT_FAMILY) role=(self.role)
@@ -174,14 +173,16 @@ pub(crate) fn responsive(wide: &Svg, narrow: &Svg) -> Markup {
 }
 
 fn sanitize_id(text: &str) -> String {
-    let plain = |letter: char| {
-        if letter.is_ascii_alphanumeric() || "-_".contains(letter) {
-            letter
-        } else {
-            '-'
-        }
-    };
-    let name: String = text.chars().map(plain).collect();
+    let name: String = text
+        .chars()
+        .map(|letter| {
+            if letter.is_ascii_alphanumeric() || "-_".contains(letter) {
+                letter
+            } else {
+                '-'
+            }
+        })
+        .collect();
     if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) {
         name
     } else {

@@ -58,15 +58,15 @@ pub fn draw_motion_on_axes(
     layout: PanelArrangement,
 ) -> Svg {
     let plan = FigureLayout::new(figure, layout);
-    let id = |name: &str| Svg::id(figure.prefix, name);
+    let prefix = figure.prefix;
     let content = html! {
         (plan.draw_title_and_legend(figure))
-        (position_panel(figure, &plan, axes, &id("closeup")).draw(&id("space")))
-        (speed_panel(figure, plan.speed, axes).draw(&id("speed")))
-        (gap_panel(figure, plan.gap, axes).draw(&id("spacing")))
+        (position_panel(figure, &plan, axes).draw(&Svg::id(prefix, "space")))
+        (speed_panel(figure, plan.speed, axes).draw(&Svg::id(prefix, "speed")))
+        (gap_panel(figure, plan.gap, axes).draw(&Svg::id(prefix, "spacing")))
     };
     Svg::new(
-        figure.prefix,
+        prefix,
         (plan.width, plan.height),
         figure.title,
         &description(figure),
@@ -77,42 +77,39 @@ pub fn draw_motion_on_axes(
 /// Draws both layouts for an HTML page with [`STYLE`](super::STYLE), which shows the one that fits.
 #[must_use]
 pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
-    let drawn = |name: &str, layout| {
-        let prefix = format!("{}-{name}", figure.prefix);
-        draw_motion(
-            &MotionFigure {
-                prefix: &prefix,
-                ..*figure
-            },
-            layout,
-        )
-    };
+    let axes = MotionAxes::from_trace(figure.trace);
     super::responsive(
-        &drawn("wide", PanelArrangement::Wide),
-        &drawn("narrow", PanelArrangement::Stacked),
+        &draw_variant(figure, &axes, "wide", PanelArrangement::Wide),
+        &draw_variant(figure, &axes, "narrow", PanelArrangement::Stacked),
     )
+}
+
+/// Draws one of several variants of a figure in a page, with its own prefix.
+fn draw_variant(
+    figure: &MotionFigure<'_>,
+    axes: &MotionAxes,
+    variant: &str,
+    layout: PanelArrangement,
+) -> Svg {
+    let prefix = format!("{}-{variant}", figure.prefix);
+    let figure = MotionFigure {
+        prefix: &prefix,
+        ..*figure
+    };
+    draw_motion_on_axes(&figure, axes, layout)
 }
 
 /// Draws several runs on the same axes, in two columns or in one, for a page with [`STYLE`](super::STYLE).
 #[must_use]
 pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup {
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
-    let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
-        let prefix = format!("{}-{name}", figure.prefix);
-        draw_motion_on_axes(
-            &MotionFigure {
-                prefix: &prefix,
-                ..*figure
-            },
-            &axes,
-            layout,
-        )
-    };
     html! {
         div.draw-wide { div.draw-beside {
-            @for figure in figures { (drawn(figure, "column", PanelArrangement::Column)) }
+            @for figure in figures { (draw_variant(figure, &axes, "column", PanelArrangement::Column)) }
         } }
-        div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", PanelArrangement::Stacked)) } }
+        div.draw-narrow {
+            @for figure in figures { (draw_variant(figure, &axes, "narrow", PanelArrangement::Stacked)) }
+        }
     }
 }
 
@@ -147,12 +144,7 @@ pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFi
 
 const COLUMN_GAP: f64 = 20.0;
 
-fn position_panel(
-    figure: &MotionFigure<'_>,
-    plan: &FigureLayout,
-    axes: &MotionAxes,
-    closeup_id: &str,
-) -> Panel {
+fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let mut panel = Panel::new(
         plan.position,
@@ -163,35 +155,31 @@ fn position_panel(
     for (index, track) in trace.vehicles.iter().enumerate() {
         add_vehicle_band(&mut panel, &trace.time_s, track, index);
     }
-    mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
-        let &Contact {
-            time_s,
-            impact_speed_mps,
-            ..
-        } = contact;
-        let rear = trace.vehicles.get(contact.rear_vehicle);
-        let place = rear.map_or(0.0, |rear| {
-            closeup::value_at(trace, &rear.position_m, time_s)
-        });
-        (
-            format!(
-                "collision {} at {time_s:.2} s, {impact_speed_mps:.1} m/s",
-                format_pair(contact)
-            ),
-            place,
-        )
+    let right = plan.labels_right;
+    mark_contacts(&mut panel, figure, right, |contact| ContactMark {
+        text: format!(
+            "collision {} at {:.2} s, {:.1} m/s",
+            format_pair(contact),
+            contact.time_s,
+            contact.impact_speed_mps
+        ),
+        value: trace
+            .vehicles
+            .get(contact.rear_vehicle)
+            .map_or(0.0, |rear| {
+                closeup::value_at(trace, &rear.position_m, contact.time_s)
+            }),
     });
     if let Some(focus) = find_focus(figure) {
         if !focus.is_contact {
-            add_caption(
-                &mut panel,
-                focus.time_s,
-                "no collision",
-                Ink::Muted,
-                plan.labels_right,
-            );
+            add_caption(&mut panel, focus.time_s, "no collision", Ink::Muted, right);
         }
-        closeup::add_inset(&mut panel, trace, &focus, closeup_id);
+        closeup::add_inset(
+            &mut panel,
+            trace,
+            &focus,
+            &Svg::id(figure.prefix, "closeup"),
+        );
     }
     add_end_labels(&mut panel, figure, plan);
     panel
@@ -222,12 +210,12 @@ pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track,
         .iter()
         .rposition(|&time_s| track.is_in_lane(time_s))
         .map_or(first, |last| last + 1);
-    let in_lane = |line: &[path::PixelPoint]| line.get(first..end).unwrap_or_default().to_vec();
-    let (front, rear) = (in_lane(&front), in_lane(&rear));
-    panel.add_band(&front, &rear, Ink::Series(index));
-    panel.add_line(&rear, Stroke::solid(Ink::Series(index), 0.7));
+    let front = front.get(first..end).unwrap_or_default();
+    let rear = rear.get(first..end).unwrap_or_default();
+    panel.add_band(front, rear, Ink::Series(index));
+    panel.add_line(rear, Stroke::solid(Ink::Series(index), 0.7));
     panel.add_line(
-        &front,
+        front,
         Stroke {
             width: 1.5,
             ..Stroke::series(index)
@@ -238,28 +226,31 @@ pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track,
 /// Adds numbers, and names if there is room, to the right of each vehicle's end.
 fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLayout) {
     let frame = panel.frame;
-    let end = |track: &Track| {
-        let last = (figure.trace.time_s.last()?, track.position_m.last()?);
-        Some(panel.to_pixels((*last.0, last.1 - track.length_m / 2.0)))
-    };
+    let last_s = figure.trace.time_s.last();
     let ends: Vec<_> = figure
         .trace
         .vehicles
         .iter()
-        .map(|track| end(track).unwrap_or_default())
+        .map(|track| match (last_s, track.position_m.last()) {
+            (Some(&time_s), Some(&front_m)) => {
+                panel.to_pixels((time_s, front_m - track.length_m / 2.0))
+            }
+            _ => path::PixelPoint::default(),
+        })
         .collect();
     let wanted: Vec<f64> = ends.iter().map(|(_, y)| *y).collect();
     let heights = spread_evenly(&wanted, LABEL_STEP, (frame.top + 7.0, frame.bottom() - 7.0));
     for (index, (&from, y)) in ends.iter().zip(heights).enumerate() {
-        let (ink, number) = (Ink::Series(index), index.to_string());
+        let ink = Ink::Series(index);
+        let number = index.to_string();
         let left = frame.right() + 8.0;
         let name_left = left + plan.widest_tag + 4.0;
         panel.add_overlay(html! {
             (draw_line(from, (left, y), Stroke::solid(ink, 0.8)))
             (draw_tag((left + tag_width(&number) / 2.0, y), &number, ink))
             @if plan.arrangement == PanelArrangement::Wide {
-                @let at = (name_left, y + TEXT_SIZE * 0.35);
-                (draw_text(at, Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
+                @let baseline = (name_left, y + TEXT_SIZE * 0.35);
+                (draw_text(baseline, Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
             }
         });
     }
@@ -280,22 +271,20 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
     }
     let width = if figure.impacts.len() > 4 { 1.2 } else { 2.4 };
     for Impact { contact, .. } in figure.impacts {
-        let at = |speed_mps| (contact.time_s, speed_mps);
         panel.add_segment(
-            at(contact.front_speed_mps),
-            at(contact.rear_speed_mps),
+            (contact.time_s, contact.front_speed_mps),
+            (contact.time_s, contact.rear_speed_mps),
             Stroke::solid(Ink::Alert, width),
         );
     }
     mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
-        let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
-        (
-            format!(
-                "collision {}: {rear:.1} into {front:.1} m/s",
-                format_pair(contact)
-            ),
-            (rear + front) / 2.0,
-        )
+        let rear_mps = contact.rear_speed_mps;
+        let front_mps = contact.front_speed_mps;
+        let pair = format_pair(contact);
+        ContactMark {
+            text: format!("collision {pair}: {rear_mps:.1} into {front_mps:.1} m/s"),
+            value: (rear_mps + front_mps) / 2.0,
+        }
     });
     if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.add_tags(&tags);
@@ -305,42 +294,37 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
 
 fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let at = |(sample, gap_m): (usize, f64)| Some((*trace.time_s.get(sample)?, gap_m));
     let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
     for (rear, pair) in vehicle_pairs(trace) {
-        let line: Vec<path::PixelPoint> = pair.gaps_m().filter_map(at).collect();
+        let line: Vec<path::PixelPoint> = pair
+            .gaps_m()
+            .filter_map(|(sample, gap_m)| Some((*trace.time_s.get(sample)?, gap_m)))
+            .collect();
         panel.add_line(&line, Stroke::series(rear));
-        let tag = format!("{}\u{2013}{rear}", pair.front_vehicle);
         tags.push(TaggedLine {
             points: line,
-            tag,
+            tag: format!("{}\u{2013}{rear}", pair.front_vehicle),
             ink: Ink::Series(rear),
         });
     }
     let right = frame.right() + 12.0;
-    mark_contacts(&mut panel, figure, right, |contact| {
-        (
-            format!(
-                "collision {} at {:.2} s",
-                format_pair(contact),
-                contact.time_s
-            ),
-            0.0,
-        )
+    mark_contacts(&mut panel, figure, right, |contact| ContactMark {
+        text: format!(
+            "collision {} at {:.2} s",
+            format_pair(contact),
+            contact.time_s
+        ),
+        value: 0.0,
     });
-    if let Some(Focus {
-        time_s,
-        front,
-        rear,
-        gap_m,
-        is_contact: false,
-    }) = find_focus(figure)
-    {
-        panel.add_markers(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
-        let text = format!("smallest gap {gap_m:.2} m ({front}\u{2013}{rear}) at {time_s:.2} s");
-        add_caption(&mut panel, time_s, &text, Ink::Muted, right);
+    if let Some(focus) = find_focus(figure).filter(|focus| !focus.is_contact) {
+        panel.add_markers(&[(focus.time_s, focus.gap_m)], Marker::Ring, Ink::Text);
+        let text = format!(
+            "smallest gap {:.2} m ({}\u{2013}{}) at {:.2} s",
+            focus.gap_m, focus.front, focus.rear, focus.time_s
+        );
+        add_caption(&mut panel, focus.time_s, &text, Ink::Muted, right);
     }
     if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.add_tags(&tags);
@@ -348,15 +332,21 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
     panel
 }
 
-/// Adds a star at every impact, and a line from the first one to its description; `describe` returns text and height.
+/// The mark of a collision in a panel: its description, and its value on the vertical axis.
+struct ContactMark {
+    text: String,
+    value: f64,
+}
+
+/// Adds a star at every impact, and a line from the first one to its description.
 fn mark_contacts(
     panel: &mut Panel,
     figure: &MotionFigure<'_>,
     right: f64,
-    describe: impl Fn(&Contact) -> (String, f64),
+    describe: impl Fn(&Contact) -> ContactMark,
 ) {
     for (rank, Impact { contact, .. }) in figure.impacts.iter().enumerate() {
-        let (text, height) = describe(contact);
+        let ContactMark { text, value } = describe(contact);
         if rank == 0 {
             panel.add_vertical_line(
                 contact.time_s,
@@ -373,7 +363,7 @@ fn mark_contacts(
             };
             add_caption(panel, contact.time_s, &text, Ink::Alert, right);
         }
-        panel.add_markers(&[(contact.time_s, height)], Marker::Burst, Ink::Alert);
+        panel.add_markers(&[(contact.time_s, value)], Marker::Burst, Ink::Alert);
     }
 }
 
@@ -381,7 +371,7 @@ fn mark_contacts(
 fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
     let frame = panel.frame;
     let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
-    let (x, _) = panel.to_pixels((time_s, 0.0));
+    let x = panel.to_pixels((time_s, 0.0)).0;
     let centre = x
         .min(right - half)
         .max(frame.left - LEFT_MARGIN + 2.0 + half);

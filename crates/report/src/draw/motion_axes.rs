@@ -25,14 +25,17 @@ impl MotionAxes {
     #[must_use]
     pub fn from_traces<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let traces: Vec<&Trace> = traces.into_iter().collect();
-        let tracks = || traces.iter().flat_map(|trace| &trace.vehicles);
-        let ends = |track: &Track| {
+        let tracks: Vec<&Track> = traces.iter().flat_map(|trace| &trace.vehicles).collect();
+        let positions_m = tracks.iter().flat_map(|track| {
             let (low, high) = extent(track.position_m.iter().copied());
             [low - track.length_m, high]
-        };
+        });
         let (first_s, last_s) =
             extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
-        let (_, fastest_mps) = extent(tracks().flat_map(|track| track.speed_mps.iter().copied()));
+        let speeds_mps = tracks
+            .iter()
+            .flat_map(|track| track.speed_mps.iter().copied());
+        let fastest_mps = extent(speeds_mps).1;
         let pairs = traces.iter().flat_map(|trace| vehicle_pairs(trace));
         let gaps_m =
             pairs.flat_map(|(_, pair)| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>());
@@ -40,7 +43,7 @@ impl MotionAxes {
         Self {
             // Extend beyond the last sample, so that the marker of a final collision is not cut off.
             time_s: (first_s, last_s + 0.02 * (last_s - first_s)),
-            position_m: pad_interval(extent(tracks().flat_map(ends)), 0.03),
+            position_m: pad_interval(extent(positions_m), 0.03),
             speed_mps: pad_interval((0.0, fastest_mps.max(1.0)), 0.04),
             gap_m: pad_interval((least_m.min(0.0), most_m.max(1.0)), 0.05),
         }

@@ -120,12 +120,12 @@ impl Panel {
     }
 
     pub(crate) fn add_segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
-        let (from, to) = (self.to_pixels(from), self.to_pixels(to));
-        self.clipped.push(draw_line(from, to, stroke));
+        let line = draw_line(self.to_pixels(from), self.to_pixels(to), stroke);
+        self.clipped.push(line);
     }
 
     pub(crate) fn add_vertical_line(&mut self, value: f64, stroke: Stroke) {
-        let (x, _) = self.to_pixels((value, 0.0));
+        let x = self.to_pixels((value, 0.0)).0;
         self.clipped.push(draw_line(
             (x, self.frame.top),
             (x, self.frame.bottom()),
@@ -135,7 +135,7 @@ impl Panel {
 
     /// Adds a horizontal line over the full width.
     pub fn add_horizontal_line(&mut self, value: f64, stroke: Stroke) {
-        let (_, y) = self.to_pixels((0.0, value));
+        let y = self.to_pixels((0.0, value)).1;
         self.clipped.push(draw_line(
             (self.frame.left, y),
             (self.frame.right(), y),
@@ -145,30 +145,30 @@ impl Panel {
 
     /// Adds markers, which tags avoid. Markers outside the frame are omitted.
     pub fn add_markers(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
-        for place in self.points_to_pixels(points) {
-            if self.frame.contains(place) {
+        for point in self.points_to_pixels(points) {
+            if self.frame.contains(point) {
                 self.occupied
-                    .push(PixelRect::from_center(place, 10.0, 10.0));
-                self.overlays.push(draw_marker(place, marker, ink));
+                    .push(PixelRect::from_center(point, 10.0, 10.0));
+                self.overlays.push(draw_marker(point, marker, ink));
             }
         }
     }
 
     /// Adds text with a halo at a pair of values; tags avoid it.
     pub fn add_note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
-        let place = self.to_pixels(at);
+        let point = self.to_pixels(at);
         let width = text_width(text, SMALL_TEXT_SIZE);
         let middle = match anchor {
-            Anchor::Start => place.0 + width / 2.0,
-            Anchor::Middle => place.0,
-            Anchor::End => place.0 - width / 2.0,
+            Anchor::Start => point.0 + width / 2.0,
+            Anchor::Middle => point.0,
+            Anchor::End => point.0 - width / 2.0,
         };
         self.occupied.push(PixelRect::from_center(
-            (middle, place.1),
+            (middle, point.1),
             width,
             SMALL_TEXT_SIZE * 1.2,
         ));
-        let base = (place.0, place.1 + SMALL_TEXT_SIZE * 0.35);
+        let base = (point.0, point.1 + SMALL_TEXT_SIZE * 0.35);
         self.overlays
             .push(draw_text(base, anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
@@ -180,7 +180,7 @@ impl Panel {
 
     /// Adds a tag to each line that has room for one. Call this last: tags avoid the existing content.
     pub(crate) fn add_tags(&mut self, lines: &[TaggedLine]) {
-        let places: Vec<_> = lines
+        let simplified: Vec<_> = lines
             .iter()
             .map(|line| path::simplify(&self.points_to_pixels(&line.points)))
             .collect();
@@ -188,7 +188,7 @@ impl Panel {
             .iter()
             .map(|line| (tag_width(&line.tag), TAG_HEIGHT))
             .collect();
-        let centres = place_line_labels(&places, &sizes, self.frame, &mut self.occupied);
+        let centres = place_line_labels(&simplified, &sizes, self.frame, &mut self.occupied);
         for (line, centre) in lines.iter().zip(centres) {
             self.overlays
                 .extend(centre.map(|centre| draw_tag(centre, &line.tag, line.ink)));
@@ -240,14 +240,13 @@ pub fn draw_text(
         Anchor::Middle => Some("middle"),
         Anchor::End => Some("end"),
     };
-    let (stroke, width, order) = if halo {
-        (Some(Ink::Paper.hex()), Some("3"), Some("stroke"))
-    } else {
-        (None, None, None)
-    };
+    let stroke = halo.then_some(Ink::Paper.hex());
+    let width = halo.then_some("3");
+    let join = halo.then_some("round");
+    let order = halo.then_some("stroke");
     html! {
         text x=(Px(x)) y=(Px(y)) text-anchor=[anchor] font-size=(Px(size)) fill=(ink.hex()) stroke=[stroke]
-            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")]
+            stroke-width=[width] stroke-linejoin=[join]
             paint-order=[order] { (strip_unprintable(text)) }
     }
 }
@@ -285,7 +284,8 @@ pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Mar
 /// Draws a marker with a thin halo at a point, in pixels.
 #[must_use]
 pub(crate) fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
-    let (paper, ink) = (Ink::Paper.hex(), ink.hex());
+    let paper = Ink::Paper.hex();
+    let ink = ink.hex();
     match marker {
         Marker::Ring => {
             html! { circle cx=(Px(x)) cy=(Px(y)) r="3.6" fill=(paper) stroke=(ink) stroke-width="1.6" {} }
@@ -300,10 +300,10 @@ pub(crate) fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Marku
 }
 
 fn burst_path(x: f64, y: f64) -> String {
-    let corner = |index: u32| {
+    let corners = (0..16_u32).map(|index| {
         let radius = if index.is_multiple_of(2) { 7.5 } else { 3.4 };
         let (sin, cos) = (f64::from(index) * std::f64::consts::PI / 8.0).sin_cos();
         format!("{} {}", Px(x + radius * sin), Px(y - radius * cos))
-    };
-    format!("M{}Z", (0..16).map(corner).collect::<Vec<_>>().join(" "))
+    });
+    format!("M{}Z", corners.collect::<Vec<_>>().join(" "))
 }

@@ -75,21 +75,20 @@ fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
     if !forward {
         return points.to_vec();
     }
-    let mut kept = Vec::new();
+    let mut decimated = Vec::new();
     for column in points.chunk_by(|a, b| (a.0 / COLUMN_PX).floor() == (b.0 / COLUMN_PX).floor()) {
-        let by_height = |a: &&PixelPoint, b: &&PixelPoint| a.1.total_cmp(&b.1);
         let ends = [
             column.first(),
-            column.iter().min_by(by_height),
-            column.iter().max_by(by_height),
+            column.iter().min_by(|a, b| a.1.total_cmp(&b.1)),
+            column.iter().max_by(|a, b| a.1.total_cmp(&b.1)),
             column.last(),
         ];
         let mut chosen: Vec<PixelPoint> = ends.into_iter().flatten().copied().collect();
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         chosen.dedup();
-        kept.extend(chosen);
+        decimated.extend(chosen);
     }
-    kept
+    decimated
 }
 
 /// Simplifies a line (Ramer 1972; Douglas and Peucker 1973), with a stack instead of recursion.
@@ -101,11 +100,11 @@ fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let mut stack = vec![(0, last)];
     while let Some((from, to)) = stack.pop() {
         for end in [from, to] {
-            if let Some(kept) = keep.get_mut(end) {
-                *kept = true;
+            if let Some(is_kept) = keep.get_mut(end) {
+                *is_kept = true;
             }
         }
-        let (Some(&start), Some(&end)) = (points.get(from), points.get(to)) else {
+        let Some((&start, &end)) = points.get(from).zip(points.get(to)) else {
             continue;
         };
         let inner = points.iter().enumerate().take(to).skip(from + 1);
@@ -122,13 +121,15 @@ fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
     points
         .iter()
         .zip(keep)
-        .filter_map(|(&point, kept)| kept.then_some(point))
+        .filter_map(|(&point, is_kept)| is_kept.then_some(point))
         .collect()
 }
 
 fn distance(point: PixelPoint, start: PixelPoint, end: PixelPoint) -> f64 {
-    let (dx, dy) = (end.0 - start.0, end.1 - start.1);
-    let (px, py) = (point.0 - start.0, point.1 - start.1);
+    let dx = end.0 - start.0;
+    let dy = end.1 - start.1;
+    let px = point.0 - start.0;
+    let py = point.1 - start.1;
     let squared = dx * dx + dy * dy;
     let along = if squared > 0.0 {
         ((px * dx + py * dy) / squared).clamp(0.0, 1.0)
@@ -153,14 +154,15 @@ mod tests {
             let last = heights.len() as f64;
             let points: Vec<PixelPoint> =
                 heights.iter().enumerate().map(|(i, &y)| (i as f64 / last * width, y)).collect();
-            let kept = simplify(&points);
-            prop_assert_eq!(kept.first(), points.first());
-            prop_assert_eq!(kept.last(), points.last());
+            let simplified = simplify(&points);
+            prop_assert_eq!(simplified.first(), points.first());
+            prop_assert_eq!(simplified.last(), points.last());
             for &point in &points {
-                let near = kept.windows(2).map(|pair| distance(point, pair[0], pair[1])).fold(f64::INFINITY, f64::min);
-                prop_assert!(kept.len() < 2 || near <= TOLERANCE_PX + COLUMN_PX, "{point:?} is {near} px off");
+                let distances = simplified.windows(2).map(|pair| distance(point, pair[0], pair[1]));
+                let near = distances.fold(f64::INFINITY, f64::min);
+                prop_assert!(simplified.len() < 2 || near <= TOLERANCE_PX + COLUMN_PX, "{point:?} is {near} px off");
             }
-            prop_assert!(kept.len() as f64 <= 4.0 * (width / COLUMN_PX + 1.0));
+            prop_assert!(simplified.len() as f64 <= 4.0 * (width / COLUMN_PX + 1.0));
         }
     }
 

@@ -18,10 +18,8 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
         &svg.replace(r#"font-weight="600""#, &heavy),
         &usvg_options(),
     )?;
-    let (width, height) = (
-        f64::from(tree.size().width()) * scale,
-        f64::from(tree.size().height()) * scale,
-    );
+    let width = f64::from(tree.size().width()) * scale;
+    let height = f64::from(tree.size().height()) * scale;
     let wrong_size = DrawError::Size {
         width: width.round(),
         height: height.round(),
@@ -30,7 +28,8 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
     if !(width >= 0.5 && height >= 0.5 && width * height <= MAX_PIXELS) {
         return Err(wrong_size);
     }
-    let (columns, rows) = (width.round() as u32, height.round() as u32);
+    let columns = width.round() as u32;
+    let rows = height.round() as u32;
     let mut pixels = tiny_skia::Pixmap::new(columns, rows).ok_or(wrong_size)?;
     let transform = tiny_skia::Transform::from_scale(scale as f32, scale as f32);
     resvg::render(&tree, transform, &mut pixels.as_mut());
@@ -56,18 +55,19 @@ pub(super) fn usvg_options() -> usvg::Options<'static> {
 
 fn font_database() -> Arc<usvg::fontdb::Database> {
     static FONTS: OnceLock<Arc<usvg::fontdb::Database>> = OnceLock::new();
-    let load = || {
-        let mut fonts = usvg::fontdb::Database::new();
-        fonts.load_font_data(epaint_default_fonts::UBUNTU_LIGHT.to_vec());
-        let family = fonts
-            .faces()
-            .next()
-            .and_then(|face| face.families.first())
-            .map(|(name, _)| name.clone());
-        fonts.set_sans_serif_family(family.unwrap_or_default());
-        // Letters that the first font lacks, such as some arrows and mathematical signs.
-        fonts.load_font_data(epaint_default_fonts::HACK_REGULAR.to_vec());
-        Arc::new(fonts)
-    };
-    Arc::clone(FONTS.get_or_init(load))
+    Arc::clone(FONTS.get_or_init(load_fonts))
+}
+
+fn load_fonts() -> Arc<usvg::fontdb::Database> {
+    let mut fonts = usvg::fontdb::Database::new();
+    fonts.load_font_data(epaint_default_fonts::UBUNTU_LIGHT.to_vec());
+    let family = fonts
+        .faces()
+        .next()
+        .and_then(|face| face.families.first())
+        .map(|(name, _)| name.clone());
+    fonts.set_sans_serif_family(family.unwrap_or_default());
+    // Letters that the first font lacks, such as some arrows and mathematical signs.
+    fonts.load_font_data(epaint_default_fonts::HACK_REGULAR.to_vec());
+    Arc::new(fonts)
 }

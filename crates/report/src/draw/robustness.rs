@@ -20,39 +20,19 @@ pub fn add_robustness(prefix: &str, figure: &Svg, parts: &[FormulaPart], step_s:
     let (width, top) = figure.size();
     let row_height = HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN;
     let drawn = parts.get(..MAX_PARTS).unwrap_or(parts);
-    let panel = |(row, part): (usize, &FormulaPart)| {
+    let panels = drawn.iter().enumerate().map(|(row, part)| {
         let frame = PixelRect {
             left: LEFT_MARGIN,
             top: top + row as f64 * row_height + HEADING_HEIGHT,
             width: width - 2.0 * LEFT_MARGIN,
             height: PANEL_HEIGHT,
         };
-        let title = format!("{}{}", "\u{203a} ".repeat(part.depth), part.formula);
-        let title = truncate_to_width(&format!("Robustness of {title}"), TEXT_SIZE, frame.width);
-        let (low, high) = extent(part.robustness.iter().copied());
-        let y = Axis::numeric("", pad_interval((low.min(0.0), high.max(0.0)), 0.05), 5);
-        let x = Axis::numeric("Time (s)", (0.0, step_s * part.robustness.len() as f64), 8);
-        let mut panel = Panel::new(frame, &title, x, y);
-        let points: Vec<PixelPoint> = part
-            .robustness
-            .iter()
-            .enumerate()
-            .map(|(sample, &value)| (sample as f64 * step_s, value))
-            .collect();
-        let below: Vec<PixelPoint> = points
-            .iter()
-            .map(|&(time_s, value)| (time_s, value.min(0.0)))
-            .collect();
-        let zero: Vec<PixelPoint> = points.iter().map(|&(time_s, _)| (time_s, 0.0)).collect();
-        panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
-        panel.add_band(&zero, &below, Ink::Alert);
-        panel.add_line(&points, Stroke::series(0));
-        panel.draw(&Svg::id(prefix, &format!("part-{row}")))
-    };
+        robustness_panel(part, step_s, frame).draw(&Svg::id(prefix, &format!("part-{row}")))
+    });
     let height = top + row_height * drawn.len() as f64;
     let content = html! {
         (figure)
-        @for row in drawn.iter().enumerate() { (panel(row)) }
+        @for panel in panels { (panel) }
     };
     Svg::new(
         &format!("{prefix}-parts"),
@@ -61,4 +41,28 @@ pub fn add_robustness(prefix: &str, figure: &Svg, parts: &[FormulaPart], step_s:
         "",
         content,
     )
+}
+
+fn robustness_panel(part: &FormulaPart, step_s: f64, frame: PixelRect) -> Panel {
+    let title = format!("{}{}", "\u{203a} ".repeat(part.depth), part.formula);
+    let title = truncate_to_width(&format!("Robustness of {title}"), TEXT_SIZE, frame.width);
+    let (low, high) = extent(part.robustness.iter().copied());
+    let y = Axis::numeric("", pad_interval((low.min(0.0), high.max(0.0)), 0.05), 5);
+    let x = Axis::numeric("Time (s)", (0.0, step_s * part.robustness.len() as f64), 8);
+    let mut panel = Panel::new(frame, &title, x, y);
+    let points: Vec<PixelPoint> = part
+        .robustness
+        .iter()
+        .enumerate()
+        .map(|(sample, &value)| (sample as f64 * step_s, value))
+        .collect();
+    let below: Vec<PixelPoint> = points
+        .iter()
+        .map(|&(time_s, value)| (time_s, value.min(0.0)))
+        .collect();
+    let zero: Vec<PixelPoint> = points.iter().map(|&(time_s, _)| (time_s, 0.0)).collect();
+    panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
+    panel.add_band(&zero, &below, Ink::Alert);
+    panel.add_line(&points, Stroke::series(0));
+    panel
 }

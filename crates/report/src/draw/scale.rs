@@ -44,10 +44,12 @@ fn clamp_finite(value: f64) -> f64 {
 /// Returns the nearest interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
 pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
-    let (one, other) = (clamp_finite(domain.0), clamp_finite(domain.1));
-    let (low, high) = (one.min(other), one.max(other));
-    let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
-    if high - low >= least {
+    let from = clamp_finite(domain.0);
+    let to = clamp_finite(domain.1);
+    let low = from.min(to);
+    let high = from.max(to);
+    let min_width = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
+    if high - low >= min_width {
         return (low, high);
     }
     let half = (low.abs().max(high.abs()) * 0.05).max(0.5);
@@ -82,34 +84,34 @@ pub(crate) struct Ticks {
 }
 
 impl Ticks {
-    /// Returns the closest-spaced round numbers with at most `most` (clamped to 5 to 10) and at least 2 in `domain`.
+    /// Returns the closest-spaced round numbers in `domain`: at least 2, and at most `max_count` (clamped to 5 to 10).
     #[must_use]
-    pub(crate) fn new(domain: (f64, f64), most: usize) -> Self {
+    pub(crate) fn new(domain: (f64, f64), max_count: usize) -> Self {
         let (low, high) = drawable_interval(domain);
-        let most = most.clamp(5, 10);
-        // Neighbouring steps differ by a factor of at most 2.5: the first that fits under `most` leaves two or more.
-        let start = ((high - low) / most as f64).log10().floor() as i32 - 1;
+        let max_count = max_count.clamp(5, 10);
+        // Neighbouring steps differ by a factor of at most 2.5: the first that fits leaves two or more.
+        let start = ((high - low) / max_count as f64).log10().floor() as i32 - 1;
         for exponent in start..start + 5 {
             for factor in [1.0, 2.0, 5.0] {
-                let (step, scale) = (factor * 10f64.powi(exponent), 10f64.powi(-exponent));
+                let step = factor * 10f64.powi(exponent);
                 // Count multiples in whole numbers, so that no rounding error accumulates.
                 let slack = 1e-9;
                 let first = (low / step - slack).ceil();
                 let last = (high / step + slack).floor();
                 let count = (last - first) as usize + 1;
-                if last >= first && count <= most {
-                    let value = |index: usize| {
+                if last >= first && count <= max_count {
+                    let values = (0..count).map(|index| {
                         let multiple = first + index as f64;
                         let value = if exponent < 0 {
-                            multiple * factor / scale
+                            multiple * factor / 10f64.powi(-exponent)
                         } else {
                             multiple * step
                         };
                         value.clamp(low, high) + 0.0
-                    };
+                    });
                     let decimals = usize::try_from(-exponent).unwrap_or(0);
                     return Self {
-                        values: (0..count).map(value).collect(),
+                        values: values.collect(),
                         decimals,
                     };
                 }
@@ -178,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_axes_get_the_usual_ticks() {
+    fn typical_axes_have_round_ticks() {
         assert_eq!(Ticks::new((0.0, 15.0), 6).values, [0.0, 5.0, 10.0, 15.0]);
         assert_eq!(
             Ticks::new((0.0, 26.5), 6).values,

@@ -85,17 +85,17 @@ fn parse_tree(svg: &Svg) -> usvg::Tree {
     usvg::Tree::from_str(&svg.document(), &png::usvg_options()).expect("valid SVG")
 }
 
-fn collect_text_boxes(group: &usvg::Group, found: &mut Vec<(String, PixelRect)>) {
+fn collect_text_boxes(group: &usvg::Group, boxes: &mut Vec<(String, PixelRect)>) {
     for node in group.children() {
         match node {
-            usvg::Node::Group(group) => collect_text_boxes(group, found),
+            usvg::Node::Group(group) => collect_text_boxes(group, boxes),
             usvg::Node::Text(text) => {
                 let area = text.abs_bounding_box();
                 let [left, top, width, height] =
                     [area.left(), area.top(), area.width(), area.height()].map(f64::from);
-                let words = text.chunks().iter().map(usvg::TextChunk::text).collect();
-                found.push((
-                    words,
+                let content = text.chunks().iter().map(usvg::TextChunk::text).collect();
+                boxes.push((
+                    content,
                     PixelRect {
                         left,
                         top,
@@ -124,24 +124,24 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(8))]
 
     #[test]
-    fn no_words_of_a_figure_overlap_and_all_lie_inside(
+    fn texts_of_a_figure_lie_inside_and_do_not_overlap(
         heavy in proptest::collection::vec(any::<bool>(), 2..=20), ttc_s in proptest::option::of(0.8..3.0f64),
         go_on in any::<bool>(), layout in proptest::sample::select(LAYOUTS.to_vec()),
     ) {
         let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
         let (trace, impacts) = simulate_line(&heavy, ttc_s, after_contact);
         let svg = draw_figure(&trace, &impacts, layout);
-        let mut words = Vec::new();
-        collect_text_boxes(parse_tree(&svg).root(), &mut words);
-        prop_assert!(words.len() > 20);
+        let mut boxes = Vec::new();
+        collect_text_boxes(parse_tree(&svg).root(), &mut boxes);
+        prop_assert!(boxes.len() > 20);
         let (width, height) = svg.size();
         let whole = PixelRect { left: 0.0, top: 0.0, width, height };
-        for (rank, (text, area)) in words.iter().enumerate() {
+        for (rank, (text, area)) in boxes.iter().enumerate() {
             prop_assert!(whole.encloses(area), "{text:?} leaves the figure: {area:?}");
             // Boxes go from the highest ascender to the lowest descender of the font, which the texts hardly use.
             let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
             let core = PixelRect::from_center(middle, area.width, area.height * 0.7);
-            for (other, other_area) in words.iter().skip(rank + 1) {
+            for (other, other_area) in boxes.iter().skip(rank + 1) {
                 let middle = (other_area.left + other_area.width / 2.0, other_area.top + other_area.height / 2.0);
                 let other_core = PixelRect::from_center(middle, other_area.width, other_area.height * 0.7);
                 prop_assert!(!core.overlaps(&other_core), "{text:?} and {other:?} overlap: {area:?} {other_area:?}");
@@ -175,7 +175,7 @@ proptest! {
 }
 
 #[test]
-fn the_contact_is_written_and_drawn_in_every_panel() {
+fn the_collision_is_labelled_and_drawn_in_every_panel() {
     let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let document = svg.document();
@@ -247,7 +247,7 @@ fn a_png_has_its_size_and_shows_every_ink() {
         (picture.width(), picture.height()),
         ((2.0 * width).round() as u32, (2.0 * height).round() as u32)
     );
-    let seen: HashSet<String> = picture
+    let inks: HashSet<String> = picture
         .pixels()
         .iter()
         .map(|pixel| {
@@ -267,7 +267,7 @@ fn a_png_has_its_size_and_shows_every_ink() {
         Ink::Series(1),
         Ink::Series(2),
     ] {
-        assert!(seen.contains(ink.hex()), "{ink:?} is missing");
+        assert!(inks.contains(ink.hex()), "{ink:?} is missing");
     }
     assert!(picture.pixels().iter().all(|pixel| pixel.alpha() == 255));
 

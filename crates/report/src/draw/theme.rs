@@ -165,11 +165,11 @@ mod tests {
     }
 
     /// Returns the contrast of two colours by WCAG 2.1.
-    fn contrast(one: &str, other: &str) -> f64 {
+    fn contrast(ink: &str, background: &str) -> f64 {
         let luminance = |hex: &str| {
-            let channel = |at: usize| {
+            let channel = |start: usize| {
                 let value =
-                    f64::from(u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal"))
+                    f64::from(u8::from_str_radix(&hex[start..start + 2], 16).expect("hexadecimal"))
                         / 255.0;
                 if value <= 0.03928 {
                     value / 12.92
@@ -179,7 +179,7 @@ mod tests {
             };
             0.2126 * channel(1) + 0.7152 * channel(3) + 0.0722 * channel(5)
         };
-        let (a, b) = (luminance(one), luminance(other));
+        let (a, b) = (luminance(ink), luminance(background));
         (a.max(b) + 0.05) / (a.min(b) + 0.05)
     }
 
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_must_be_read_has_contrast_in_both_modes() {
+    fn texts_and_lines_have_enough_contrast_in_both_modes() {
         let names = ["text", "muted", "alert", "0", "1", "2", "3", "4"];
         let inks = inks()
             .into_iter()

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use parquet::data_type::{DoubleType, Int32Type};
 use parquet::file::properties::WriterProperties;
-use parquet::file::writer::SerializedFileWriter;
+use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::parser::parse_message_type;
 
 use super::{ExportError, TraceRow, trace_rows};
@@ -25,11 +25,6 @@ const SCHEMA: &str = "message trace {
 /// [`ExportError::Parquet`] if the encoder fails, which does not happen in memory.
 pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let rows = trace_rows(trace);
-    let doubles: [fn(&TraceRow) -> f64; 3] = [
-        |row| row.position_m,
-        |row| row.speed_mps,
-        |row| row.acceleration_mps2,
-    ];
     let schema = Arc::new(parse_message_type(SCHEMA)?);
     let properties = WriterProperties::builder()
         .set_compression(parquet::basic::Compression::SNAPPY)
@@ -39,40 +34,49 @@ pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let mut index = 0;
     while let Some(mut column) = group.next_column()? {
         match index {
-            0 => {
-                let times: Vec<_> = rows.iter().map(|row| row.time_s).collect();
-                column
-                    .typed::<DoubleType>()
-                    .write_batch(&times, None, None)?;
-            }
+            0 => write_doubles(&mut column, &rows, |row| row.time_s)?,
             1 => {
                 let vehicles: Vec<_> = rows.iter().map(|row| row.vehicle).collect();
                 column
                     .typed::<Int32Type>()
                     .write_batch(&vehicles, None, None)?;
             }
-            5 => {
-                let gaps: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
-                let present: Vec<_> = rows
-                    .iter()
-                    .map(|row| i16::from(row.gap_m.is_some()))
-                    .collect();
-                column
-                    .typed::<DoubleType>()
-                    .write_batch(&gaps, Some(&present), None)?;
-            }
-            other => {
-                let values: Vec<_> = doubles
-                    .get(other - 2)
-                    .map_or_else(Vec::new, |of| rows.iter().map(of).collect());
-                column
-                    .typed::<DoubleType>()
-                    .write_batch(&values, None, None)?;
-            }
+            2 => write_doubles(&mut column, &rows, |row| row.position_m)?,
+            3 => write_doubles(&mut column, &rows, |row| row.speed_mps)?,
+            4 => write_doubles(&mut column, &rows, |row| row.acceleration_mps2)?,
+            _ => write_gaps(&mut column, &rows)?,
         }
         column.close()?;
         index += 1;
     }
     group.close()?;
     Ok(writer.into_inner()?)
+}
+
+fn write_doubles(
+    column: &mut SerializedColumnWriter<'_>,
+    rows: &[TraceRow],
+    value: fn(&TraceRow) -> f64,
+) -> Result<(), ExportError> {
+    let values: Vec<_> = rows.iter().map(value).collect();
+    column
+        .typed::<DoubleType>()
+        .write_batch(&values, None, None)?;
+    Ok(())
+}
+
+/// Writes the gaps, which some rows lack.
+fn write_gaps(
+    column: &mut SerializedColumnWriter<'_>,
+    rows: &[TraceRow],
+) -> Result<(), ExportError> {
+    let gaps_m: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
+    let present: Vec<_> = rows
+        .iter()
+        .map(|row| i16::from(row.gap_m.is_some()))
+        .collect();
+    column
+        .typed::<DoubleType>()
+        .write_batch(&gaps_m, Some(&present), None)?;
+    Ok(())
 }

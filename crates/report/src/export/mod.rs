@@ -55,18 +55,21 @@ fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
         for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
-            let at = |column: &[f64]| column.get(sample).copied().unwrap_or(f64::NAN);
             rows.push(TraceRow {
                 time_s,
                 vehicle: vehicle as i32,
-                position_m: at(&track.position_m),
-                speed_mps: at(&track.speed_mps),
-                acceleration_mps2: at(&track.acceleration_mps2),
+                position_m: value_at(&track.position_m, sample),
+                speed_mps: value_at(&track.speed_mps, sample),
+                acceleration_mps2: value_at(&track.acceleration_mps2, sample),
                 gap_m: gaps_m.get(sample).copied().flatten(),
             });
         }
     }
     rows
+}
+
+fn value_at(column: &[f64], sample: usize) -> f64 {
+    column.get(sample).copied().unwrap_or(f64::NAN)
 }
 
 /// Encodes the trace as CSV with a header line.
@@ -132,7 +135,8 @@ mod tests {
             .zip(parquet.get_row_iter(None).unwrap())
             .enumerate()
         {
-            let (from_csv, from_parquet) = (from_csv.unwrap(), from_parquet.unwrap());
+            let from_csv = from_csv.unwrap();
+            let from_parquet = from_parquet.unwrap();
             let track = &trace.vehicles[index % 3];
             let expected = [
                 trace.time_s[index / 3],

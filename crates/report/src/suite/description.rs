@@ -28,9 +28,9 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
 pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
-            let found = describe_verdict(&within.verdict);
+            let verdict = describe_verdict(&within.verdict);
             format!(
-                "FAILED within the tolerances of the clause; every stated point passes: {found}"
+                "FAILED within the tolerances of the clause; every stated point passes: {verdict}"
             )
         }
         _ => describe_verdict(&tested.verdict),
@@ -63,33 +63,31 @@ pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
 pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     let WorstInTolerance {
         point,
-        verdict: found,
+        verdict,
         min_gap_m,
-        points_run: tried,
+        points_run,
         ..
     } = within;
     let gap = min_gap_m
-        .filter(|_| found.is_passed())
+        .filter(|_| verdict.is_passed())
         .map_or(String::new(), |gap_m| {
             format!(", smallest gap {gap_m:.2} m")
         });
     format!(
-        "worst of {tried} points within the tolerances: {}{gap}, at {point}",
-        describe_verdict(found)
+        "worst of {points_run} points within the tolerances: {}{gap}, at {point}",
+        describe_verdict(verdict)
     )
 }
 
 /// Describes the least margin in each direction, and the number of margins.
 pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
-    let told = |(least, many): (&Margin, usize)| {
-        let of = if many > 1 {
-            format!(" (the smallest of {many})")
-        } else {
-            String::new()
-        };
-        describe_margin(least) + &of
-    };
-    min_margins(margins).into_iter().map(told).collect()
+    min_margins(margins)
+        .into_iter()
+        .map(|(least, count)| match count {
+            0 | 1 => describe_margin(least),
+            _ => format!("{} (the smallest of {count})", describe_margin(least)),
+        })
+        .collect()
 }
 
 /// Returns the least margin in each direction, and the number of margins.
@@ -99,21 +97,22 @@ pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
         .map(|margin| (margin.parameter, margin.to))
         .collect();
     directions.dedup();
-    let least = |&(push, to): &(_, f64)| {
-        let along: Vec<_> = margins
-            .iter()
-            .filter(|margin| (margin.parameter, margin.to) == (push, to))
-            .collect();
-        let less = |least, next| {
-            if passing_share(next) < passing_share(least) {
-                next
-            } else {
-                least
-            }
-        };
-        Some((along.iter().copied().reduce(less)?, along.len()))
-    };
-    directions.iter().filter_map(least).collect()
+    directions
+        .into_iter()
+        .filter_map(|direction| {
+            let along = margins
+                .iter()
+                .filter(|margin| (margin.parameter, margin.to) == direction);
+            let least = along.clone().reduce(|least, next| {
+                if passing_share(next) < passing_share(least) {
+                    next
+                } else {
+                    least
+                }
+            });
+            Some((least?, along.count()))
+        })
+        .collect()
 }
 
 /// Returns the share of the direction that passes, or -1 if none does.
@@ -128,24 +127,22 @@ fn passing_share(margin: &Margin) -> f64 {
 }
 
 fn describe_margin(margin: &Margin) -> String {
-    let Margin {
-        parameter: push,
-        unit,
-        from,
-        to,
-        fixed_parameters: held,
-        end,
-    } = margin;
-    let held = if held.is_empty() {
+    let fixed = if margin.fixed_parameters.is_empty() {
         String::new()
     } else {
-        format!(" at {held}")
+        format!(" at {}", margin.fixed_parameters)
     };
-    let words = match end {
-        MarginEnd::None { failure: beyond } => {
+    let end = describe_margin_end(margin);
+    format!("margin of {}{fixed}: {end}", margin.parameter.label())
+}
+
+fn describe_margin_end(margin: &Margin) -> String {
+    let Margin { unit, from, to, .. } = margin;
+    match margin.end {
+        MarginEnd::None { failure } => {
             format!(
                 "none, the test {} at {from} {unit}",
-                describe_beyond(*beyond)
+                describe_sweep_failure(failure)
             )
         }
         MarginEnd::Holds { parts } => {
@@ -154,35 +151,32 @@ fn describe_margin(margin: &Margin) -> String {
         MarginEnd::Boundary {
             passes_at,
             fails_at,
-            failure: beyond,
+            failure,
             is_monotone,
             parts,
         } => {
-            let apart = (passes_at - fails_at).abs();
+            let distance = (passes_at - fails_at).abs();
             // Use as many digits as distinguish the two.
-            let digits = if apart > 0.0 {
-                (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize
+            let digits = if distance > 0.0 {
+                (1.0 - distance.log10().floor()).clamp(3.0, 9.0) as usize
             } else {
                 3
             };
-            let does = describe_beyond(*beyond);
-            let words =
-                format!("passes at {passes_at:.digits$}, {does} at {fails_at:.digits$} {unit}");
-            match is_monotone {
-                true => words,
-                false => {
-                    format!(
-                        "{words}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond"
-                    )
-                }
+            let fails = describe_sweep_failure(failure);
+            let boundary =
+                format!("passes at {passes_at:.digits$}, {fails} at {fails_at:.digits$} {unit}");
+            if is_monotone {
+                return boundary;
             }
+            format!(
+                "{boundary}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond"
+            )
         }
-    };
-    format!("margin of {}{held}: {words}", push.label())
+    }
 }
 
-fn describe_beyond(beyond: SweepFailure) -> &'static str {
-    match beyond {
+fn describe_sweep_failure(failure: SweepFailure) -> &'static str {
+    match failure {
         SweepFailure::Fails => "fails",
         SweepFailure::Refused => "cannot be run",
     }
@@ -190,19 +184,19 @@ fn describe_beyond(beyond: SweepFailure) -> &'static str {
 
 /// Describes the reference drivers that could have prevented a failure.
 pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
-    let mut words: Vec<_> = failed
+    let mut parts: Vec<_> = failed
         .references
         .iter()
         .map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention)))
         .collect();
-    words.extend(failed.avoidability.describe());
+    parts.extend(failed.avoidability.describe());
     if failed.escape_survives_multi_body == Some(false) {
-        words.push("with the multi-body plant the escape COLLIDES".to_owned());
+        parts.push("with the multi-body plant the escape COLLIDES".to_owned());
     }
     if failed.survives_multi_body == Some(false) {
-        words.push("with the multi-body plant the point passes".to_owned());
+        parts.push("with the multi-body plant the point passes".to_owned());
     }
-    words.join("; ")
+    parts.join("; ")
 }
 
 pub(super) fn describe_prevention(prevention: Prevention) -> &'static str {

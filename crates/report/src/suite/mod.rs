@@ -71,36 +71,40 @@ fn write_test(
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
     for tested in &test.controllers {
-        let (controller, outcome) = (TerminalText(&tested.controller), describe_outcome(tested));
-        let _ = writeln!(
-            out,
-            "    {controller}: {}{}",
-            TerminalText(&outcome),
-            description::format_points(tested)
-        );
-        for line in describe_min_margins(&tested.margins) {
-            let _ = writeln!(out, "      {line}");
-        }
-        if let Some(within) = &tested.worst_in_tolerance {
-            let _ = writeln!(
-                out,
-                "      {}",
-                TerminalText(&describe_worst_in_tolerance(within))
-            );
-        }
+        write_controller_result(out, tested);
         for failed in tested.failures() {
-            let verdict = describe_verdict(&failed.verdict);
-            let _ = writeln!(
-                out,
-                "      fails at {}: {}",
-                failed.point,
-                TerminalText(&verdict)
-            );
-            let preventable =
-                Some(describe_preventability(failed)).filter(|words| !words.is_empty());
-            for line in preventable.into_iter().chain(replay(failed, tested)) {
-                let _ = writeln!(out, "        {}", TerminalText(&line));
-            }
+            write_failed_point(out, failed, replay(failed, tested));
         }
+    }
+}
+
+fn write_controller_result(out: &mut String, tested: &ControllerResult) {
+    let _ = writeln!(
+        out,
+        "    {}: {}{}",
+        TerminalText(&tested.controller),
+        TerminalText(&describe_outcome(tested)),
+        description::format_points(tested)
+    );
+    for line in describe_min_margins(&tested.margins) {
+        let _ = writeln!(out, "      {line}");
+    }
+    if let Some(within) = &tested.worst_in_tolerance {
+        let worst = describe_worst_in_tolerance(within);
+        let _ = writeln!(out, "      {}", TerminalText(&worst));
+    }
+}
+
+fn write_failed_point(out: &mut String, failed: &FailedPoint, replay: Option<String>) {
+    let verdict = describe_verdict(&failed.verdict);
+    let _ = writeln!(
+        out,
+        "      fails at {}: {}",
+        failed.point,
+        TerminalText(&verdict)
+    );
+    let preventable = Some(describe_preventability(failed)).filter(|text| !text.is_empty());
+    for line in preventable.into_iter().chain(replay) {
+        let _ = writeln!(out, "        {}", TerminalText(&line));
     }
 }

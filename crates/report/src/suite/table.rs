@@ -8,11 +8,10 @@ use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResul
 /// margin in the first direction of a test that passes.
 #[must_use]
 pub fn render_markdown_table(results: &[SuiteResult]) -> String {
-    let tests = || {
-        results
-            .iter()
-            .flat_map(|result| result.tests().map(move |(_, test)| (result, test)))
-    };
+    let tests: Vec<_> = results
+        .iter()
+        .flat_map(|result| result.tests().map(move |(_, test)| (result, test)))
+        .collect();
     let mut text = Markdown::default();
     text.heading(1, "Suites modelled on regulations");
     text.paragraph(DISCLAIMER);
@@ -21,7 +20,7 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
          cannot be run. Then \
          the number of passed points, and the fastest impact or the smallest margin in the first direction.",
     );
-    let Some((_, first)) = tests().next() else {
+    let Some((_, first)) = tests.first() else {
         return text.into_string();
     };
     let names = first
@@ -34,14 +33,14 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
         .chain(names)
         .collect();
     let columns = vec!["---"; header.len()];
-    let row = |(result, test): (&SuiteResult, &crumple_suites::TestResult)| {
+    let rows = tests.iter().map(|(result, test)| {
         let chosen = if test.is_as_stated { "" } else { "*" };
         let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
         head.into_iter()
             .chain(test.controllers.iter().map(format_cell))
             .collect()
-    };
-    text.table(&header, &columns, tests().map(row));
+    });
+    text.table(&header, &columns, rows);
     text.paragraph("*: some parameters are chosen, because the document does not state them.");
     text.into_string()
 }

@@ -7,7 +7,7 @@ fn get(cache: &EvidenceCache, inputs: &str, value: f64) -> f64 {
 }
 
 #[test]
-fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
+fn changed_inputs_or_programs_gather_the_evidence_again() {
     let folder = tempfile::tempdir().unwrap();
     let open = |program, fresh| EvidenceCache::open(folder.path(), program, fresh).unwrap();
     {
@@ -33,7 +33,7 @@ fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
 
 /// Covers changed bytes, truncation, deletion and swapped files: gathering again restores the file.
 #[test]
-fn no_damage_is_believed() {
+fn damaged_cache_entries_are_gathered_again_and_restored() {
     let folder = tempfile::tempdir().unwrap();
     let names = ["a piece", "another", "a third"];
     let gather = |name: &str| {
@@ -63,12 +63,12 @@ fn no_damage_is_believed() {
                 "{name}, {what}: another file"
             );
         };
-        for place in 0..bytes.len() {
+        for index in 0..bytes.len() {
             let mut changed = bytes.clone();
-            changed[place] ^= 1 << (place % 8);
+            changed[index] ^= 1 << (index % 8);
             fs::write(&path, changed).unwrap();
             is_gathered_again("flipped");
-            fs::write(&path, &bytes[..place]).unwrap();
+            fs::write(&path, &bytes[..index]).unwrap();
             is_gathered_again("cut");
         }
         for other in genuine.iter().filter(|other| *other != bytes) {

@@ -62,7 +62,8 @@ impl InferenceRule {
 
     /// Returns the strength that `evidence` gives to `claim`, and the rule; `None` if it has no bearing on the claim.
     pub(super) fn apply(evidence: &Evidence, claim: &AssuranceClaim) -> Option<(Self, Strength)> {
-        let (own, strength) = (&evidence.claim, &evidence.strength);
+        let own = &evidence.claim;
+        let strength = &evidence.strength;
         if own.subject != claim.subject || *strength == Strength::Untried {
             return None;
         }

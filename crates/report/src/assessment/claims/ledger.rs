@@ -1,5 +1,7 @@
 //! All evidence of an assessment, and the resulting status of claims.
 
+use std::cmp::Ordering;
+
 use serde::{Deserialize, Serialize};
 
 use super::{AssuranceClaim, Domain, Evidence, InferenceRule, Property, Strength};
@@ -50,6 +52,16 @@ impl SecondaryEvidence {
                 Strength::Counted { .. } | Strength::NotShownByCounting { .. }
             )
     }
+
+    /// Returns the rank among evidence of one claim, where one of several counts decides.
+    fn weight(&self, deciding_count: Option<usize>) -> f64 {
+        let is_free = !self.is_counted() || self.strength.is_refutation();
+        if is_free || Some(self.evidence) == deciding_count {
+            self.strength.weight()
+        } else {
+            -1.0
+        }
+    }
 }
 
 impl Default for ClaimStatus {
@@ -72,9 +84,10 @@ impl ClaimStatus {
             return strongest;
         }
         let mut descriptions: Vec<String> = Vec::new();
-        for one in self.secondary.iter().map(|other| other.strength.describe()) {
-            if !descriptions.contains(&one) {
-                descriptions.push(one);
+        for evidence in &self.secondary {
+            let description = evidence.strength.describe();
+            if !descriptions.contains(&description) {
+                descriptions.push(description);
             }
         }
         format!("{strongest}: {}", descriptions.join("; "))
@@ -98,44 +111,25 @@ impl Ledger {
     /// asserts the claim (testing alone does not) and some refutes it, the status is [`Strength::Contradicted`].
     #[must_use]
     pub fn claim_status(&self, claim: &AssuranceClaim) -> ClaimStatus {
-        let read = |(place, evidence)| {
-            InferenceRule::apply(evidence, claim).map(|(rule, strength)| SecondaryEvidence {
-                strength,
-                rule,
-                evidence: place,
-            })
-        };
-        let mut all: Vec<SecondaryEvidence> =
-            self.evidence.iter().enumerate().filter_map(read).collect();
+        let mut readings = self.readings_by_weight(claim);
         let united = self.combine_partial_proofs(claim);
-        let deciding = self.deciding_count(&all);
-        let weight = |one: &SecondaryEvidence| {
-            let is_free = !one.is_counted() || one.strength.is_refutation();
-            if is_free || Some(one.evidence) == deciding {
-                one.strength.weight()
-            } else {
-                -1.0
-            }
-        };
-        // Strongest first; the sort is stable, so ties keep the order of the ledger.
-        all.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
-        let holds = united.is_some() || all.iter().any(|one| one.strength.is_assurance());
-        let refuted: Vec<_> = all
+        let is_asserted = united.is_some()
+            || readings
+                .iter()
+                .any(|reading| reading.strength.is_assurance());
+        let is_refuted = readings
             .iter()
-            .filter(|one| one.strength.is_refutation())
-            .map(|one| one.evidence)
-            .collect();
-        if (holds && !refuted.is_empty()) || self.has_disjoint_bounds(claim) {
-            let evidence = all.iter().map(|one| one.evidence).collect();
+            .any(|reading| reading.strength.is_refutation());
+        if (is_asserted && is_refuted) || self.has_disjoint_bounds(claim) {
             return ClaimStatus {
                 strength: Strength::Contradicted,
                 rule: None,
-                evidence,
-                secondary: all,
+                evidence: readings.iter().map(|reading| reading.evidence).collect(),
+                secondary: readings,
             };
         }
         if let Some((strength, evidence)) = united
-            && all
+            && readings
                 .first()
                 .is_none_or(|first| first.strength.weight() < strength.weight())
         {
@@ -143,23 +137,42 @@ impl Ledger {
                 strength,
                 rule: Some(InferenceRule::ProofsOfParts),
                 evidence,
-                secondary: all,
+                secondary: readings,
             };
         }
-        if all.is_empty() {
+        if readings.is_empty() {
             return ClaimStatus::default();
         }
         let SecondaryEvidence {
             strength,
             rule,
             evidence,
-        } = all.remove(0);
+        } = readings.remove(0);
         ClaimStatus {
             strength,
             rule: Some(rule),
             evidence: vec![evidence],
-            secondary: all,
+            secondary: readings,
         }
+    }
+
+    /// Returns the evidence about a claim, strongest first. Counts other than the deciding one are last, unless they
+    /// refute the claim.
+    fn readings_by_weight(&self, claim: &AssuranceClaim) -> Vec<SecondaryEvidence> {
+        let mut readings = Vec::new();
+        for (index, evidence) in self.evidence.iter().enumerate() {
+            if let Some((rule, strength)) = InferenceRule::apply(evidence, claim) {
+                readings.push(SecondaryEvidence {
+                    strength,
+                    rule,
+                    evidence: index,
+                });
+            }
+        }
+        let deciding = self.deciding_count(&readings);
+        // The sort is stable, so ties keep the order of the ledger.
+        readings.sort_by(|a, b| b.weight(deciding).total_cmp(&a.weight(deciding)));
+        readings
     }
 
     /// True if two pieces of evidence give disjoint bounds on the rate of a claim.
@@ -171,21 +184,23 @@ impl Ledger {
             property: Property::FailureRate,
             ..claim.clone()
         };
-        let bounds = self
+        let mut lower = 0.0;
+        let mut upper = 100.0;
+        for evidence in self
             .evidence
             .iter()
-            .filter(|one| one.claim == rate)
-            .filter_map(|one| match one.strength {
-                Strength::Between {
-                    lower_percent,
-                    upper_percent,
-                    ..
-                } => Some((lower_percent.value(), upper_percent.value())),
-                _ => None,
-            });
-        let (lower, upper) = bounds.fold((0.0, 100.0), |(lower, upper), (low, high)| {
-            (f64::max(lower, low), f64::min(upper, high))
-        });
+            .filter(|evidence| evidence.claim == rate)
+        {
+            if let Strength::Between {
+                lower_percent,
+                upper_percent,
+                ..
+            } = evidence.strength
+            {
+                lower = f64::max(lower, lower_percent.value());
+                upper = f64::min(upper, upper_percent.value());
+            }
+        }
         lower > upper
     }
 
@@ -193,50 +208,48 @@ impl Ledger {
     /// level, so parameters fixed before counting decide: confidence level as shown, then runs. Ties go to the least
     /// favourable.
     fn deciding_count(&self, readings: &[SecondaryEvidence]) -> Option<usize> {
-        let counts = readings.iter().filter(|one| one.is_counted());
-        let counts = counts.filter_map(|one| {
-            Some((
-                one.evidence,
-                count_priority(&self.evidence.get(one.evidence)?.strength)?,
-            ))
-        });
-        let strongest = counts.max_by(|(_, (confidence, runs, against)), (_, other)| {
-            confidence
-                .total_cmp(&other.0)
-                .then(runs.cmp(&other.1))
-                .then(against.total_cmp(&other.2))
-        });
-        strongest.map(|(place, _)| place)
+        readings
+            .iter()
+            .filter(|reading| reading.is_counted())
+            .filter_map(|reading| {
+                let counted = self.evidence.get(reading.evidence)?;
+                Some((
+                    reading.evidence,
+                    CountPriority::from_strength(&counted.strength)?,
+                ))
+            })
+            .max_by(|(_, a), (_, b)| a.compare(b))
+            .map(|(index, _)| index)
+    }
+
+    /// Returns the index of the first proof that covers a claim.
+    fn find_proof(&self, claim: &AssuranceClaim) -> Option<usize> {
+        self.evidence.iter().position(|evidence| {
+            matches!(
+                InferenceRule::apply(evidence, claim),
+                Some((
+                    InferenceRule::Direct | InferenceRule::ProofCovers,
+                    Strength::Proved { .. }
+                ))
+            )
+        })
     }
 
     fn combine_partial_proofs(&self, claim: &AssuranceClaim) -> Option<(Strength, Vec<usize>)> {
         let Domain::Scenarios { about, all } = &claim.domain else {
             return None;
         };
-        let proof_of = |scenario| {
-            let domain = Domain::Scenarios {
-                about: about.clone(),
-                all: vec![scenario],
-            };
-            let part = AssuranceClaim {
-                domain,
-                ..claim.clone()
-            };
-            let proves = |evidence: &Evidence| {
-                matches!(
-                    InferenceRule::apply(evidence, &part),
-                    Some((
-                        InferenceRule::Direct | InferenceRule::ProofCovers,
-                        Strength::Proved { .. }
-                    ))
-                )
-            };
-            self.evidence.iter().position(proves)
-        };
         let proofs = all
             .iter()
-            .cloned()
-            .map(proof_of)
+            .map(|scenario| {
+                self.find_proof(&AssuranceClaim {
+                    domain: Domain::Scenarios {
+                        about: about.clone(),
+                        all: vec![scenario.clone()],
+                    },
+                    ..claim.clone()
+                })
+            })
             .collect::<Option<Vec<_>>>()?;
         (proofs.len() > 1).then_some((
             Strength::Proved {
@@ -247,24 +260,52 @@ impl Ledger {
     }
 }
 
-/// Returns confidence level and runs of a count, and the percentage that it shows against the claim.
-fn count_priority(strength: &Strength) -> Option<(f64, u64, f64)> {
-    let (confidence_percent, runs, against_percent) = match *strength {
-        Strength::Between {
-            upper_percent,
-            confidence_percent,
-            runs,
-            ..
-        } => (confidence_percent, runs, upper_percent.value()),
-        Strength::Counted {
-            confidence_percent,
-            runs,
-        } => (confidence_percent, runs, 0.0),
-        Strength::NotShownByCounting {
-            confidence_percent,
-            runs,
-        } => (confidence_percent, runs, 100.0),
-        _ => return None,
-    };
-    Some((confidence_percent.value(), runs, against_percent))
+/// The order in which one of several counts decides a claim.
+struct CountPriority {
+    confidence_percent: f64,
+    runs: u64,
+    /// Percentage that the count shows against the claim.
+    against_percent: f64,
+}
+
+impl CountPriority {
+    /// Returns the priority of a count; `None` for other evidence.
+    fn from_strength(strength: &Strength) -> Option<Self> {
+        match *strength {
+            Strength::Between {
+                upper_percent,
+                confidence_percent,
+                runs,
+                ..
+            } => Some(Self {
+                confidence_percent: confidence_percent.value(),
+                runs,
+                against_percent: upper_percent.value(),
+            }),
+            Strength::Counted {
+                confidence_percent,
+                runs,
+            } => Some(Self {
+                confidence_percent: confidence_percent.value(),
+                runs,
+                against_percent: 0.0,
+            }),
+            Strength::NotShownByCounting {
+                confidence_percent,
+                runs,
+            } => Some(Self {
+                confidence_percent: confidence_percent.value(),
+                runs,
+                against_percent: 100.0,
+            }),
+            _ => None,
+        }
+    }
+
+    fn compare(&self, other: &Self) -> Ordering {
+        self.confidence_percent
+            .total_cmp(&other.confidence_percent)
+            .then(self.runs.cmp(&other.runs))
+            .then(self.against_percent.total_cmp(&other.against_percent))
+    }
 }

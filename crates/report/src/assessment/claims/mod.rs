@@ -18,7 +18,7 @@ use super::Rounded;
 pub use evidence::{Evidence, EvidenceSource};
 pub use inference_rule::InferenceRule;
 pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
-pub(super) use strength::MAX_GAIN;
+pub(super) use strength::{MAX_GAIN, RateBounds};
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
 /// A name for readers and a hash for comparison.
@@ -269,8 +269,9 @@ impl Domain {
                 frequencies_rad_per_s: [low, high],
                 mean_speeds_mps,
             } => {
-                let [amplitude_mps, low, high] = [amplitude_mps, low, high].map(|one| one.value());
-                let [slowest_mps, fastest_mps] = mean_speeds_mps.map(|one| one.value());
+                let [amplitude_mps, low, high] =
+                    [amplitude_mps, low, high].map(|value| value.value());
+                let [slowest_mps, fastest_mps] = mean_speeds_mps.map(|speed| speed.value());
                 format!(
                     "from vehicle to vehicle, for oscillations of {amplitude_mps} m/s at {low} to {high} rad/s around \
                      {slowest_mps} to {fastest_mps} m/s, with the true state"
@@ -294,10 +295,10 @@ impl Domain {
         match (self, part) {
             (
                 Self::Space { space },
-                Self::Draws { space: of, .. } | Self::Search { space: of, .. },
-            ) => space == of,
-            (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => {
-                some.iter().all(|one| all.contains(one))
+                Self::Draws { space: part, .. } | Self::Search { space: part, .. },
+            ) => space == part,
+            (Self::Scenarios { all, .. }, Self::Scenarios { all: part, .. }) => {
+                part.iter().all(|scenario| all.contains(scenario))
             }
             _ => self == part,
         }

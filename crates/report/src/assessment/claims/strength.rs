@@ -191,7 +191,8 @@ impl Strength {
         [other, other_ended_by_others]: [u64; 2],
         runs: u64,
     ) -> Self {
-        let (own_most, other_most) = (own + own_ended_by_others, other + other_ended_by_others);
+        let own_most = own + own_ended_by_others;
+        let other_most = other + other_ended_by_others;
         if own_ended_by_others + other_ended_by_others == 0 {
             Self::Compared { own, other, runs }
         } else if own_most < other {
@@ -280,34 +281,33 @@ impl Strength {
     /// Returns the rank among evidence of one claim: refutations, then proofs, bounds, tests. Within one kind, sharper
     /// bounds and larger tests rank higher.
     pub(in crate::assessment) fn weight(&self) -> f64 {
-        let within = |value: f64| value.max(0.0) / (1.0 + value.max(0.0));
         match self {
-            Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
-            Self::Falsified { failures, .. } => 8.0 + within(*failures as f64),
+            Self::Refuted { failures, .. } => 8.0 + squash(*failures as f64),
+            Self::Falsified { failures, .. } => 8.0 + squash(*failures as f64),
             Self::Unanswered {
                 unanswered,
                 failures,
                 ..
-            } if self.is_refutation() => 8.0 + within((unanswered + failures) as f64),
+            } if self.is_refutation() => 8.0 + squash((unanswered + failures) as f64),
             Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
             Self::Exceeded { .. } | Self::Contradicted => 8.0,
-            Self::Proved { certificates } => 7.0 + within(*certificates as f64),
-            Self::PartlyProved { share_percent } => 6.0 + within(share_percent.value()),
-            Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
+            Self::Proved { certificates } => 7.0 + squash(*certificates as f64),
+            Self::PartlyProved { share_percent } => 6.0 + squash(share_percent.value()),
+            Self::Bounded { upper_percent, .. } => 5.0 - squash(upper_percent.value()),
             Self::Counted {
                 confidence_percent, ..
             } => 4.0 + 0.005 * confidence_percent.value(),
             Self::Compared { own, other, .. } if own > other => 8.0,
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
-            Self::Tested { runs } => 3.0 + within(*runs as f64),
-            Self::Gain { largest, .. } if self.is_refutation() => 8.0 + within(largest.value()),
-            Self::Gain { points, .. } => 3.0 + within(*points as f64),
+            Self::Tested { runs } => 3.0 + squash(*runs as f64),
+            Self::Gain { largest, .. } if self.is_refutation() => 8.0 + squash(largest.value()),
+            Self::Gain { points, .. } => 3.0 + squash(*points as f64),
             Self::Undecided {
                 lower_percent,
                 upper_percent,
                 ..
-            } => 2.0 - within(upper_percent.value() - lower_percent.value()),
+            } => 2.0 - squash(upper_percent.value() - lower_percent.value()),
             Self::NotShownByCounting { .. } => 1.2,
             Self::Between { .. } => 1.0,
             Self::Untried => 0.0,
@@ -338,22 +338,14 @@ impl Strength {
             }
             Self::Unanswered {
                 unanswered,
-                failures: 0,
-                runs,
-                reason,
-                ..
-            } => {
-                format!("no answer in {unanswered} of {runs}: {reason}")
-            }
-            Self::Unanswered {
-                unanswered,
                 failures,
                 runs,
                 reason,
                 ..
-            } => {
-                format!("{failures} of {runs} fail, no answer in {unanswered}: {reason}")
-            }
+            } => match failures {
+                0 => format!("no answer in {unanswered} of {runs}: {reason}"),
+                _ => format!("{failures} of {runs} fail, no answer in {unanswered}: {reason}"),
+            },
             Self::OtherUnanswered {
                 unanswered,
                 runs,
@@ -372,37 +364,10 @@ impl Strength {
             Self::Gain { largest, points } => {
                 format!("largest gain {largest} of {points} operating points")
             }
-            Self::Between {
-                lower_percent,
-                upper_percent,
-                confidence_percent,
-                ..
-            } => {
-                format!(
-                    "{lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %"
-                )
+            Self::Between { .. } | Self::Bounded { .. } | Self::Exceeded { .. } => {
+                self.describe_bounds()
             }
-            Self::Bounded {
-                upper_percent,
-                confidence_percent,
-            } => {
-                format!("at most {upper_percent} %, confidence {confidence_percent} %")
-            }
-            Self::Exceeded {
-                lower_percent,
-                confidence_percent,
-            } => {
-                format!("at least {lower_percent} %, confidence {confidence_percent} %")
-            }
-            Self::Undecided {
-                lower_percent,
-                upper_percent,
-                confidence_percent,
-            } => {
-                format!(
-                    "undecided: {lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %"
-                )
-            }
+            Self::Undecided { .. } => format!("undecided: {}", self.describe_bounds()),
             Self::Counted {
                 confidence_percent, ..
             } => format!("shown by counts, confidence {confidence_percent} %"),
@@ -427,48 +392,24 @@ impl Strength {
             } => format!("{failures} ({avoidable} avoidable)"),
             Self::Unanswered {
                 unanswered,
-                failures: 0,
-                runs,
-                ..
-            } => format!("no answer in {unanswered} of {runs}"),
-            Self::Unanswered {
-                unanswered,
                 failures,
                 runs,
                 ..
-            } => {
-                format!("{failures} of {runs}, no answer in {unanswered}")
-            }
+            } => match failures {
+                0 => format!("no answer in {unanswered} of {runs}"),
+                _ => format!("{failures} of {runs}, no answer in {unanswered}"),
+            },
             Self::OtherUnanswered { .. } => "not shown".to_owned(),
             Self::PartlyProved { share_percent } => format!("proved for {share_percent} %"),
             Self::Tested { runs } => format!("0 of {runs}"),
             Self::Gain { largest, .. } => largest.to_string(),
             Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
-            Self::Bounded {
-                upper_percent,
-                confidence_percent,
-            } => {
-                format!("≤ {upper_percent} % ({confidence_percent} %)")
-            }
-            Self::Exceeded {
-                lower_percent,
-                confidence_percent,
-            } => {
-                format!("≥ {lower_percent} % ({confidence_percent} %)")
-            }
-            Self::Between {
-                lower_percent,
-                upper_percent,
-                confidence_percent,
-                ..
-            }
-            | Self::Undecided {
-                lower_percent,
-                upper_percent,
-                confidence_percent,
-            } => {
-                format!("{lower_percent} to {upper_percent} % ({confidence_percent} %)")
-            }
+            Self::Bounded { .. }
+            | Self::Exceeded { .. }
+            | Self::Between { .. }
+            | Self::Undecided { .. } => self
+                .rate_bounds()
+                .map_or_else(String::new, |bounds| bounds.table_text()),
             Self::Counted {
                 confidence_percent, ..
             } => format!("shown ({confidence_percent} %)"),
@@ -478,6 +419,46 @@ impl Strength {
             Self::Contradicted => "contradictory".to_owned(),
             Self::Untried => "not shown".to_owned(),
         }
+    }
+
+    /// Returns the bounds of a rate, for the strengths that have them.
+    pub(in crate::assessment) fn rate_bounds(&self) -> Option<RateBounds> {
+        match *self {
+            Self::Bounded {
+                upper_percent,
+                confidence_percent,
+            } => Some(RateBounds {
+                bounds: PercentBounds::AtMost(upper_percent),
+                confidence_percent,
+            }),
+            Self::Exceeded {
+                lower_percent,
+                confidence_percent,
+            } => Some(RateBounds {
+                bounds: PercentBounds::AtLeast(lower_percent),
+                confidence_percent,
+            }),
+            Self::Undecided {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+            }
+            | Self::Between {
+                lower_percent,
+                upper_percent,
+                confidence_percent,
+                ..
+            } => Some(RateBounds {
+                bounds: PercentBounds::Within(lower_percent, upper_percent),
+                confidence_percent,
+            }),
+            _ => None,
+        }
+    }
+
+    fn describe_bounds(&self) -> String {
+        self.rate_bounds()
+            .map_or_else(String::new, |bounds| bounds.describe())
     }
 
     /// Returns a rank for comparisons of assessments: 0 refuted, 1 undecided, 2 tested or bounded, 3 proved.
@@ -490,6 +471,70 @@ impl Strength {
             _ if self.is_refutation() => 0,
             Self::Gain { .. } => 2,
             _ => 1,
+        }
+    }
+}
+
+/// Maps numbers from 0 upwards to [0, 1), larger ones to larger ones.
+fn squash(value: f64) -> f64 {
+    value.max(0.0) / (1.0 + value.max(0.0))
+}
+
+/// Bounds of a rate at a confidence level.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::assessment) struct RateBounds {
+    bounds: PercentBounds,
+    confidence_percent: Rounded<1>,
+}
+
+/// Bounds in percent, rounded outwards.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum PercentBounds {
+    AtMost(Rounded<2>),
+    AtLeast(Rounded<2>),
+    Within(Rounded<2>, Rounded<2>),
+}
+
+impl RateBounds {
+    pub(in crate::assessment) fn lower_percent(&self) -> f64 {
+        match self.bounds {
+            PercentBounds::AtMost(_) => 0.0,
+            PercentBounds::AtLeast(lower) | PercentBounds::Within(lower, _) => lower.value(),
+        }
+    }
+
+    pub(in crate::assessment) fn upper_percent(&self) -> f64 {
+        match self.bounds {
+            PercentBounds::AtLeast(_) => 100.0,
+            PercentBounds::AtMost(upper) | PercentBounds::Within(_, upper) => upper.value(),
+        }
+    }
+
+    pub(in crate::assessment) fn confidence_percent(&self) -> f64 {
+        self.confidence_percent.value()
+    }
+
+    fn describe(&self) -> String {
+        let confidence = self.confidence_percent;
+        match self.bounds {
+            PercentBounds::AtMost(upper) => format!("at most {upper} %, confidence {confidence} %"),
+            PercentBounds::AtLeast(lower) => {
+                format!("at least {lower} %, confidence {confidence} %")
+            }
+            PercentBounds::Within(lower, upper) => {
+                format!("{lower} to {upper} %, each bound at confidence {confidence} %")
+            }
+        }
+    }
+
+    fn table_text(&self) -> String {
+        let confidence = self.confidence_percent;
+        match self.bounds {
+            PercentBounds::AtMost(upper) => format!("≤ {upper} % ({confidence} %)"),
+            PercentBounds::AtLeast(lower) => format!("≥ {lower} % ({confidence} %)"),
+            PercentBounds::Within(lower, upper) => {
+                format!("{lower} to {upper} % ({confidence} %)")
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Gates on certificates.
 
 use super::{GateInputs, GateRule, GateVerdict};
-use crate::assessment::{AssessConfig, CertificateStatus, CheckedCertificate};
+use crate::assessment::{AssessConfig, CertificateStatus};
 
 pub(super) fn accepted(_config: &AssessConfig) -> GateRule<'static> {
     GateRule::new(
@@ -11,20 +11,18 @@ pub(super) fn accepted(_config: &AssessConfig) -> GateRule<'static> {
     )
 }
 
-fn check_certificates(found: &GateInputs<'_>) -> GateVerdict {
-    let claims_to_prove =
-        |one: &&CheckedCertificate| !matches!(one.status, CertificateStatus::NothingShown { .. });
-    let certificates: Vec<_> = found
+fn check_certificates(inputs: &GateInputs<'_>) -> GateVerdict {
+    let certificates: Vec<_> = inputs
         .results
         .proofs
         .certificates
         .iter()
-        .filter(claims_to_prove)
+        .filter(|proof| !matches!(proof.status, CertificateStatus::NothingShown { .. }))
         .collect();
     let all = certificates.len();
     let rejected: Vec<_> = certificates
         .iter()
-        .filter(|one| !one.is_accepted())
+        .filter(|proof| !proof.is_accepted())
         .collect();
     match rejected.first() {
         None => GateVerdict::new(all > 0, format!("{all} of {all} certificates are accepted")),

@@ -7,7 +7,7 @@ pub(super) fn nothing_worse(_config: &AssessConfig) -> GateRule<'static> {
     GateRule::new(
         "no result is worse than in the earlier assessment".to_owned(),
         None,
-        |found| check_nothing_worse(found.comparison),
+        |inputs| check_nothing_worse(inputs.comparison),
     )
 }
 

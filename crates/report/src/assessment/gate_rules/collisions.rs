@@ -9,8 +9,8 @@ pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str)
     GateRule::new(
         format!("{controller}: no collision in the paper's scenarios"),
         require(config.paper, "`paper = true`"),
-        |found| {
-            let paper = found.results.paper_scenarios.as_ref();
+        |inputs| {
+            let paper = inputs.results.paper_scenarios.as_ref();
             check_no_collision(paper.map_or(&[], |paper| &paper.scenarios), controller)
         },
     )
@@ -21,8 +21,8 @@ pub(super) fn in_scenario_files<'a>(config: &AssessConfig, controller: &'a str) 
     GateRule::new(
         format!("{controller}: no collision in scenario files and recordings"),
         require(has_files, "`scenarios` or `recordings`"),
-        |found| {
-            let files = found.results.file_scenarios.as_ref();
+        |inputs| {
+            let files = inputs.results.file_scenarios.as_ref();
             check_no_collision(files.map_or(&[], |files| &files.scenarios), controller)
         },
     )
@@ -80,25 +80,25 @@ pub(super) fn in_space<'a>(
     GateRule::new(
         format!("{controller}: no collision in random scenarios of `{space}`"),
         simulated_space_problem(space, config),
-        |found| check_no_collision_in_space(found, controller, space),
+        |inputs| check_no_collision_in_space(inputs, controller, space),
     )
 }
 
 /// Evaluates the random scenarios of `distributions`, or the drives in `traffic` or `high-risk`. Both use the same
 /// seed: the larger sample contains the smaller one.
 fn check_no_collision_in_space(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     space: &str,
 ) -> GateVerdict {
-    let usefulness = found.results.usefulness.as_ref();
-    let everyday = usefulness.and_then(|all| all.space_ends(controller, space));
-    let all = found
+    let usefulness = inputs.results.usefulness.as_ref();
+    let everyday = usefulness.and_then(|report| report.space_ends(controller, space));
+    let larger_sample = inputs
         .sampled_ends(controller, space)
         .into_iter()
         .chain(everyday)
         .max_by_key(|(scenarios, _)| *scenarios);
-    match all {
+    match larger_sample {
         Some((scenarios @ 1.., ends)) => GateVerdict::new(
             ends.failures() + ends.ended_by_others == 0,
             describe_ends(&ends, scenarios),
@@ -112,8 +112,11 @@ impl GateInputs<'_> {
     fn sampled_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
         let mut spaces = self.plan.rate_spaces.iter();
         let index = spaces.position(|named| named.name == space)?;
-        let drawn = self.results.rate_spaces.spaces.get(index)?;
-        Some((drawn.random_scenarios, drawn.find(controller)?.ends.clone()))
+        let sample = self.results.rate_spaces.spaces.get(index)?;
+        Some((
+            sample.random_scenarios,
+            sample.find(controller)?.ends.clone(),
+        ))
     }
 }
 
@@ -138,7 +141,7 @@ fn describe_ends(ends: &RunEnds, scenarios: u64) -> String {
 }
 
 fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
-    let is_drawn = config.rate_spaces().iter().any(|known| known == space);
+    let is_drawn = config.rate_spaces().iter().any(|name| name == space);
     let is_driven = EVERYDAY_SPACES.contains(&space);
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,

@@ -11,8 +11,10 @@ pub(super) fn unnecessary_braking_at_most<'a>(
     GateRule::new(
         format!("{controller}: unnecessary braking in at most {percent} % of drives in `traffic`"),
         share_problem(percent).or_else(|| drives_problem(config)),
-        move |found| {
-            check_drives_at_most(found, controller, percent, |one| one.unnecessary_braking)
+        move |inputs| {
+            check_drives_at_most(inputs, controller, percent, |useful| {
+                useful.unnecessary_braking
+            })
         },
     )
 }
@@ -25,7 +27,9 @@ pub(super) fn left_behind_at_most<'a>(
     GateRule::new(
         format!("{controller}: falls behind in at most {percent} % of drives in `traffic`"),
         share_problem(percent).or_else(|| drives_problem(config)),
-        move |found| check_drives_at_most(found, controller, percent, |one| one.left_behind),
+        move |inputs| {
+            check_drives_at_most(inputs, controller, percent, |useful| useful.left_behind)
+        },
     )
 }
 
@@ -33,7 +37,7 @@ pub(super) fn string_stable<'a>(config: &AssessConfig, controller: &'a str) -> G
     GateRule::new(
         format!("{controller}: no speed oscillation grows from vehicle to vehicle"),
         drives_problem(config),
-        |found| check_string_stable(found, controller),
+        |inputs| check_string_stable(inputs, controller),
     )
 }
 
@@ -42,16 +46,17 @@ fn drives_problem(config: &AssessConfig) -> Option<ConfigProblem> {
 }
 
 fn check_drives_at_most(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     percent: f64,
     count: impl Fn(&ControllerUsefulness) -> u64,
 ) -> GateVerdict {
-    let all = found.results.usefulness.as_ref();
-    let Some((all, useful)) = all.and_then(|all| Some((all, all.find(controller)?))) else {
+    let report = inputs.results.usefulness.as_ref();
+    let Some((report, useful)) = report.and_then(|report| Some((report, report.find(controller)?)))
+    else {
         return GateVerdict::fails("no drive was simulated");
     };
-    let drives = all.random_scenarios;
+    let drives = report.random_scenarios;
     let counted = count(useful);
     // The result of a drive without an answer is unknown: count it as the worse.
     let [unanswered, _] = useful.unanswered_runs();
@@ -67,9 +72,9 @@ fn check_drives_at_most(
     )
 }
 
-fn check_string_stable(found: &GateInputs<'_>, controller: &str) -> GateVerdict {
-    let usefulness = found.results.usefulness.as_ref();
-    match usefulness.and_then(|all| all.find(controller)) {
+fn check_string_stable(inputs: &GateInputs<'_>, controller: &str) -> GateVerdict {
+    let report = inputs.results.usefulness.as_ref();
+    match report.and_then(|report| report.find(controller)) {
         Some(useful) => GateVerdict::new(
             useful.oscillation_gain.damps_all(),
             useful.oscillation_gain.describe(),

@@ -99,9 +99,9 @@ impl AssessmentGate {
         self.rule(config).problem
     }
 
-    pub(super) fn evaluate(&self, found: &GateInputs<'_>) -> GateResult {
-        let rule = self.rule(&found.plan.config);
-        let verdict = (rule.verdict)(found);
+    pub(super) fn evaluate(&self, inputs: &GateInputs<'_>) -> GateResult {
+        let rule = self.rule(&inputs.plan.config);
+        let verdict = (rule.verdict)(inputs);
         GateResult {
             gate: rule.condition,
             holds: verdict.holds,

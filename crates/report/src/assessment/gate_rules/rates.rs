@@ -14,7 +14,7 @@ pub(super) fn at_most<'a>(
     GateRule::new(
         format!("{controller}: failure rate in `{name}` at most {percent} %"),
         share_problem(percent).or_else(|| space_problem(space, config)),
-        move |found| check_rate_at_most(found, controller, percent, &name),
+        move |inputs| check_rate_at_most(inputs, controller, percent, &name),
     )
 }
 
@@ -25,35 +25,38 @@ pub(super) fn not_above<'a>(
     space: &'a Option<String>,
 ) -> GateRule<'a> {
     let name = named_or_only(space, config);
-    let is_itself = || {
-        let problem = "is the controller itself: name another one";
-        (controller == than).then(|| ("than", problem.to_owned()))
-    };
     GateRule::new(
         format!(
             "{controller}: no more failures than {than} in the same random scenarios of `{name}`"
         ),
-        is_itself()
+        itself_problem(controller, than)
             .or_else(|| require(config.draws > 0, "`draws` above 0"))
             .or_else(|| space_problem(space, config)),
-        move |found| check_rate_not_above(found, controller, than, &name),
+        move |inputs| check_rate_not_above(inputs, controller, than, &name),
     )
+}
+
+fn itself_problem(controller: &str, than: &str) -> Option<ConfigProblem> {
+    let problem = "is the controller itself: name another one";
+    (controller == than).then(|| ("than", problem.to_owned()))
 }
 
 /// Returns the space that a gate names, or else the first one of `distributions`.
 fn named_or_only(space: &Option<String>, config: &AssessConfig) -> String {
-    let first = || config.rate_spaces().into_iter().next();
-    space.clone().or_else(first).unwrap_or_default()
+    let space = space.clone();
+    space
+        .or_else(|| config.rate_spaces().into_iter().next())
+        .unwrap_or_default()
 }
 
 fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<ConfigProblem> {
-    let known = config.rate_spaces();
+    let spaces = config.rate_spaces();
     match space {
-        _ if known.is_empty() => Some(("require", "needs `distributions`".to_owned())),
-        Some(space) if !known.contains(space) => {
+        _ if spaces.is_empty() => Some(("require", "needs `distributions`".to_owned())),
+        Some(space) if !spaces.contains(space) => {
             Some(("space", format!("`{space}` is not among `distributions`")))
         }
-        None if known.len() > 1 => Some((
+        None if spaces.len() > 1 => Some((
             "space",
             "must be named, because there are several `distributions`".to_owned(),
         )),
@@ -63,15 +66,15 @@ fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<Config
 
 /// Uses the strongest known bound, with or without a certificate.
 fn check_rate_at_most(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     percent: f64,
     space: &str,
 ) -> GateVerdict {
-    let Some(claim) = rate_claim(found, controller, percent, space) else {
+    let Some(claim) = rate_claim(inputs, controller, percent, space) else {
         return GateVerdict::fails("no random scenario was simulated");
     };
-    let status = found.evidence.claim_status(&claim);
+    let status = inputs.evidence.claim_status(&claim);
     GateVerdict::new(
         matches!(status.strength, Strength::Bounded { .. }),
         status.describe(),
@@ -79,15 +82,15 @@ fn check_rate_at_most(
 }
 
 fn rate_claim(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     percent: f64,
     space: &str,
 ) -> Option<AssuranceClaim> {
-    let plan = found.plan;
-    let named = plan.rate_spaces.get(found.space_index(space)?)?;
+    let plan = inputs.plan;
+    let named = plan.rate_spaces.get(inputs.space_index(space)?)?;
     let mut controllers = plan.controllers.iter();
-    let index = controllers.position(|one| one.name == controller)?;
+    let index = controllers.position(|other| other.name == controller)?;
     Some(AssuranceClaim {
         subject: plan.claim_subject(index, plan.config.estimator)?,
         // Round the required rate down, never in favour of the controller.
@@ -108,26 +111,26 @@ impl GateInputs<'_> {
 
     /// Returns the random scenarios of a space, if any were simulated.
     fn sample(&self, space: &str) -> Option<&SpaceSample> {
-        let drawn = self
+        let sample = self
             .results
             .rate_spaces
             .spaces
             .get(self.space_index(space)?)?;
-        (drawn.random_scenarios > 0).then_some(drawn)
+        (sample.random_scenarios > 0).then_some(sample)
     }
 }
 
 fn check_rate_not_above(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     than: &str,
     space: &str,
 ) -> GateVerdict {
-    let Some(drawn) = found.sample(space) else {
+    let Some(sample) = inputs.sample(space) else {
         return GateVerdict::fails("no random scenario was simulated");
     };
-    match (drawn.find(controller), drawn.find(than)) {
-        (Some(own), Some(other)) => compare_samples(own, other, drawn.random_scenarios),
+    match (sample.find(controller), sample.find(than)) {
+        (Some(own), Some(other)) => compare_samples(own, other, sample.random_scenarios),
         _ => GateVerdict::fails("it has no run in this space"),
     }
 }

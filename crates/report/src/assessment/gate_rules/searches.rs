@@ -12,31 +12,31 @@ pub(super) fn no_avoidable_failure<'a>(
     GateRule::new(
         format!("{controller}: the search of `{space}` finds no avoidable failure"),
         searched_space_problem(space, config),
-        |found| check_no_avoidable_failure(found, controller, space),
+        |inputs| check_no_avoidable_failure(inputs, controller, space),
     )
 }
 
 fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
-    let is_searched = config.search_spaces().iter().any(|known| known == space);
+    let is_searched = config.search_spaces().iter().any(|name| name == space);
     (!is_searched).then(|| ("space", format!("`{space}` is not among `search.spaces`")))
 }
 
 fn check_no_avoidable_failure(
-    found: &GateInputs<'_>,
+    inputs: &GateInputs<'_>,
     controller: &str,
     space: &str,
 ) -> GateVerdict {
-    let mut spaces = found.results.searches.spaces.iter();
-    let searched = spaces.find(|searched| searched.name == space);
-    match searched.and_then(|searched| searched.find(controller)) {
+    let mut spaces = inputs.results.searches.spaces.iter();
+    let searches = spaces.find(|searches| searches.name == space);
+    match searches.and_then(|searches| searches.find(controller)) {
         Some(search) => check_search(search),
         None => GateVerdict::fails("there is no search for it"),
     }
 }
 
 fn check_search(search: &FailureSearch) -> GateVerdict {
-    if let Some(words) = search.describe_unanswered() {
-        return GateVerdict::fails(format!("it {words}"));
+    if let Some(unanswered) = search.describe_unanswered() {
+        return GateVerdict::fails(format!("it {unanswered}"));
     }
     let not_asked = search.count(AvoidabilityClass::NotAsked);
     let avoidable = search.count(AvoidabilityClass::Avoidable);

@@ -12,7 +12,7 @@ pub(super) fn passed<'a>(
     GateRule::new(
         format!("{controller}: passes every test of suite `{suite}` that can be run"),
         suite_problem(config, controller, suite),
-        |found| check_suite_passed(found, controller, suite),
+        |inputs| check_suite_passed(inputs, controller, suite),
     )
 }
 
@@ -33,8 +33,8 @@ fn suite_problem(config: &AssessConfig, controller: &str, suite: &str) -> Option
 }
 
 /// Ignores tests that cannot be run, but requires at least one test.
-fn check_suite_passed(found: &GateInputs<'_>, controller: &str, suite: &str) -> GateVerdict {
-    let run: Vec<_> = found
+fn check_suite_passed(inputs: &GateInputs<'_>, controller: &str, suite: &str) -> GateVerdict {
+    let run: Vec<_> = inputs
         .suite_outcomes(controller, suite)
         .into_iter()
         .filter(|(_, outcome)| outcome.points > 0)

@@ -57,7 +57,7 @@ impl FirstPage {
         let claims = strongest_first(summary.claims_about(plan.subject_index));
         let against: Vec<String> = claims
             .iter()
-            .filter(|one| speaks_against(one))
+            .filter(|subject_claim| speaks_against(subject_claim))
             .map(describe_refutation)
             .collect();
         let answer = SafetyAnswer::new(plan, &claims);
@@ -70,7 +70,7 @@ impl FirstPage {
             against,
             speaks_for: claims
                 .iter()
-                .filter(|one| speaks_for(one))
+                .filter(|subject_claim| speaks_for(subject_claim))
                 .map(describe_support)
                 .collect(),
             assumed: limits
@@ -97,33 +97,36 @@ impl FirstPage {
 
 /// Sorts claims by their weight: a refutation outweighs everything.
 fn strongest_first(mut claims: Vec<SubjectClaim<'_>>) -> Vec<SubjectClaim<'_>> {
-    let weight = |one: &SubjectClaim<'_>| one.status.strength.weight();
-    claims.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+    claims.sort_by(|a, b| b.weight().total_cmp(&a.weight()));
     claims
 }
 
 /// True for a claim that does not hold, unless only a part of it is refuted: that part is another claim.
-fn speaks_against(one: &SubjectClaim<'_>) -> bool {
-    let is_refuted_itself = one.status.strength.is_refutation()
-        && one.status.rule != Some(InferenceRule::RefutedInPart);
+fn speaks_against(subject_claim: &SubjectClaim<'_>) -> bool {
+    let is_refuted_itself = subject_claim.status.strength.is_refutation()
+        && subject_claim.status.rule != Some(InferenceRule::RefutedInPart);
     is_refuted_itself
         || matches!(
-            one.status.strength,
+            subject_claim.status.strength,
             Strength::Contradicted | Strength::Unanswered { .. }
         )
 }
 
-fn speaks_for(one: &SubjectClaim<'_>) -> bool {
-    one.status.strength.is_assurance()
-        || one.status.strength.is_gain_in_limit()
+fn speaks_for(subject_claim: &SubjectClaim<'_>) -> bool {
+    subject_claim.status.strength.is_assurance()
+        || subject_claim.status.strength.is_gain_in_limit()
         || matches!(
-            one.status.strength,
+            subject_claim.status.strength,
             Strength::Tested { .. } | Strength::PartlyProved { .. }
         )
 }
 
-fn describe_support(one: &SubjectClaim<'_>) -> String {
-    format!("{}: {}", one.row.claim, one.status.strength.describe())
+fn describe_support(subject_claim: &SubjectClaim<'_>) -> String {
+    format!(
+        "{}: {}",
+        subject_claim.row.claim,
+        subject_claim.status.strength.describe()
+    )
 }
 
 fn ask_question(plan: &AssessmentPlan) -> String {
@@ -145,14 +148,15 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> St
     let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else {
         return String::new();
     };
-    let is_shown = |one: &&SubjectClaim<'_>| {
-        matches!(one.claim.property, Property::FailsLessOften { .. })
-            && one.status.strength.is_assurance()
-    };
     let spaces: Vec<_> = claims
         .iter()
-        .filter(is_shown)
-        .map(|one| one.claim.describe_domain())
+        .filter(|subject_claim| {
+            matches!(
+                subject_claim.claim.property,
+                Property::FailsLessOften { .. }
+            ) && subject_claim.status.strength.is_assurance()
+        })
+        .map(|subject_claim| subject_claim.claim.describe_domain())
         .collect();
     match spaces.as_slice() {
         [] => format!("It is not shown to fail less often than `{}`.", first.name),
@@ -166,7 +170,8 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> St
 
 /// Describes a claim that does not hold: the violation first, then its frequency.
 fn describe_refutation(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String {
-    let (domain, strength) = (claim.describe_domain(), status.strength.describe());
+    let domain = claim.describe_domain();
+    let strength = status.strength.describe();
     match status.strength {
         // No violation occurred; the controller only failed to answer.
         Strength::Unanswered {
@@ -189,34 +194,41 @@ fn relevant_claims<'c, 'a>(
     plan: &AssessmentPlan,
     claims: &'c [SubjectClaim<'a>],
 ) -> Vec<&'c SubjectClaim<'a>> {
-    let is_relevant = |one: &&SubjectClaim<'_>| {
-        matches!(
-            one.claim.property,
-            Property::NoContact | Property::RateAtMost { .. }
-        ) && one.claim.subject.estimator == plan.config.estimator
-    };
-    claims.iter().filter(is_relevant).collect()
+    claims
+        .iter()
+        .filter(|subject_claim| {
+            matches!(
+                subject_claim.claim.property,
+                Property::NoContact | Property::RateAtMost { .. }
+            ) && subject_claim.claim.subject.estimator == plan.config.estimator
+        })
+        .collect()
 }
 
-fn is_refuted(one: &SubjectClaim<'_>) -> bool {
-    one.status.strength.is_refutation()
+fn is_refuted(subject_claim: &SubjectClaim<'_>) -> bool {
+    subject_claim.status.strength.is_refutation()
 }
 
 /// True if some evidence refutes the claim, even if it is not the strongest.
-fn has_refutation(one: &SubjectClaim<'_>) -> bool {
-    let mut others = one.status.secondary.iter();
-    is_refuted(one) || others.any(|other| other.strength.is_refutation())
+fn has_refutation(subject_claim: &SubjectClaim<'_>) -> bool {
+    let mut secondary = subject_claim.status.secondary.iter();
+    is_refuted(subject_claim) || secondary.any(|evidence| evidence.strength.is_refutation())
 }
 
 impl SafetyAnswer {
     /// Derives the answer. A failed run outweighs all other evidence.
     fn new(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> Self {
-        let about = relevant_claims(plan, claims);
-        let is_assured = about.iter().any(|one| one.status.strength.is_assurance());
-        let is_contradicted = about
+        let relevant = relevant_claims(plan, claims);
+        let is_assured = relevant
             .iter()
-            .any(|one| one.status.strength == Strength::Contradicted);
-        if about.iter().any(|one| has_refutation(one)) {
+            .any(|subject_claim| subject_claim.status.strength.is_assurance());
+        let is_contradicted = relevant
+            .iter()
+            .any(|subject_claim| subject_claim.status.strength == Strength::Contradicted);
+        if relevant
+            .iter()
+            .any(|subject_claim| has_refutation(subject_claim))
+        {
             Self::NotSafe
         } else if is_assured && !is_contradicted {
             Self::SafeInDomain
@@ -225,24 +237,24 @@ impl SafetyAnswer {
         }
     }
 
-    /// Describes the answer with its domain and strength, so that it can be quoted alone. `about` are the claims that
-    /// decide it.
-    fn describe(self, subject: &str, about: &[&SubjectClaim<'_>], against: &[String]) -> String {
-        let besides = against.first().map_or(String::new(), |first| {
+    /// Describes the answer with its domain and strength, so that it can be quoted alone. `relevant` are the claims
+    /// that decide it.
+    fn describe(self, subject: &str, relevant: &[&SubjectClaim<'_>], against: &[String]) -> String {
+        let objection = against.first().map_or(String::new(), |first| {
             format!(" Evidence against it: {first}.")
         });
         match self {
             Self::NotSafe => format!(
                 "Not safe. Main evidence against `{subject}`: {}.",
-                main_refutation(about)
+                main_refutation(relevant)
             ),
             Self::Undecided => format!(
-                "Undecided: no result of this report bounds the failure rate of `{subject}`.{besides}"
+                "Undecided: no result of this report bounds the failure rate of `{subject}`.{objection}"
             ),
             Self::SafeInDomain => format!(
                 "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
-                 known about other situations.{besides}",
-                list_assurances(about)
+                 known about other situations.{objection}",
+                list_assurances(relevant)
             ),
         }
     }
@@ -256,22 +268,27 @@ impl SafetyAnswer {
     }
 }
 
-fn main_refutation(about: &[&SubjectClaim<'_>]) -> String {
-    let main = about
-        .iter()
-        .copied()
-        .find(|one| is_refuted(one) && one.status.rule != Some(InferenceRule::RefutedInPart));
+fn main_refutation(relevant: &[&SubjectClaim<'_>]) -> String {
+    let main = relevant.iter().copied().find(|subject_claim| {
+        is_refuted(subject_claim) && subject_claim.status.rule != Some(InferenceRule::RefutedInPart)
+    });
     main.map_or_else(
         || "a failed run in a part of a domain".to_owned(),
         describe_refutation,
     )
 }
 
-fn list_assurances(about: &[&SubjectClaim<'_>]) -> String {
-    let assured = about
+fn list_assurances(relevant: &[&SubjectClaim<'_>]) -> String {
+    let assured = relevant
         .iter()
-        .filter(|one| one.status.strength.is_assurance())
-        .map(|one| format!("{} ({})", one.row.claim, one.status.strength.describe()));
+        .filter(|subject_claim| subject_claim.status.strength.is_assurance())
+        .map(|subject_claim| {
+            format!(
+                "{} ({})",
+                subject_claim.row.claim,
+                subject_claim.status.strength.describe()
+            )
+        });
     assured.collect::<Vec<_>>().join("; ")
 }
 
@@ -279,24 +296,26 @@ impl FirstPage {
     /// Returns question, answer and reasons as text for a terminal.
     #[must_use]
     pub fn to_plain_text(&self) -> String {
-        let list = |head: &str, lines: &[String]| {
-            let lines: String = lines
-                .iter()
-                .map(|line| format!("  {}\n", TerminalText(line)))
-                .collect();
-            if lines.is_empty() {
-                String::new()
-            } else {
-                format!("{head}\n{lines}")
-            }
-        };
         let text = format!(
             "{}\n{}\n",
             TerminalText(&self.question),
             TerminalText(&self.answer_text)
         );
-        text + &list("evidence against it:", &self.against)
-            + &list("evidence for it:", &self.speaks_for)
+        text + &plain_text_list("evidence against it:", &self.against)
+            + &plain_text_list("evidence for it:", &self.speaks_for)
+    }
+}
+
+/// Returns a heading and its lines; empty without lines.
+fn plain_text_list(heading: &str, lines: &[String]) -> String {
+    let lines: String = lines
+        .iter()
+        .map(|line| format!("  {}\n", TerminalText(line)))
+        .collect();
+    if lines.is_empty() {
+        String::new()
+    } else {
+        format!("{heading}\n{lines}")
     }
 }
 

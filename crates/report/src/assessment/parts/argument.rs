@@ -49,18 +49,20 @@ struct GsnElement {
     url: Option<String>,
 }
 
+impl GsnElement {
+    /// Returns the identifier without its number, which states the kind of the element.
+    fn prefix(&self) -> &str {
+        self.id
+            .trim_end_matches(|letter: char| letter.is_ascii_digit())
+    }
+}
+
 impl ArgumentBuilder {
     fn add(&mut self, prefix: &str, text: impl Into<String>) -> String {
-        let kind = |element: &GsnElement| {
-            element
-                .id
-                .trim_end_matches(|letter: char| letter.is_ascii_digit())
-                .to_owned()
-        };
         let number = 1 + self
             .elements
             .iter()
-            .filter(|element| kind(element) == prefix)
+            .filter(|element| element.prefix() == prefix)
             .count();
         let id = format!("{prefix}{number}");
         self.elements.push(GsnElement {
@@ -77,22 +79,22 @@ impl ArgumentBuilder {
         }
     }
 
-    fn add_support(&mut self, id: &str, by: String) {
-        self.update(id, |element| element.supported_by.push(by));
+    fn add_support(&mut self, id: &str, supporting_id: String) {
+        self.update(id, |element| element.supported_by.push(supporting_id));
     }
 
-    fn add_claim(&mut self, strategy: &str, stated: &SubjectClaim<'_>) {
-        let goal = self.add(GOAL, state_claim(stated));
+    fn add_claim(&mut self, strategy: &str, subject_claim: &SubjectClaim<'_>) {
+        let goal = self.add(GOAL, state_claim(subject_claim));
         self.add_support(strategy, goal.clone());
-        let strength = &stated.status.strength;
+        let strength = &subject_claim.status.strength;
         match strength.mark() {
             _ if matches!(strength, Strength::PartlyProved { .. }) => {
-                self.add_solution(&goal, stated)
+                self.add_solution(&goal, subject_claim)
             }
-            CellMark::Good => self.add_solution(&goal, stated),
+            CellMark::Good => self.add_solution(&goal, subject_claim),
             CellMark::Bad => {
                 let counter = self.add(GOAL, format!("Refuted: {}", strength.describe()));
-                self.add_solution(&counter, stated);
+                self.add_solution(&counter, subject_claim);
                 self.update(&counter, |element| element.challenges = Some(goal.clone()));
                 self.update(&goal, |element| element.defeated = true);
             }
@@ -102,10 +104,10 @@ impl ArgumentBuilder {
         }
     }
 
-    fn add_solution(&mut self, below: &str, stated: &SubjectClaim<'_>) {
-        let solution = self.add(SOLUTION, stated.status.describe());
+    fn add_solution(&mut self, below: &str, subject_claim: &SubjectClaim<'_>) {
+        let solution = self.add(SOLUTION, subject_claim.status.describe());
         self.update(&solution, |element| {
-            element.url = Some(format!("assessment.html#{}", stated.row.part))
+            element.url = Some(format!("assessment.html#{}", subject_claim.row.part))
         });
         self.add_support(below, solution);
     }
@@ -116,10 +118,10 @@ fn state_claim(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String
     let name = &claim.subject.controller.name;
     match status.strength {
         Strength::PartlyProved { share_percent } => {
-            let seeing = describe_estimator(claim.subject.estimator);
+            let estimator = describe_estimator(claim.subject.estimator);
             let domain = claim.domain.describe();
             format!(
-                "{name}, {seeing}, has no collision in {share_percent} % of the initial states: {domain}"
+                "{name}, {estimator}, has no collision in {share_percent} % of the initial states: {domain}"
             )
         }
         _ => format!("Claim about {name}: {}", row.claim),
@@ -189,23 +191,22 @@ const GOALS: [Goal; 6] = [
 ];
 
 /// Returns the domains of claims about rates, which must not be read without them.
-fn describe_rate_domains(about: &[&SubjectClaim<'_>]) -> String {
-    let is_rate = |one: &&&SubjectClaim<'_>| {
-        matches!(
-            one.claim.property,
-            Property::RateAtMost { .. } | Property::FailsLessOften { .. }
-        )
-    };
-    let mut places: Vec<String> = about
+fn describe_rate_domains(claims: &[&SubjectClaim<'_>]) -> String {
+    let mut domains: Vec<String> = claims
         .iter()
-        .filter(is_rate)
-        .map(|one| one.claim.describe_domain())
+        .filter(|subject_claim| {
+            matches!(
+                subject_claim.claim.property,
+                Property::RateAtMost { .. } | Property::FailsLessOften { .. }
+            )
+        })
+        .map(|subject_claim| subject_claim.claim.describe_domain())
         .collect();
-    places.dedup();
-    if places.is_empty() {
+    domains.dedup();
+    if domains.is_empty() {
         String::new()
     } else {
-        format!(", {}", places.join(" and "))
+        format!(", {}", domains.join(" and "))
     }
 }
 
@@ -235,32 +236,32 @@ impl ArgumentBuilder {
 
     /// Adds a goal about some properties of the subject, with the claims about them; nothing without claims.
     fn add_goal(&mut self, below: &str, subject: &str, goal: &Goal, claims: &[SubjectClaim<'_>]) {
-        let about: Vec<_> = claims
+        let relevant: Vec<_> = claims
             .iter()
-            .filter(|one| (goal.is_about)(&one.claim.property))
+            .filter(|subject_claim| (goal.is_about)(&subject_claim.claim.property))
             .collect();
-        if about.is_empty() {
+        if relevant.is_empty() {
             return;
         }
         let text = format!(
             "{subject} {}{}",
             goal.statement,
-            describe_rate_domains(&about)
+            describe_rate_domains(&relevant)
         );
         let id = self.add(GOAL, text);
         self.add_support(below, id.clone());
         let strategy = self.add(STRATEGY, goal.strategy);
         self.add_support(&id, strategy.clone());
-        for stated in about {
-            self.add_claim(&strategy, stated);
+        for subject_claim in relevant {
+            self.add_claim(&strategy, subject_claim);
         }
     }
 }
 
 fn distinct_domains(claims: &[SubjectClaim<'_>]) -> Vec<String> {
     let mut domains: Vec<String> = Vec::new();
-    for one in claims {
-        let domain = format!("domain: {}", one.claim.domain.describe());
+    for subject_claim in claims {
+        let domain = format!("domain: {}", subject_claim.claim.domain.describe());
         if !domains.contains(&domain) {
             domains.push(domain);
         }
@@ -283,12 +284,12 @@ impl Argument {
         let goal =
             format!("{subject}, {estimator}, avoids collisions in the domains of this report");
         let top = argument.add(GOAL, goal);
-        let over = argument.add(STRATEGY, "over collisions, failure rates and usefulness");
-        argument.add_support(&top, over.clone());
+        let strategy = argument.add(STRATEGY, "over collisions, failure rates and usefulness");
+        argument.add_support(&top, strategy.clone());
         let contexts = argument.add_contexts(&claims, limits);
         argument.update(&top, |element| element.in_context_of = contexts);
         for goal in &GOALS {
-            argument.add_goal(&over, subject, goal, &claims);
+            argument.add_goal(&strategy, subject, goal, &claims);
         }
         argument.propagate_defeat();
         Self {
@@ -327,11 +328,11 @@ impl GsnElement {
         if let Some(challenged) = &self.challenges {
             writeln!(out, "  challenges: {challenged}")?;
         }
-        for (key, is_so) in [
+        for (key, is_set) in [
             ("defeated", self.defeated),
             ("undeveloped", self.undeveloped),
         ] {
-            if is_so {
+            if is_set {
                 writeln!(out, "  {key}: true")?;
             }
         }

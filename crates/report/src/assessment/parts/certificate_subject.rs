@@ -1,15 +1,13 @@
 //! The subject of a certificate, decided by hashes, and descriptions of statements.
 
-use crumple_verify::reach::InitialRanges;
-use crumple_verify::{Certificate, ClaimSubject, ReachClaim, Registration, Statement};
+use crumple_verify::{Certificate, ClaimSubject, Interval, ReachClaim, Registration, Statement};
 
 use super::CertificateSubject;
 use crate::assessment::AssessmentPlan;
-use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property, Subject};
 use crate::assessment::plan::NamedSpace;
 use crumple_core::digest::sha256;
 use crumple_evidence::{check_covers_scenario, checker_file};
-use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 
@@ -34,82 +32,62 @@ pub(super) fn describe_statement(
 }
 
 fn describe_runs(registration: &Registration) -> String {
-    let entry = |key: &str| {
-        let value = registration.configuration.get(key);
-        value.map_or("", String::as_str)
-    };
+    let controller = entry(registration, "controller");
     let controllers = match registration.configuration.get("against") {
-        None => entry("controller").to_owned(),
-        Some(second) => format!("{} against {second}", entry("controller")),
+        None => controller.to_owned(),
+        Some(second) => format!("{controller} against {second}"),
     };
     let runs = registration.runs;
-    format!("{controllers} in {runs} runs of space `{}`", entry("space"))
+    let space = entry(registration, "space");
+    format!("{controllers} in {runs} runs of space `{space}`")
+}
+
+/// Returns an entry of the configuration of registered runs; empty if it is absent.
+fn entry<'a>(registration: &'a Registration, key: &str) -> &'a str {
+    let value = registration.configuration.get(key);
+    value.map_or("", String::as_str)
 }
 
 fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
-    let InitialRanges {
-        gap_ahead_m,
-        gap_behind_m,
-        leader_speed_mps,
-        ego_speed_mps,
-        ..
-    } = reach.ranges;
-    let InitialRanges {
-        follower_speed_mps,
-        leader_brake_mps2,
-        follower_brake_mps2,
-        onset_steps,
-        ..
-    } = reach.ranges;
-    let in_seconds = |steps: f64| steps * reach.step_s;
-    let all = [
-        ("gap ahead", "m", (gap_ahead_m.low(), gap_ahead_m.high())),
-        ("gap behind", "m", (gap_behind_m.low(), gap_behind_m.high())),
-        (
-            "leader",
-            "m/s",
-            (leader_speed_mps.low(), leader_speed_mps.high()),
-        ),
-        ("ego", "m/s", (ego_speed_mps.low(), ego_speed_mps.high())),
-        (
-            "follower",
-            "m/s",
-            (follower_speed_mps.low(), follower_speed_mps.high()),
-        ),
-        (
-            "leader brakes at",
-            "m/s²",
-            (leader_brake_mps2.low(), leader_brake_mps2.high()),
-        ),
-        (
-            "from",
-            "s",
-            (
-                in_seconds(onset_steps.low()),
-                in_seconds(onset_steps.high()),
-            ),
-        ),
-        (
-            "follower brakes at",
-            "m/s²",
-            (follower_brake_mps2.low(), follower_brake_mps2.high()),
-        ),
+    let ranges = &reach.ranges;
+    let mut descriptions = vec![
+        describe_range("gap ahead", ranges.gap_ahead_m, "m"),
+        describe_range("gap behind", ranges.gap_behind_m, "m"),
+        describe_range("leader", ranges.leader_speed_mps, "m/s"),
+        describe_range("ego", ranges.ego_speed_mps, "m/s"),
+        describe_range("follower", ranges.follower_speed_mps, "m/s"),
     ];
-    let led = reach.leader_brakes_at_most_mps2;
     // Braking rate and onset have no meaning if the leader's acceleration is arbitrary.
-    let has_meaning = |(name, ..): &(&str, &str, (f64, f64))| {
-        led.is_none() || !["leader brakes at", "from"].contains(name)
-    };
-    let words = all
-        .into_iter()
-        .filter(has_meaning)
-        .map(|(name, unit, (low, high))| match low == high {
-            true => format!("{name} {low} {unit}"),
-            false => format!("{name} {low} to {high} {unit}"),
-        });
-    words
-        .chain(led.map(|limit_mps2| format!("any braking of the leader up to {limit_mps2} m/s²")))
-        .collect()
+    if reach.leader_brakes_at_most_mps2.is_none() {
+        descriptions.push(describe_range(
+            "leader brakes at",
+            ranges.leader_brake_mps2,
+            "m/s²",
+        ));
+        let onset_s =
+            [ranges.onset_steps.low(), ranges.onset_steps.high()].map(|steps| steps * reach.step_s);
+        descriptions.push(describe_numbers("from", onset_s, "s"));
+    }
+    descriptions.push(describe_range(
+        "follower brakes at",
+        ranges.follower_brake_mps2,
+        "m/s²",
+    ));
+    if let Some(limit_mps2) = reach.leader_brakes_at_most_mps2 {
+        descriptions.push(format!("any braking of the leader up to {limit_mps2} m/s²"));
+    }
+    descriptions
+}
+
+fn describe_range(name: &str, range: Interval, unit: &str) -> String {
+    describe_numbers(name, [range.low(), range.high()], unit)
+}
+
+fn describe_numbers(name: &str, [low, high]: [f64; 2], unit: &str) -> String {
+    match low == high {
+        true => format!("{name} {low} {unit}"),
+        false => format!("{name} {low} to {high} {unit}"),
+    }
 }
 
 pub(super) fn certificate_subject(
@@ -119,30 +97,37 @@ pub(super) fn certificate_subject(
     policy: Option<&[u8]>,
 ) -> CertificateSubject {
     match certificate.statement.subject() {
-        ClaimSubject::Runs(registration) => registered_subject(plan, registration),
-        // The unshielded policy or network with the true state: a shield would make it another controller.
-        ClaimSubject::InitialStates(reach) => {
-            let digest = |one: &NamedController| Some(sha256(checker_file(&one.source).ok()??));
-            let is_it = |one: &NamedController| {
-                digest(one).as_deref() == Some(reach.policy_sha256.as_str())
-            };
-            let place = plan.controllers.iter().position(is_it);
-            match place.and_then(|place| plan.claim_subject(place, EstimatorKind::Truth)) {
-                Some(subject) => CertificateSubject::Claim(Box::new(AssuranceClaim {
-                    subject,
-                    property: Property::NoContact,
-                    domain: Domain::Box {
-                        around: initial_states_id(plan, name, (certificate, reach), policy),
-                    },
-                })),
-                None => CertificateSubject::Unrelated {
-                    reason: "its policy is not among the controllers".to_owned(),
+        ClaimSubject::Runs(registration) => match registered_claim(plan, registration) {
+            Ok(claim) => CertificateSubject::Claim(Box::new(claim)),
+            Err(reason) => CertificateSubject::Unrelated { reason },
+        },
+        ClaimSubject::InitialStates(reach) => match find_proved_controller(plan, reach) {
+            Some(subject) => CertificateSubject::Claim(Box::new(AssuranceClaim {
+                subject,
+                property: Property::NoContact,
+                domain: Domain::Box {
+                    around: initial_states_id(plan, name, (certificate, reach), policy),
                 },
-            }
-        }
+            })),
+            None => CertificateSubject::Unrelated {
+                reason: "its policy is not among the controllers".to_owned(),
+            },
+        },
         ClaimSubject::AnyVehicles => CertificateSubject::Kernel,
         ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => CertificateSubject::NoController,
     }
+}
+
+/// Returns the unshielded policy or network of a certificate, with the true state. A shield would make it another
+/// controller.
+fn find_proved_controller(plan: &AssessmentPlan, reach: &ReachClaim) -> Option<Subject> {
+    let index = plan.controllers.iter().position(|controller| {
+        checker_file(&controller.source)
+            .ok()
+            .flatten()
+            .is_some_and(|file| sha256(file) == reach.policy_sha256)
+    })?;
+    plan.claim_subject(index, EstimatorKind::Truth)
 }
 
 /// Returns the identifier of the box: the statement without policy and result. The certificate's own label is not
@@ -164,20 +149,7 @@ fn initial_states_id(
         content += &format!(" follower {law:?}");
     }
     let horizon_s = reach.step_s * f64::from(reach.steps);
-    let is_inside =
-        |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
-    let built_in = built_in_scenario_names()
-        .iter()
-        .filter_map(|(name, _)| built_in_scenario(name))
-        .find(is_inside);
-    let inside = built_in.or_else(|| {
-        plan.file_scenarios
-            .iter()
-            .map(|(_, scenario)| scenario)
-            .find(|one| is_inside(one))
-            .cloned()
-    });
-    let around = match inside {
+    let around = match scenario_inside(plan, certificate, policy) {
         Some(scenario) => format!("around `{}`", scenario.spec().name),
         None => format!("of certificate `{certificate_name}`"),
     };
@@ -190,6 +162,24 @@ fn initial_states_id(
         name: format!("the box of initial states {around}{any_braking} for {horizon_s} s"),
         sha256: sha256(&content),
     }
+}
+
+/// Returns the first built-in scenario, or scenario of a file, whose initial state lies in the box of a certificate.
+fn scenario_inside(
+    plan: &AssessmentPlan,
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+) -> Option<Scenario> {
+    let built_in = built_in_scenario_names()
+        .into_iter()
+        .filter_map(|(name, _)| built_in_scenario(name));
+    let of_files = plan
+        .file_scenarios
+        .iter()
+        .map(|(_, scenario)| scenario.clone());
+    built_in
+        .chain(of_files)
+        .find(|scenario| check_covers_scenario(certificate, scenario, policy).is_ok())
 }
 
 fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
@@ -210,67 +200,63 @@ pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> b
 }
 
 /// Returns the claim of a registration with the hashes of this report's controllers and space, and the same release.
-fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> CertificateSubject {
-    let foreign = |reason: String| CertificateSubject::Unrelated { reason };
-    let of = |key: &str| {
-        registration
-            .configuration
-            .get(key)
-            .map_or("", String::as_str)
-    };
-    if of("crumple") != env!("CARGO_PKG_VERSION") {
-        return foreign(format!("crumple {} counted its runs", of("crumple")));
+/// The error is the reason why there is none.
+fn registered_claim(
+    plan: &AssessmentPlan,
+    registration: &Registration,
+) -> Result<AssuranceClaim, String> {
+    let release = entry(registration, "crumple");
+    if release != env!("CARGO_PKG_VERSION") {
+        return Err(format!("crumple {release} counted its runs"));
     }
-    let Some(named) = find_space(plan, registration) else {
-        return foreign(format!(
-            "its space `{}` is not among `distributions`",
-            of("space")
-        ));
-    };
-    let Some(&estimator) = EstimatorKind::ALL
-        .iter()
-        .find(|one| one.name() == of("estimator"))
-    else {
-        return foreign("it names no known estimator".to_owned());
-    };
-    let find = |place: &str| {
-        let identity = of(&format!("{place}_sha256"));
-        let is_it = |one: &NamedController| one.source.identity().as_deref() == Some(identity);
-        // Both must define a failure alike.
-        let place = plan.controllers.iter().position(is_it)?;
-        let counts = plan.controllers.get(place).is_some_and(|one| {
-            [
-                one.failure_description(),
-                "vehicles touch, or a controller fails",
-            ]
-            .contains(&of("failure"))
-        });
-        plan.claim_subject(place, estimator).filter(|_| counts)
-    };
-    let Some(subject) = find("controller") else {
-        return foreign(format!(
-            "its `{}` is not among the controllers",
-            of("controller")
-        ));
-    };
-    let domain = Domain::Space {
-        space: named.content_id.clone(),
-    };
+    let named = find_space(plan, registration).ok_or_else(|| {
+        let space = entry(registration, "space");
+        format!("its space `{space}` is not among `distributions`")
+    })?;
+    let estimator = EstimatorKind::ALL
+        .into_iter()
+        .find(|kind| kind.name() == entry(registration, "estimator"))
+        .ok_or("it names no known estimator")?;
+    let subject = registered_subject(plan, registration, "controller", estimator)?;
     let property = match registration.configuration.get("against") {
         None => Property::FailureRate,
         Some(_) if named.can_others_collide() => {
-            return foreign("it counts collisions of vehicles that are not under test".to_owned());
+            return Err("it counts collisions of vehicles that are not under test".to_owned());
         }
-        Some(other) => match find("against") {
-            Some(than) => Property::FailsLessOften {
-                than: than.controller,
-            },
-            None => return foreign(format!("its `{other}` is not among the controllers")),
+        Some(_) => Property::FailsLessOften {
+            than: registered_subject(plan, registration, "against", estimator)?.controller,
         },
     };
-    CertificateSubject::Claim(Box::new(AssuranceClaim {
+    Ok(AssuranceClaim {
         subject,
         property,
-        domain,
-    }))
+        domain: Domain::Space {
+            space: named.content_id.clone(),
+        },
+    })
+}
+
+/// Returns the controller that an entry of a registration names, if it defines a failure in the same way.
+fn registered_subject(
+    plan: &AssessmentPlan,
+    registration: &Registration,
+    key: &str,
+    estimator: EstimatorKind,
+) -> Result<Subject, String> {
+    let identity = entry(registration, &format!("{key}_sha256"));
+    let failure = entry(registration, "failure");
+    plan.controllers
+        .iter()
+        .position(|controller| controller.source.identity().as_deref() == Some(identity))
+        .filter(|&index| {
+            plan.controllers.get(index).is_some_and(|controller| {
+                failure == controller.failure_description()
+                    || failure == "vehicles touch, or a controller fails"
+            })
+        })
+        .and_then(|index| plan.claim_subject(index, estimator))
+        .ok_or_else(|| {
+            let name = entry(registration, key);
+            format!("its `{name}` is not among the controllers")
+        })
 }

@@ -136,6 +136,15 @@ impl CertificateStatus {
         }
     }
 
+    /// Returns the strength for the claim about a controller, if the certificate makes one and was not rejected.
+    fn strength(&self) -> Option<&Strength> {
+        match self {
+            Self::Accepted { strength, .. } => strength.as_ref(),
+            Self::NothingShown { strength, .. } => Some(strength),
+            Self::Rejected { .. } => None,
+        }
+    }
+
     fn check(
         certificate: &Certificate,
         policy: Option<&[u8]>,
@@ -173,11 +182,11 @@ fn accepted_strength(
             Some(rate_strength(rate, *max_rate, counts_others))
         }
         // Below the minimum confidence level it shows nothing.
-        (ProvedClaim::FailsLessOften { confidence }, Statement::Comparison(two)) => {
+        (ProvedClaim::FailsLessOften { confidence }, Statement::Comparison(comparison)) => {
             let confidence_percent = Rounded::down(100.0 * confidence);
             (confidence_percent.value() >= MIN_CONFIDENCE_PERCENT).then_some(Strength::Counted {
                 confidence_percent,
-                runs: two.registration.runs,
+                runs: comparison.registration.runs,
             })
         }
         // The certificate contains an initial state that ends in a collision.
@@ -203,7 +212,7 @@ fn accepted_strength(
 
 /// Returns the bounds from counted runs: the upper one as certified, the lower one from the same count at the same
 /// confidence level. The lower bound is 0 if the count includes collisions of other vehicles.
-pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool) -> Strength {
+pub(super) fn rate_strength(rate: &RateClaim, max_rate: f64, counts_others: bool) -> Strength {
     let Registration {
         runs, confidence, ..
     } = rate.registration;
@@ -211,7 +220,7 @@ pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool)
     let interval = RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0);
     Strength::Between {
         lower_percent: Rounded::down(100.0 * interval.lower),
-        upper_percent: Rounded::up(100.0 * at_most),
+        upper_percent: Rounded::up(100.0 * max_rate),
         confidence_percent: Rounded::down(100.0 * confidence),
         runs,
     }
@@ -225,15 +234,10 @@ impl CheckedCertificate {
     }
 
     fn evidence(&self) -> Vec<Evidence> {
-        let (
-            CertificateStatus::Accepted {
-                strength: Some(strength),
-                ..
-            }
-            | CertificateStatus::NothingShown { strength, .. },
-            CertificateSubject::Claim(claim),
-        ) = (&self.status, &self.subject)
-        else {
+        let CertificateSubject::Claim(claim) = &self.subject else {
+            return Vec::new();
+        };
+        let Some(strength) = self.status.strength() else {
             return Vec::new();
         };
         let own = Evidence {
@@ -248,16 +252,14 @@ impl CheckedCertificate {
 
     /// Returns the counted runs as evidence about random scenarios, where a failure refutes the claim.
     fn counted_runs_evidence(&self, claim: &AssuranceClaim) -> Option<Evidence> {
-        let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else {
+        let Domain::Space { space } = &claim.domain else {
             return None;
         };
-        let (seed, draws) = (
-            rate.registration.configuration.get("seed")?.parse().ok()?,
-            rate.registration.runs,
-        );
+        let rate = self.rate.as_ref()?;
+        let draws = rate.registration.runs;
         let domain = Domain::Draws {
             space: space.clone(),
-            seed,
+            seed: rate.registration.configuration.get("seed")?.parse().ok()?,
             draws,
         };
         let claim = AssuranceClaim {
@@ -307,12 +309,12 @@ pub(super) fn gather_certificates<'a>(
         proofs.push(counted.gather(work)?);
     }
     let given = plan.certificates.par_iter();
-    let given = given.map(|one| {
+    let given = given.map(|given| {
         check_certificate(
             plan,
-            one.name.clone(),
-            &one.certificate,
-            one.policy.as_deref(),
+            given.name.clone(),
+            &given.certificate,
+            given.policy.as_deref(),
         )
     });
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
@@ -359,23 +361,19 @@ pub(super) fn check_certificate(
 
 /// Returns the evidence of accepted certificates, about controllers and about shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
-    let mut all: Vec<_> = proofs
+    let mut evidence: Vec<_> = proofs
         .iter()
         .flat_map(CheckedCertificate::evidence)
         .collect();
-    for (place, controller) in plan.controllers.iter().enumerate() {
+    for (index, controller) in plan.controllers.iter().enumerate() {
         let kernels = shield_kernels(controller);
-        let proved = |kernel: &ViabilityKernel| {
-            let expected = kernel_certificate(kernel, PAPER_STEP_S, MIN_MARGIN_M)?.statement;
-            let is_it = |proof: &&CheckedCertificate| {
-                proof.is_accepted() && proof.kernel.as_ref() == Some(&expected)
-            };
-            proofs.iter().find(is_it)
-        };
-        let certificates: Option<Vec<&CheckedCertificate>> = kernels.iter().map(proved).collect();
+        let certificates: Option<Vec<&CheckedCertificate>> = kernels
+            .iter()
+            .map(|kernel| find_kernel_proof(proofs, kernel))
+            .collect();
         if let (Some(certificates), Some(subject)) = (
             certificates,
-            plan.claim_subject(place, plan.config.estimator),
+            plan.claim_subject(index, plan.config.estimator),
         ) && let Some(first) = certificates.first()
         {
             let claim = AssuranceClaim {
@@ -385,7 +383,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
             };
             let mut source = first.source();
             source.what = format!("{} certificates of safety kernels", certificates.len());
-            all.push(Evidence {
+            evidence.push(Evidence {
                 claim,
                 strength: Strength::Proved {
                     certificates: certificates.len(),
@@ -394,7 +392,17 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
             });
         }
     }
-    all
+    evidence
+}
+
+fn find_kernel_proof<'a>(
+    proofs: &'a [CheckedCertificate],
+    kernel: &ViabilityKernel,
+) -> Option<&'a CheckedCertificate> {
+    let expected = kernel_certificate(kernel, PAPER_STEP_S, MIN_MARGIN_M)?.statement;
+    proofs
+        .iter()
+        .find(|proof| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected))
 }
 
 /// Returns the kernels of a controller's shield, for all pairs of vehicle classes. Empty without a shield, or if a user
@@ -413,20 +421,20 @@ pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKerne
     let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
     let ahead: Vec<f64> =
         ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
-    let of = |own_brake_mps2| {
-        ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel {
-            own_brake_mps2,
-            ahead_brake_mps2,
+    limits
+        .flat_map(|own_brake_mps2| {
+            ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel {
+                own_brake_mps2,
+                ahead_brake_mps2,
+            })
         })
-    };
-    limits.flat_map(of).collect()
+        .collect()
 }
 
 pub(super) fn kernel_domain(kernels: &[ViabilityKernel]) -> Domain {
-    let limits = |kernel: &ViabilityKernel| {
-        [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new)
-    };
-    Domain::Kernels {
-        limits_mps2: kernels.iter().map(limits).collect(),
-    }
+    let limits_mps2 = kernels
+        .iter()
+        .map(|kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new))
+        .collect();
+    Domain::Kernels { limits_mps2 }
 }

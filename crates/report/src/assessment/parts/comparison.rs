@@ -4,6 +4,7 @@ mod fact;
 mod order;
 
 use std::cmp::Ordering;
+use std::fmt::Display;
 use std::path::Path;
 
 use serde::Serialize;
@@ -74,30 +75,26 @@ impl EarlierAssessment {
     }
 
     fn from_json(text: &str, path: &Path) -> Result<Self, FileError> {
-        let wrong = |line, message| FileError::Syntax {
-            path: path.to_owned(),
-            line,
-            message,
-        };
-        let syntax = |error: serde_json::Error| {
-            wrong(error.line(), format!("not an assessment.json: {error}"))
-        };
-        let mut evidence: Value = serde_json::from_str(text).map_err(syntax)?;
+        let mut evidence: Value = serde_json::from_str(text)
+            .map_err(|error| syntax_error(path, error.line(), not_evidence(error)))?;
         use_current_names(&mut evidence);
-        let field = |problem: String| wrong(1, format!("not an assessment.json: {problem}"));
-        let version: u32 = read(&evidence, "version").map_err(field)?;
+        let version: u32 = read(&evidence, "version")
+            .map_err(|problem| syntax_error(path, 1, not_evidence(problem)))?;
         if version != EVIDENCE_VERSION {
             let supported = format!("this release compares with version {EVIDENCE_VERSION}");
-            return Err(wrong(
-                1,
-                format!("version: {version} is not supported; {supported}"),
-            ));
+            let message = format!("version: {version} is not supported; {supported}");
+            return Err(syntax_error(path, 1, message));
         }
-        let config_sha256 = read(&evidence, "provenance/config_sha256").map_err(field)?;
+        Self::from_evidence(&evidence, sha256(text))
+            .map_err(|problem| syntax_error(path, 1, not_evidence(problem)))
+    }
+
+    /// Reads the compared content; the error names a field.
+    fn from_evidence(evidence: &Value, sha256: String) -> Result<Self, String> {
         Ok(Self {
-            sha256: sha256(text),
-            config_sha256,
-            facts: read_facts(&evidence).map_err(field)?,
+            sha256,
+            config_sha256: read(evidence, "provenance/config_sha256")?,
+            facts: read_facts(evidence)?,
         })
     }
 }
@@ -123,6 +120,18 @@ fn use_current_names(value: &mut Value) {
         Value::Array(items) => items.iter_mut().for_each(use_current_names),
         _ => {}
     }
+}
+
+fn syntax_error(path: &Path, line: usize, message: String) -> FileError {
+    FileError::Syntax {
+        path: path.to_owned(),
+        line,
+        message,
+    }
+}
+
+fn not_evidence(problem: impl Display) -> String {
+    format!("not an assessment.json: {problem}")
 }
 
 /// The kind of change of a result of this assessment.
@@ -155,14 +164,24 @@ fn compare_fact(
 
 impl AssessmentChange {
     fn new(what: &str, before: Option<&Fact>, now: Option<&Fact>) -> Self {
-        let describe = |fact: &Fact| fact.description.clone();
         Self {
             description: what.to_owned(),
-            before: before.map(describe),
-            now: now.map(describe),
+            before: before.map(|fact| fact.description.clone()),
+            now: now.map(|fact| fact.description.clone()),
             is_failure: now.or(before).is_some_and(|fact| fact.is_failure),
         }
     }
+}
+
+fn changes_of_kind(
+    changes: &[(ChangeKind, AssessmentChange)],
+    wanted: ChangeKind,
+) -> Vec<AssessmentChange> {
+    changes
+        .iter()
+        .filter(|(kind, _)| *kind == wanted)
+        .map(|(_, change)| change.clone())
+        .collect()
 }
 
 impl AssessmentComparison {
@@ -184,10 +203,6 @@ impl AssessmentComparison {
             .iter()
             .map(|(key, fact)| compare_fact(key, earlier.facts.get(key), fact));
         let present: Vec<(ChangeKind, AssessmentChange)> = present.collect();
-        let of_kind = |kind: ChangeKind| -> Vec<AssessmentChange> {
-            let own = present.iter().filter(|(other, _)| *other == kind);
-            own.map(|(_, change)| change.clone()).collect()
-        };
         let gone = earlier
             .facts
             .iter()
@@ -196,12 +211,12 @@ impl AssessmentComparison {
         Self {
             earlier_sha256: earlier.sha256.clone(),
             same_configuration,
-            better: of_kind(ChangeKind::Better),
-            worse: of_kind(ChangeKind::Worse),
-            changed: of_kind(ChangeKind::Changed),
-            new: of_kind(ChangeKind::New),
+            better: changes_of_kind(&present, ChangeKind::Better),
+            worse: changes_of_kind(&present, ChangeKind::Worse),
+            changed: changes_of_kind(&present, ChangeKind::Changed),
+            new: changes_of_kind(&present, ChangeKind::New),
             gone: gone.collect(),
-            unchanged: of_kind(ChangeKind::Unchanged).len(),
+            unchanged: changes_of_kind(&present, ChangeKind::Unchanged).len(),
         }
     }
 
@@ -235,8 +250,7 @@ impl AssessmentComparison {
 
     fn table(&self) -> ReportTable {
         let mut table = ReportTable::new(&["change", "result", "before", "now"]);
-        let dash = |words: &Option<String>| ReportCell::text(words.as_deref().unwrap_or("–"));
-        for (kind, changes, judged) in [
+        for (kind, changes, verdict) in [
             ("worse", &self.worse, Some(false)),
             ("better", &self.better, Some(true)),
             ("changed", &self.changed, None),
@@ -244,12 +258,14 @@ impl AssessmentComparison {
             ("gone", &self.gone, None),
         ] {
             for change in changes {
-                let kind = judged.map_or_else(
+                let kind = verdict.map_or_else(
                     || ReportCell::text(kind),
                     |good| ReportCell::with_verdict(kind, good),
                 );
                 let result = ReportCell::text(&change.description);
-                table.push_row(vec![kind, result, dash(&change.before), dash(&change.now)]);
+                let [before, now] = [&change.before, &change.now]
+                    .map(|state| ReportCell::text(state.as_deref().unwrap_or("–")));
+                table.push_row(vec![kind, result, before, now]);
             }
         }
         table

@@ -34,21 +34,26 @@ pub struct MethodResult {
 }
 
 impl MethodResult {
-    pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
-        let own = all.failures.iter().filter(|kind| {
-            involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal)
-        });
-        let unanswered = all
+    pub(super) fn new(
+        method: &MethodSummary,
+        campaign: &CampaignSummary,
+        nominal: &Scenario,
+    ) -> Self {
+        let own: Vec<_> = campaign
             .failures
             .iter()
-            .filter(|kind| kind.failed_vehicle.is_some());
-        let unanswered = unanswered
-            .flat_map(|kind| &kind.by_method)
-            .filter(|by| by.method == method.method);
-        let own: Vec<_> = own
+            .filter(|kind| {
+                involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal)
+            })
             .flat_map(|kind| &kind.by_method)
             .filter(|by| by.method == method.method)
             .collect();
+        let unanswered = campaign
+            .failures
+            .iter()
+            .filter(|kind| kind.failed_vehicle.is_some())
+            .flat_map(|kind| &kind.by_method)
+            .filter(|by| by.method == method.method);
         let failures = own.iter().map(|by| by.count).sum();
         Self {
             method: method.method.clone(),
@@ -160,42 +165,44 @@ pub struct DistinctFailure {
 
 impl DistinctFailure {
     pub(super) fn from_counterexample(
-        found: &Counterexample,
-        place: &str,
+        counterexample: &Counterexample,
+        folder: &str,
         texts: CounterexampleFiles,
         replay: &dyn Fn(&str) -> Option<CrumpleCommand>,
     ) -> Self {
-        let name = found.file.rsplit('/').next().unwrap_or(&found.file);
-        let file = format!("{place}/{name}");
-        let CounterexampleFiles {
-            counterexample: text,
-            escape,
-        } = texts;
+        let path = &counterexample.file;
+        let name = path.rsplit('/').next().unwrap_or(path);
+        let file = format!("{folder}/{name}");
+        let text = texts.counterexample;
+        // The command expects a collision, and a controller without an answer causes none.
+        let replay = match counterexample.because {
+            None => replay(&file),
+            Some(_) => None,
+        };
         Self {
-            escape: escape
-                .map(|text| EscapeFile::new(&file, text, found.escape_survives_multi_body)),
+            escape: texts.escape.map(|text| {
+                EscapeFile::new(&file, text, counterexample.escape_survives_multi_body)
+            }),
             sha256: sha256(&text),
-            // The command expects a collision, and a controller without an answer causes none.
-            replay: if found.because.is_none() {
-                replay(&file)
-            } else {
-                None
-            },
+            replay,
             file,
-            kind: found.kind.clone(),
-            reason: found.because.clone(),
-            contact_time_s: found.contact_time_s.map(Rounded::new),
-            impact_speed_mps: found.impact_speed_mps.map(Rounded::new),
-            max_delta_v_mps: found.max_delta_v_mps.map(Rounded::new),
-            vehicles: found.vehicles_involved,
-            class: found.avoidability.class(),
-            survives_multi_body: found.survives_multi_body,
-            best_gap_m: found.avoidability.best_min_gap_m().map(Rounded::down),
-            likelihood_rank: found.likelihood_rank,
-            dt_fragile: found.dt_fragile,
-            found_by: found.found_by.clone(),
-            found_at: found.found_at,
-            changed: found
+            kind: counterexample.kind.clone(),
+            reason: counterexample.because.clone(),
+            contact_time_s: counterexample.contact_time_s.map(Rounded::new),
+            impact_speed_mps: counterexample.impact_speed_mps.map(Rounded::new),
+            max_delta_v_mps: counterexample.max_delta_v_mps.map(Rounded::new),
+            vehicles: counterexample.vehicles_involved,
+            class: counterexample.avoidability.class(),
+            survives_multi_body: counterexample.survives_multi_body,
+            best_gap_m: counterexample
+                .avoidability
+                .best_min_gap_m()
+                .map(Rounded::down),
+            likelihood_rank: counterexample.likelihood_rank,
+            dt_fragile: counterexample.dt_fragile,
+            found_by: counterexample.found_by.clone(),
+            found_at: counterexample.found_at,
+            changed: counterexample
                 .changed
                 .iter()
                 .map(ChangedParameter::to_string)

@@ -9,7 +9,7 @@ use crate::assessment::case::CaseVerdict;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::{AssessError, Rounded};
 use crumple_evidence::exposure::IntervalEstimate;
-use crumple_measure::FollowingMeasures;
+use crumple_measure::{FollowingMeasures, UsefulnessMeasures};
 use crumple_sim::engine::{NamedController, RecordingLevel, RunOptions, SimulationResult};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{GhostObject, Scenario, SensorFaults};
@@ -58,7 +58,7 @@ fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
 
 pub(super) struct EverydayDrive {
     verdict: CaseVerdict,
-    usefulness: Option<crumple_measure::UsefulnessMeasures>,
+    usefulness: Option<UsefulnessMeasures>,
     /// Duration until the end or a collision, in seconds.
     duration_s: f64,
 }
@@ -75,8 +75,10 @@ pub(super) fn braking_rates(
         if !faults.is_any() {
             rates.push(BrakingRate::new(sensors, drives));
         } else if options.estimator == EstimatorKind::Kalman {
-            let faulty = |one: &Scenario| one.edited(|spec| spec.sensors.faults = faults.clone());
-            let faulty = traffic.iter().map(faulty).collect::<Result<Vec<_>, _>>()?;
+            let faulty = traffic
+                .iter()
+                .map(|scenario| scenario.edited(|spec| spec.sensors.faults = faults.clone()))
+                .collect::<Result<Vec<_>, _>>()?;
             let drives = simulate_each(&faulty, options, RecordingLevel::Trace, EverydayDrive::new);
             rates.extend(drives.ok().map(|drives| BrakingRate::new(sensors, &drives)));
         }
@@ -89,11 +91,9 @@ impl BrakingRate {
         let count = drives
             .iter()
             .filter_map(|drive| drive.usefulness)
-            .map(|useful| useful.unnecessary.count as u64);
-        let (count, hours) = (
-            count.sum(),
-            drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0,
-        );
+            .map(|useful| useful.unnecessary.count as u64)
+            .sum();
+        let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
         let IntervalEstimate {
             estimate,
             lower,
@@ -113,7 +113,7 @@ impl EverydayDrive {
     pub(super) fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego).and_then(|(trace, ego)| {
-            crumple_measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
+            UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
         });
         let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
         let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
@@ -133,30 +133,10 @@ impl ControllerUsefulness {
         unnecessary_braking_rates: Vec<BrakingRate>,
         oscillation_gain: OscillationGain,
     ) -> Self {
-        // A drive without an answer is no evidence about driving or keeping up.
-        let answered =
-            |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
-        let all: Vec<_> = drives
-            .iter()
-            .filter(answered)
-            .filter_map(|drive| drive.usefulness)
-            .collect();
-        let count = |is: &dyn Fn(&crumple_measure::UsefulnessMeasures) -> bool| {
-            all.iter().filter(|one| is(one)).count() as u64
-        };
-        let mean = |of: &dyn Fn(&crumple_measure::UsefulnessMeasures) -> Option<f64>| {
-            let (sum, n) = all
-                .iter()
-                .filter_map(of)
-                .fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
-            (n > 0).then(|| Rounded::new(sum / f64::from(n)))
-        };
-        let following =
-            |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
-        let needless = count(&|one| !one.unnecessary.is_empty());
+        let measures = AnsweredDrives::new(drives);
+        let needless = measures.count(|drive| !drive.unnecessary.is_empty());
         let in_traffic = RunEnds::from_verdicts(drives.iter().map(|drive| &drive.verdict));
         let in_danger = RunEnds::from_verdicts(danger.iter().map(|run| &run.verdict));
-        let percent = |counts, runs: usize| PercentInterval::clopper_pearson(counts, runs as u64);
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures(),
@@ -165,29 +145,65 @@ impl ControllerUsefulness {
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             // The results of drives without an answer are unknown.
-            unnecessary_braking_percent: percent(
+            unnecessary_braking_percent: PercentInterval::clopper_pearson(
                 [needless, in_traffic.unanswered_runs()],
-                drives.len(),
+                drives.len() as u64,
             ),
-            high_risk_percent: percent(
+            high_risk_percent: PercentInterval::clopper_pearson(
                 [in_danger.failures(), in_danger.ended_by_others],
-                danger.len(),
+                danger.len() as u64,
             ),
             unanswered: [in_traffic.unanswered, in_danger.unanswered],
             unnecessary_braking: needless,
             unnecessary_braking_rates,
-            unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
-            hard_braking: count(&|one| !one.hard.is_empty()),
-            left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
-            progress: following(|following| following.progress),
-            time_gap_s: following(|following| following.mean_time_gap_s),
-            time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
-            rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
-            rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
-            induced_brake_mps2: mean(&|one| {
-                one.induced.and_then(|imposed| imposed.peak_brake_mps2)
+            unnecessary_braking_s: measures.mean(|drive| Some(drive.unnecessary.time_s)),
+            hard_braking: measures.count(|drive| !drive.hard.is_empty()),
+            left_behind: measures.count(|drive| {
+                drive
+                    .following
+                    .is_some_and(|following| following.fell_behind)
             }),
+            progress: measures.mean_following(|following| following.progress),
+            time_gap_s: measures.mean_following(|following| following.mean_time_gap_s),
+            time_gap_deviation_s: measures
+                .mean_following(|following| following.time_gap_deviation_s),
+            rms_acceleration_mps2: measures.mean(|drive| drive.rms_acceleration_mps2),
+            rms_jerk_mps3: measures.mean(|drive| drive.rms_jerk_mps3),
+            induced_brake_mps2: measures.mean(|drive| drive.induced?.peak_brake_mps2),
             oscillation_gain,
         }
+    }
+}
+
+/// Measures of the drives in which the controller answered. Others are no evidence about driving or keeping up.
+struct AnsweredDrives(Vec<UsefulnessMeasures>);
+
+impl AnsweredDrives {
+    fn new(drives: &[EverydayDrive]) -> Self {
+        let answered = drives
+            .iter()
+            .filter(|drive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. }));
+        Self(answered.filter_map(|drive| drive.usefulness).collect())
+    }
+
+    fn count(&self, condition: impl Fn(&UsefulnessMeasures) -> bool) -> u64 {
+        self.0.iter().filter(|drive| condition(drive)).count() as u64
+    }
+
+    /// Returns the mean over the drives that have this measure.
+    fn mean<const D: usize>(
+        &self,
+        measure: impl Fn(&UsefulnessMeasures) -> Option<f64>,
+    ) -> Option<Rounded<D>> {
+        let values: Vec<f64> = self.0.iter().filter_map(measure).collect();
+        let sum: f64 = values.iter().sum();
+        (!values.is_empty()).then(|| Rounded::new(sum / values.len() as f64))
+    }
+
+    fn mean_following<const D: usize>(
+        &self,
+        measure: fn(FollowingMeasures) -> Option<f64>,
+    ) -> Option<Rounded<D>> {
+        self.mean(|drive| drive.following.and_then(measure))
     }
 }

@@ -103,14 +103,15 @@ impl PlannedSearch<'_> {
         nominal: &Scenario,
     ) -> Vec<DistinctFailure> {
         let folder = self.folder("counterexamples");
-        let replay = |file: &str| self.replay_command(file);
         summary
             .counterexamples
             .iter()
             .zip(texts)
-            .filter(|(found, _)| is_own_failure(found, nominal))
-            .map(|(found, text)| {
-                DistinctFailure::from_counterexample(found, &folder, text, &replay)
+            .filter(|(counterexample, _)| is_own_failure(counterexample, nominal))
+            .map(|(counterexample, texts)| {
+                DistinctFailure::from_counterexample(counterexample, &folder, texts, &|file| {
+                    self.replay_command(file)
+                })
             })
             .collect()
     }
@@ -145,8 +146,9 @@ impl PlannedSearch<'_> {
 }
 
 /// True if a vehicle under test collides.
-fn is_own_failure(found: &Counterexample, nominal: &Scenario) -> bool {
-    involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], nominal)
+fn is_own_failure(counterexample: &Counterexample, nominal: &Scenario) -> bool {
+    let vehicles = [counterexample.front_vehicle, counterexample.rear_vehicle];
+    involves_vehicle_under_test(vehicles, nominal)
 }
 
 /// Counts failures by their class, without empty classes.
@@ -157,12 +159,13 @@ fn count_classes(failures: &[&Counterexample]) -> Vec<(AvoidabilityClass, usize)
         AvoidabilityClass::Undecided,
         AvoidabilityClass::NotAsked,
     ];
-    let count = |class: AvoidabilityClass| {
-        let of_class = |one: &&&Counterexample| one.avoidability.class() == class;
-        (class, failures.iter().filter(of_class).count())
-    };
-    let counts = classes.into_iter().map(count);
-    counts.filter(|(_, count)| *count > 0).collect()
+    let counts = classes.map(|class| {
+        let members = failures
+            .iter()
+            .filter(|failure| failure.avoidability.class() == class);
+        (class, members.count())
+    });
+    counts.into_iter().filter(|(_, count)| *count > 0).collect()
 }
 
 impl FailureSearch {
@@ -181,8 +184,10 @@ impl FailureSearch {
         let (summary, texts) = search.run(work)?;
         let nominal = named.space.scenario(&named.space.nominal())?;
         let failures = search.failures(&summary, texts, &nominal);
-        let found = summary.counterexamples.iter();
-        let own: Vec<_> = found.filter(|one| is_own_failure(one, &nominal)).collect();
+        let counterexamples = summary.counterexamples.iter();
+        let own: Vec<_> = counterexamples
+            .filter(|counterexample| is_own_failure(counterexample, &nominal))
+            .collect();
         let methods = summary.methods.iter();
         let drawn_cases = match search.is_main() {
             true => simulate_failures(plan, controller, &failures)?,
@@ -209,7 +214,7 @@ impl FailureSearch {
     }
 
     pub(super) fn unanswered(&self) -> Option<FailedControllerRuns> {
-        let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
+        let runs = self.methods.iter().map(|method| method.unanswered).sum();
         let reason = self
             .unanswered_failures()
             .find_map(|failure| failure.reason.clone());
@@ -226,7 +231,7 @@ impl FailureSearch {
     pub fn count(&self, class: AvoidabilityClass) -> usize {
         self.distinct
             .iter()
-            .filter(|(of, _)| *of == class)
+            .filter(|(other, _)| *other == class)
             .map(|(_, count)| count)
             .sum()
     }
@@ -240,7 +245,7 @@ impl FailureSearch {
     /// Returns the number of simulations of all methods.
     #[must_use]
     pub fn evaluations(&self) -> u64 {
-        self.methods.iter().map(|reached| reached.evaluations).sum()
+        self.methods.iter().map(|method| method.evaluations).sum()
     }
 
     /// Returns the number of simulations that are evidence about the controller.
@@ -250,7 +255,7 @@ impl FailureSearch {
             - self
                 .methods
                 .iter()
-                .map(|reached| reached.collisions_of_others)
+                .map(|method| method.collisions_of_others)
                 .sum::<u64>()
     }
 
@@ -274,7 +279,7 @@ impl FailureSearch {
     pub(super) fn method_result(&self, method: Method) -> Option<&MethodResult> {
         self.methods
             .iter()
-            .find(|reached| reached.method == method.name())
+            .find(|result| result.method == method.name())
     }
 
     pub(super) fn table(&self) -> ReportTable {
@@ -353,12 +358,12 @@ impl FailureSearch {
 
     /// Returns the failures that Markdown lists.
     pub(super) fn listed(&self) -> &[DistinctFailure] {
-        let most = if self.is_main {
+        let count = if self.is_main {
             self.failures.len()
         } else {
             self.failures.len().min(MAX_LISTED)
         };
-        self.failures.get(..most).unwrap_or_default()
+        self.failures.get(..count).unwrap_or_default()
     }
 }
 

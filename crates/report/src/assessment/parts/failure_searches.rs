@@ -47,21 +47,24 @@ pub struct SpaceSearches {
 impl FailureSearches {
     pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let plan = work.plan;
-        let controllers = || plan.controllers.iter().enumerate();
         let pairs: Vec<_> = plan
             .search_spaces
             .iter()
-            .flat_map(|space| controllers().map(move |one| (space, one)))
+            .flat_map(|space| {
+                let controllers = plan.controllers.iter().enumerate();
+                controllers.map(move |controller| (space, controller))
+            })
             .collect();
-        let found = pairs
+        let mut searches = pairs
             .into_par_iter()
-            .map(|(space, controller)| FailureSearch::gather(space, controller, work));
-        let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
+            .map(|(space, controller)| FailureSearch::gather(space, controller, work))
+            .collect::<Result<Vec<_>, _>>()?
+            .into_iter();
         let spaces = plan.search_spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
             content_id: named.content_id.clone(),
             about: named.space.spec().about.clone(),
-            controllers: found.by_ref().take(plan.controllers.len()).collect(),
+            controllers: searches.by_ref().take(plan.controllers.len()).collect(),
         });
         Ok(Self {
             spaces: spaces.collect(),
@@ -72,38 +75,28 @@ impl FailureSearches {
     pub(in crate::assessment) fn worst_failures(
         &self,
         controller: &str,
-        most: usize,
+        max_count: usize,
     ) -> Vec<ScenarioCases> {
-        let own = self
-            .spaces
-            .iter()
-            .filter_map(|space| Some((space, space.find(controller)?)));
-        let drawn = own.flat_map(|(space, search)| {
-            search
-                .failures
-                .iter()
-                .zip(&search.drawn_cases)
-                .map(move |one| (space, one))
-        });
-        let mut drawn: Vec<_> = drawn.collect();
-        drawn.sort_by(|(_, (a, _)), (_, (b, _))| {
-            let severity =
-                |failure: &DistinctFailure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
-            severity(b).total_cmp(&severity(a))
-        });
-        let named = |(rank, (space, (_, cases))): (
-            usize,
-            (&SpaceSearches, (&DistinctFailure, &ScenarioCases)),
-        )| {
-            let mut cases = cases.clone();
-            cases.scenario = format!("failure {} of {}", rank + 1, space.content_id.name);
-            cases
-        };
+        let mut drawn: Vec<(f64, &SpaceSearches, &ScenarioCases)> = Vec::new();
+        for space in &self.spaces {
+            let Some(search) = space.find(controller) else {
+                continue;
+            };
+            for (failure, cases) in search.failures.iter().zip(&search.drawn_cases) {
+                let severity_mps = failure.impact_speed_mps.map_or(0.0, Rounded::value);
+                drawn.push((severity_mps, space, cases));
+            }
+        }
+        drawn.sort_by(|(a, ..), (b, ..)| b.total_cmp(a));
         drawn
             .into_iter()
-            .take(most)
+            .take(max_count)
             .enumerate()
-            .map(named)
+            .map(|(rank, (_, space, cases))| {
+                let mut cases = cases.clone();
+                cases.scenario = format!("failure {} of {}", rank + 1, space.content_id.name);
+                cases
+            })
             .collect()
     }
 
@@ -117,11 +110,10 @@ impl FailureSearches {
 
 impl SpaceSearches {
     pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
-        let (seed, budget) = (plan.config.seed, plan.config.search.budget);
         Domain::Search {
             space: self.content_id.clone(),
-            seed,
-            budget,
+            seed: plan.config.seed,
+            budget: plan.config.search.budget,
         }
     }
 
@@ -132,10 +124,6 @@ impl SpaceSearches {
     }
 
     fn table(&self) -> ReportTable {
-        let first = |reached: Option<&MethodResult>| {
-            let first = reached.and_then(|reached| reached.first_failure);
-            ReportCell::number(first.map_or("none".to_owned(), |first| first.to_string()))
-        };
         ReportTable::from_items(
             &self.controllers,
             &[
@@ -153,7 +141,7 @@ impl SpaceSearches {
                     ReportCell::number(search.count(AvoidabilityClass::Undecided))
                 }),
                 ("multi-body: failures", &|search| {
-                    describe_share(search.multi_body_share(|one| one.survives_multi_body))
+                    describe_share(search.multi_body_share(|failure| failure.survives_multi_body))
                 }),
                 ("multi-body: escapes", &|search| {
                     describe_share(search.multi_body_share(DistinctFailure::escape_survives))
@@ -162,20 +150,25 @@ impl SpaceSearches {
                     ReportCell::optional(search.max_impact_speed_mps())
                 }),
                 ("first failure (run)", &|search| {
-                    first(search.methods.first())
+                    first_failure_cell(search.methods.first())
                 }),
                 ("uniform: first (run)", &|search| {
-                    first(search.method_result(Method::Uniform))
+                    first_failure_cell(search.method_result(Method::Uniform))
                 }),
                 ("uniform: failures (%)", &|search| {
                     ReportCell::optional(search.format_uniform_share())
                 }),
                 ("Halton: first (run)", &|search| {
-                    first(search.method_result(Method::Halton))
+                    first_failure_cell(search.method_result(Method::Halton))
                 }),
             ],
         )
     }
+}
+
+fn first_failure_cell(method: Option<&MethodResult>) -> ReportCell {
+    let run = method.and_then(|method| method.first_failure);
+    ReportCell::number(run.map_or("none".to_owned(), |run| run.to_string()))
 }
 
 fn describe_share(share: Option<ReplayShare>) -> ReportCell {
@@ -273,13 +266,14 @@ impl SpaceSearches {
 
     /// Returns the number of failures of each controller that the table leaves out.
     fn describe_unlisted(&self) -> Vec<String> {
-        let unlisted = |search: &FailureSearch| {
-            let count = search
-                .distinct_count()
-                .saturating_sub(search.listed().len());
-            (count > 0).then(|| format!("{count} of {}", search.controller))
-        };
-        self.controllers.iter().filter_map(unlisted).collect()
+        self.controllers
+            .iter()
+            .filter_map(|search| {
+                let listed = search.listed().len();
+                let count = search.distinct_count().saturating_sub(listed);
+                (count > 0).then(|| format!("{count} of {}", search.controller))
+            })
+            .collect()
     }
 
     fn example_commands(&self) -> Vec<RichText> {
@@ -322,10 +316,12 @@ impl ReportPart for FailureSearches {
     }
 
     fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
-        let claim = |space: &SpaceSearches| {
-            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, space.domain(plan))
-        };
-        self.spaces.iter().map(claim).collect()
+        self.spaces
+            .iter()
+            .map(|space| {
+                ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, space.domain(plan))
+            })
+            .collect()
     }
 
     fn files(&self) -> Vec<(String, Vec<u8>)> {
@@ -336,29 +332,33 @@ impl ReportPart for FailureSearches {
 impl SpaceSearches {
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let subjects = plan.claim_subjects().into_iter();
-        let about = |(subject, search): (Subject, &FailureSearch)| Evidence {
-            claim: AssuranceClaim {
-                subject,
-                property: Property::NoContact,
-                domain: self.domain(plan),
-            },
-            strength: search.strength(),
-            source: EvidenceSource::from_part(
-                ANCHOR,
-                format!("{} simulations", search.evaluations()),
-            ),
-        };
-        subjects.zip(&self.controllers).map(about).collect()
+        subjects
+            .zip(&self.controllers)
+            .map(|(subject, search)| search.evidence(subject, self.domain(plan)))
+            .collect()
     }
 }
 
 impl FailureSearch {
+    fn evidence(&self, subject: Subject, domain: Domain) -> Evidence {
+        let description = format!("{} simulations", self.evaluations());
+        Evidence {
+            claim: AssuranceClaim {
+                subject,
+                property: Property::NoContact,
+                domain,
+            },
+            strength: self.strength(),
+            source: EvidenceSource::from_part(ANCHOR, description),
+        }
+    }
+
     fn strength(&self) -> Strength {
         let runs = self.conclusive_evaluations();
         let unanswered = self.unanswered();
         match self.distinct_count() {
             0 => Strength::from_counts(
-                self.methods.iter().map(|reached| reached.failures).sum(),
+                self.methods.iter().map(|method| method.failures).sum(),
                 runs,
             ),
             // No collision was found, only failures to answer.

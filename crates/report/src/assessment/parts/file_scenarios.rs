@@ -43,11 +43,11 @@ impl FileScenarios {
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
-        let all: Vec<usize> = (0..plan.file_scenarios.len()).collect();
-        let mut scenarios = run_file_scenarios(plan, &all, MotionRetention::Drop)?;
+        let indices: Vec<usize> = (0..plan.file_scenarios.len()).collect();
+        let mut scenarios = run_file_scenarios(plan, &indices, MotionRetention::Drop)?;
         // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
-        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
+        work.add_runs((indices.len() * plan.controllers.len()) as u64)?;
         let detailed = run_detailed(&closest_first, work)?;
         for (&index, detailed) in closest_first.iter().zip(detailed) {
             scenarios[index] = detailed;
@@ -72,7 +72,7 @@ impl FileScenarios {
             .first()
             .map_or(&[][..], |scenario| &scenario.cases)
             .iter()
-            .map(|c| c.controller.as_str());
+            .map(|case| case.controller.as_str());
         let header: Vec<&str> = std::iter::once("scenario")
             .chain(names)
             .chain(["best escape found"])
@@ -83,12 +83,8 @@ impl FileScenarios {
                 .cases
                 .iter()
                 .map(|case| ReportCell::with_mark(format_case(case), case.verdict.mark()));
-            let best = ReportCell::text(
-                scenario
-                    .avoidance
-                    .as_ref()
-                    .map_or("–".to_owned(), RoundedAvoidance::label),
-            );
+            let avoidance = scenario.avoidance.as_ref();
+            let best = ReportCell::text(avoidance.map_or("–".to_owned(), RoundedAvoidance::label));
             table.push_row(
                 std::iter::once(ReportCell::text(&scenario.scenario))
                     .chain(cells)
@@ -105,17 +101,20 @@ fn run_file_scenarios(
     indices: &[usize],
     motion: MotionRetention,
 ) -> Result<Vec<ScenarioCases>, RunError> {
-    let chosen = indices
+    let selected = indices
         .iter()
         .filter_map(|&index| plan.file_scenarios.get(index));
-    let scenarios: Vec<&Scenario> = chosen.map(|(_, scenario)| scenario).collect();
+    let scenarios: Vec<&Scenario> = selected.map(|(_, scenario)| scenario).collect();
     let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
-    let with_command = |(scenario, cases): (&&Scenario, Vec<CaseResult>)| {
-        let replay = CrumpleCommand::new(["simulate".to_owned(), scenario_path(scenario)])
-            .with_args(plan.estimator_args().iter().copied());
-        ScenarioCases::new(scenario, replay, cases)
-    };
-    Ok(scenarios.iter().zip(cases).map(with_command).collect())
+    Ok(scenarios
+        .iter()
+        .zip(cases)
+        .map(|(scenario, cases)| {
+            let replay = CrumpleCommand::new(["simulate".to_owned(), scenario_path(scenario)])
+                .with_args(plan.estimator_args().iter().copied());
+            ScenarioCases::new(scenario, replay, cases)
+        })
+        .collect())
 }
 
 /// Runs scenarios again with their motion, and computes their best escapes.
@@ -124,33 +123,36 @@ fn run_detailed(
     work: &GatherContext<'_>,
 ) -> Result<Vec<ScenarioCases>, AssessError> {
     let files = &work.plan.file_scenarios;
-    let bests = indices
+    let avoidances = indices
         .par_iter()
         .map(|&index| CertifiedAvoidance::load_or_compute(&files[index].1, work))
         .collect::<Result<Vec<_>, _>>()?;
     let drawn = run_file_scenarios(work.plan, indices, MotionRetention::Keep)?;
     let detailed = drawn
         .into_iter()
-        .zip(bests)
-        .map(|(cases, best)| cases.with_avoidance(best));
+        .zip(avoidances)
+        .map(|(cases, avoidance)| cases.with_avoidance(avoidance));
     Ok(detailed.collect())
 }
 
 /// Returns the indices of the scenarios to show in detail: the smallest gaps first.
 fn closest_scenarios(scenarios: &[ScenarioCases]) -> Vec<usize> {
-    let closest_m = |index: &usize| {
-        let gaps = scenarios[*index]
-            .cases
-            .iter()
-            .flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
-        gaps.flatten()
-            .map(|gap| gap.value())
-            .fold(f64::INFINITY, f64::min)
-    };
+    let gaps_m: Vec<f64> = scenarios.iter().map(closest_m).collect();
     let mut indices: Vec<usize> = (0..scenarios.len()).collect();
-    indices.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
+    indices.sort_by(|&a, &b| gaps_m[a].total_cmp(&gaps_m[b]));
     indices.truncate(MAX_DETAILED);
     indices
+}
+
+/// Returns the smallest gap to a vehicle under test in any case.
+fn closest_m(scenario: &ScenarioCases) -> f64 {
+    scenario
+        .cases
+        .iter()
+        .flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m])
+        .flatten()
+        .map(|gap_m| gap_m.value())
+        .fold(f64::INFINITY, f64::min)
 }
 
 pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {

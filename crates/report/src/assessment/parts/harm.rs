@@ -25,7 +25,7 @@ use crumple_search::falsify::counterexample::Avoidability;
 use crumple_sim::engine::{
     AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult,
 };
-use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::{Scenario, VehicleSpec};
 
 /// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
 pub const ACTIVATION_MPS2: f64 = 2.5;
@@ -108,38 +108,38 @@ impl HarmRun {
         let speed_mps = vehicles
             .get(ego)
             .map_or(f64::NAN, |vehicle| vehicle.speed_mps);
-        let gap_s = |front: Option<usize>| {
-            let (front, rear) = (vehicles.get(front?)?, vehicles.get(front? + 1)?);
-            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps)
-                .filter(|gap_s| gap_s.is_finite())
-        };
-        let hardest = |wanted: &dyn Fn(usize) -> bool| {
-            let found = simulated
-                .impacts
-                .iter()
-                .filter(|impact| wanted(impact.contact.rear_vehicle));
-            found
-                .map(|impact| impact.contact.impact_speed_mps)
-                .reduce(f64::max)
-        };
         let follower = vehicles.get(ego + 1);
         Self {
-            follower: follower.map_or("none".to_owned(), |one| {
-                format!("{} {}", one.driver.name(), one.class.name())
+            follower: follower.map_or("none".to_owned(), |vehicle| {
+                format!("{} {}", vehicle.driver.name(), vehicle.class.name())
             }),
             speed_mps,
-            time_gaps_s: [ego.checked_sub(1), Some(ego)].map(gap_s),
+            time_gaps_s: [ego.checked_sub(1), Some(ego)]
+                .map(|front| initial_time_gap_s(vehicles, front?, speed_mps)),
             friction: scenario.spec().environment.friction,
             activates: simulated
                 .vehicles
                 .get(ego)
-                .is_some_and(|one| one.max_brake_mps2 > ACTIVATION_MPS2),
-            impacts_mps: [
-                hardest(&|rear| rear == ego),
-                hardest(&|rear| rear == ego + 1),
-            ],
+                .is_some_and(|vehicle| vehicle.max_brake_mps2 > ACTIVATION_MPS2),
+            impacts_mps: [ego, ego + 1].map(|rear| hardest_impact_mps(simulated, rear)),
             harm: harm(&simulated.impacts, vehicles.len()),
         }
+    }
+
+    fn has_follower(&self, follower: Option<&str>) -> bool {
+        follower.is_none_or(|follower| self.follower == follower)
+    }
+
+    fn hits_leader(&self) -> bool {
+        self.impacts_mps[0].is_some()
+    }
+
+    fn is_hit_from_behind(&self) -> bool {
+        self.impacts_mps[1].is_some()
+    }
+
+    fn causes_collision_behind(&self, reference: &Self) -> bool {
+        self.is_hit_from_behind() && !reference.is_hit_from_behind()
     }
 
     /// Simulates scenarios until their first collision, and those with a collision again to their end.
@@ -150,28 +150,24 @@ impl HarmRun {
     ) -> Result<Vec<Self>, AssessError> {
         let options =
             RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
-        let mut all = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
-        let collided: Vec<usize> = (0..all.len())
-            .filter(|&index| all[index].harm > 0.0)
+        let mut runs = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
+        let collided: Vec<usize> = (0..runs.len())
+            .filter(|&index| runs[index].harm > 0.0)
             .collect();
-        let again: Vec<_> = collided
+        let scenarios: Vec<_> = collided
             .iter()
             .map(|&index| scenarios[index].clone())
             .collect();
         let options = options.with_after_contact(AfterContact::Continue);
-        for (index, run) in collided.into_iter().zip(simulate_each(
-            &again,
-            &options,
-            RecordingLevel::Summary,
-            Self::new,
-        )?) {
+        let continued = simulate_each(&scenarios, &options, RecordingLevel::Summary, Self::new)?;
+        for (index, run) in collided.into_iter().zip(continued) {
             // Braking of vehicles that stick together is no activation.
-            all[index] = Self {
-                activates: all[index].activates,
+            runs[index] = Self {
+                activates: runs[index].activates,
                 ..run
             };
         }
-        Ok(all)
+        Ok(runs)
     }
 
     fn gather(
@@ -190,16 +186,35 @@ impl HarmRun {
             &format!("harm of {} in {}", controller.name, named.space.name()),
             &inputs,
             || {
-                let mut all = Vec::new();
+                let mut runs = Vec::new();
                 for draws in batches(config.draws) {
                     let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
-                    all.extend(Self::simulate_all(&scenarios, controller, work)?);
+                    runs.extend(Self::simulate_all(&scenarios, controller, work)?);
                     work.add_runs(scenarios.len() as u64)?;
                 }
-                Ok(all)
+                Ok(runs)
             },
         )
     }
+}
+
+/// Returns the initial gap behind a vehicle, divided by a speed.
+fn initial_time_gap_s(vehicles: &[VehicleSpec], front: usize, speed_mps: f64) -> Option<f64> {
+    let rear = vehicles.get(front + 1)?;
+    let front = vehicles.get(front)?;
+    Some((front.position_m - front.length_m() - rear.position_m) / speed_mps)
+        .filter(|gap_s| gap_s.is_finite())
+}
+
+/// Returns the largest speed at which a vehicle hits the one ahead.
+fn hardest_impact_mps(simulated: &SimulationResult, rear: usize) -> Option<f64> {
+    let impacts = simulated
+        .impacts
+        .iter()
+        .filter(|impact| impact.contact.rear_vehicle == rear);
+    impacts
+        .map(|impact| impact.contact.impact_speed_mps)
+        .reduce(f64::max)
 }
 
 /// Returns the avoidability of the first scenarios of a space.
@@ -217,7 +232,7 @@ fn gather_avoidability(
             let scenarios = draw_scenarios(&named.space, config.seed, 0..count)?;
             Ok(scenarios
                 .par_iter()
-                .map(|one| Avoidability::classify_contact(one).is_avoidable())
+                .map(|scenario| Avoidability::classify_contact(scenario).is_avoidable())
                 .collect())
         },
     )
@@ -231,7 +246,8 @@ impl HarmReport {
         let Some(config) = &plan.config.harm else {
             return Ok(None);
         };
-        let (mut groups, mut runs_csv) = (Vec::new(), CSV_HEADER.to_owned());
+        let mut groups = Vec::new();
+        let mut runs_csv = CSV_HEADER.to_owned();
         for named in &plan.rate_spaces {
             let avoidability = gather_avoidability(named, config, work)?;
             let mut runs = Vec::new();
@@ -273,7 +289,6 @@ fn write_csv(
     runs: &[HarmRun],
     avoidability: &[Option<bool>],
 ) {
-    let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for (draw, run) in runs.iter().enumerate() {
         let avoidable = match avoidability.get(draw) {
             None => "",
@@ -281,7 +296,7 @@ fn write_csv(
             Some(Some(true)) => "yes",
             Some(Some(false)) => "no",
         };
-        let [ahead_s, behind_s] = run.time_gaps_s.map(number);
+        let [ahead_s, behind_s] = run.time_gaps_s.map(number_or_empty);
         // A controller's name may have commas.
         let _ = writeln!(
             out,
@@ -291,11 +306,15 @@ fn write_csv(
             run.speed_mps,
             run.friction,
             u8::from(run.activates),
-            number(run.impacts_mps[0]),
-            number(run.impacts_mps[1]),
+            number_or_empty(run.impacts_mps[0]),
+            number_or_empty(run.impacts_mps[1]),
             run.harm
         );
     }
+}
+
+fn number_or_empty(value: Option<f64>) -> String {
+    value.map_or_else(String::new, |value| value.to_string())
 }
 
 impl HarmGroup {
@@ -306,92 +325,123 @@ impl HarmGroup {
         avoidability: &[Option<bool>],
     ) -> Self {
         let reference: &[HarmRun] = runs.first().map_or(&[], |(_, runs)| runs);
-        let is_in = |run: &HarmRun| follower.is_none_or(|follower| run.follower == follower);
-        let examined = || {
-            reference
-                .iter()
-                .zip(avoidability)
-                .filter(|(run, _)| is_in(run))
-                .map(|(_, decided)| decided)
-        };
-        let count =
-            |wanted: Option<bool>| examined().filter(|decided| **decided == wanted).count() as u64;
+        let examined: Vec<Option<bool>> = reference
+            .iter()
+            .zip(avoidability)
+            .filter(|(run, _)| run.has_follower(follower))
+            .map(|(_, avoidable)| *avoidable)
+            .collect();
         let controllers = runs.iter().map(|(controller, runs)| {
-            let pairs = || runs.iter().zip(reference).filter(|(run, _)| is_in(run));
-            let count = |wanted: &dyn Fn(&HarmRun, &HarmRun) -> bool| {
-                pairs()
-                    .filter(|(run, reference)| wanted(run, reference))
-                    .count() as u64
-            };
-            let drives = pairs().count() as u64;
-            let percent = |count, of| PercentInterval::clopper_pearson([count, 0], of);
-            let activations = count(&|run, _| run.activates);
-            let caused = |run: &HarmRun, reference: &HarmRun| {
-                run.impacts_mps[1].is_some() && reference.impacts_mps[1].is_none()
-            };
-            let mean = pairs().map(|(run, _)| run.harm).sum::<f64>() / drives as f64;
-            let variance = pairs()
-                .map(|(run, _)| (run.harm - mean).powi(2))
-                .sum::<f64>()
-                / drives as f64;
-            ControllerHarm {
-                controller: (*controller).to_owned(),
-                activations,
-                ahead_percent: percent(count(&|run, _| run.impacts_mps[0].is_some()), drives),
-                behind_percent: percent(count(&|run, _| run.impacts_mps[1].is_some()), drives),
-                avoided: count(&|run, reference| {
-                    run.impacts_mps[0].is_none() && reference.impacts_mps[0].is_some()
-                }),
-                caused: count(&caused),
-                caused_per_100_activations: percent(
-                    count(&|run, reference| run.activates && caused(run, reference)),
-                    activations,
-                ),
-                harm_per_1000: [mean, NORMAL_QUANTILE * (variance / drives as f64).sqrt()]
-                    .map(|value| Rounded::new(1000.0 * value)),
-            }
+            let pairs: Vec<_> = runs
+                .iter()
+                .zip(reference)
+                .filter(|(run, _)| run.has_follower(follower))
+                .collect();
+            ControllerHarm::new(controller, &pairs)
         });
         Self {
             space: space.clone(),
             follower: follower.unwrap_or("all").to_owned(),
-            drives: reference.iter().filter(|run| is_in(run)).count() as u64,
+            drives: reference
+                .iter()
+                .filter(|run| run.has_follower(follower))
+                .count() as u64,
             avoidable: [
-                count(Some(true)),
-                count(Some(false)),
-                examined().count() as u64,
+                count_answers(&examined, true),
+                count_answers(&examined, false),
+                examined.len() as u64,
             ],
             controllers: controllers.collect(),
         }
     }
 
     fn table(&self, emergencies_per_hour: f64) -> ReportTable {
-        let percent = |share: PercentInterval| {
-            ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()))
-        };
-        let per_hour =
-            |harm: Rounded<3>| format!("{:.2e}", harm.value() / 1000.0 * emergencies_per_hour);
         let columns: [ReportColumn<'_, &ControllerHarm>; 9] = [
-            ("controller", &|one| ReportCell::text(&one.controller)),
-            ("activations", &|one| ReportCell::number(one.activations)),
-            ("hits leader (%)", &|one| percent(one.ahead_percent)),
-            ("avoided", &|one| ReportCell::number(one.avoided)),
-            ("hit from behind (%)", &|one| percent(one.behind_percent)),
-            ("caused", &|one| ReportCell::number(one.caused)),
-            ("caused per 100 activations", &|one| {
-                percent(one.caused_per_100_activations)
+            ("controller", &|harm| ReportCell::text(&harm.controller)),
+            ("activations", &|harm| ReportCell::number(harm.activations)),
+            ("hits leader (%)", &|harm| percent_cell(harm.ahead_percent)),
+            ("avoided", &|harm| ReportCell::number(harm.avoided)),
+            ("hit from behind (%)", &|harm| {
+                percent_cell(harm.behind_percent)
             }),
-            ("harm per 1000 drives", &|one| {
+            ("caused", &|harm| ReportCell::number(harm.caused)),
+            ("caused per 100 activations", &|harm| {
+                percent_cell(harm.caused_per_100_activations)
+            }),
+            ("harm per 1000 drives", &|harm| {
                 ReportCell::number(format!(
                     "{} ± {}",
-                    one.harm_per_1000[0], one.harm_per_1000[1]
+                    harm.harm_per_1000[0], harm.harm_per_1000[1]
                 ))
             }),
-            ("harm per hour", &|one| {
-                ReportCell::number(per_hour(one.harm_per_1000[0]))
+            ("harm per hour", &|harm| {
+                let per_drive = harm.harm_per_1000[0].value() / 1000.0;
+                ReportCell::number(format!("{:.2e}", per_drive * emergencies_per_hour))
             }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
     }
+}
+
+fn count_answers(answers: &[Option<bool>], wanted: bool) -> u64 {
+    let matching = answers.iter().filter(|answer| **answer == Some(wanted));
+    matching.count() as u64
+}
+
+/// Formats a share with its bounds.
+fn percent_cell(share: PercentInterval) -> ReportCell {
+    ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()))
+}
+
+impl ControllerHarm {
+    /// Summarizes the runs of a controller, each with the run of the reference in the same drive.
+    fn new(controller: &str, pairs: &[(&HarmRun, &HarmRun)]) -> Self {
+        let drives = pairs.len() as u64;
+        let activations = count_pairs(pairs, |run, _| run.activates);
+        let mean = pairs.iter().map(|(run, _)| run.harm).sum::<f64>() / drives as f64;
+        let variance = pairs
+            .iter()
+            .map(|(run, _)| (run.harm - mean).powi(2))
+            .sum::<f64>()
+            / drives as f64;
+        Self {
+            controller: controller.to_owned(),
+            activations,
+            ahead_percent: PercentInterval::clopper_pearson(
+                [count_pairs(pairs, |run, _| run.hits_leader()), 0],
+                drives,
+            ),
+            behind_percent: PercentInterval::clopper_pearson(
+                [count_pairs(pairs, |run, _| run.is_hit_from_behind()), 0],
+                drives,
+            ),
+            avoided: count_pairs(pairs, |run, reference| {
+                !run.hits_leader() && reference.hits_leader()
+            }),
+            caused: count_pairs(pairs, HarmRun::causes_collision_behind),
+            caused_per_100_activations: PercentInterval::clopper_pearson(
+                [
+                    count_pairs(pairs, |run, reference| {
+                        run.activates && run.causes_collision_behind(reference)
+                    }),
+                    0,
+                ],
+                activations,
+            ),
+            harm_per_1000: [mean, NORMAL_QUANTILE * (variance / drives as f64).sqrt()]
+                .map(|value| Rounded::new(1000.0 * value)),
+        }
+    }
+}
+
+fn count_pairs(
+    pairs: &[(&HarmRun, &HarmRun)],
+    condition: impl Fn(&HarmRun, &HarmRun) -> bool,
+) -> u64 {
+    pairs
+        .iter()
+        .filter(|(run, reference)| condition(run, reference))
+        .count() as u64
 }
 
 impl ReportPart for HarmReport {

@@ -30,74 +30,87 @@ pub struct LimitingAssumption {
 
 impl AssessmentLimits {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan) -> Self {
-        let limit = |assumed, meaning| LimitingAssumption { assumed, meaning };
-        let mut assumptions = vec![
-            limit(
-                "Vehicles are point masses in one lane",
-                "Acceleration is constant over each step (0.01 s unless a scenario states another). There is no \
-                 steering, lane change, road grade or load transfer.",
-            ),
-            match plan.config.estimator {
-                EstimatorKind::Kalman => limit(
-                    "Sensor noise is white and normal, and a Kalman filter estimates the state",
-                    "Range noise is 0.03 m and position noise 0.02 m unless a scenario states others. Real sensors \
-                     also have biases, false targets and correlated errors. The filter knows the acceleration of its \
-                     own vehicle exactly. For neighbours it assumes white jerk: when one brakes suddenly, the filter \
-                     lags for about a second and underestimates its own error.",
-                ),
-                EstimatorKind::Truth => limit(
-                    "Vehicles under test observe the true state",
-                    "No sensor is that good; the results are a best case.",
-                ),
-            },
-            limit(
-                "Other vehicles observe the true state",
-                "They react without delay unless a scenario or space states one; the follower's emergency brake never \
-                 fails.",
-            ),
-            limit(
-                "Random scenarios follow the distribution of their space",
-                "Failure rates hold for this distribution only. Dangerous spaces give no rates per kilometre of real \
-                 driving.",
-            ),
-            limit(
-                "A tested claim may fail in other runs",
-                "A run ends with its scenario: \"no collision\" holds until then, and the report marks runs that end \
-                 while vehicles approach each other.",
-            ),
-            limit(
-                "Vehicles stick together after a collision, with common momentum",
-                "Deformation, rebound and steering are not modelled, so delta-v is approximate.",
-            ),
-            limit(
-                "This report is no certification",
-                "No controller here was built for a road, and the report replaces no test on a road.",
-            ),
-        ];
-        let is_counted = |one: &GivenCertificate| {
-            matches!(
-                one.certificate.statement,
-                Statement::Rate(_) | Statement::Comparison(_)
-            )
-        };
-        if plan.certificates.iter().any(is_counted) {
-            assumptions.push(limit(
-                "Counts in given certificates are correct",
-                "The checker only verifies what follows from the counts. `crumple check --rerun` repeats the runs. \
-                 Counts of this report are its own.",
-            ));
+        let mut assumptions = vec![POINT_MASSES, estimator_limit(plan.config.estimator)];
+        assumptions.extend(LIMITS_OF_EVERY_ASSESSMENT);
+        if plan.certificates.iter().any(GivenCertificate::is_count) {
+            assumptions.push(GIVEN_COUNTS);
         }
         if plan.config.paper {
-            assumptions.push(limit(
-                "The paper leaves some values open",
-                "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three \
-                 middle vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking \
-                 is normal about the class value with 0.2 m/s²; heavy and light followers are equally likely.",
-            ));
+            assumptions.push(PAPER);
         }
         Self { assumptions }
     }
 }
+
+impl GivenCertificate {
+    fn is_count(&self) -> bool {
+        matches!(
+            self.certificate.statement,
+            Statement::Rate(_) | Statement::Comparison(_)
+        )
+    }
+}
+
+const POINT_MASSES: LimitingAssumption = LimitingAssumption {
+    assumed: "Vehicles are point masses in one lane",
+    meaning: "Acceleration is constant over each step (0.01 s unless a scenario states another). There is no \
+              steering, lane change, road grade or load transfer.",
+};
+
+fn estimator_limit(estimator: EstimatorKind) -> LimitingAssumption {
+    match estimator {
+        EstimatorKind::Kalman => LimitingAssumption {
+            assumed: "Sensor noise is white and normal, and a Kalman filter estimates the state",
+            meaning: "Range noise is 0.03 m and position noise 0.02 m unless a scenario states others. Real sensors \
+                      also have biases, false targets and correlated errors. The filter knows the acceleration of its \
+                      own vehicle exactly. For neighbours it assumes white jerk: when one brakes suddenly, the filter \
+                      lags for about a second and underestimates its own error.",
+        },
+        EstimatorKind::Truth => LimitingAssumption {
+            assumed: "Vehicles under test observe the true state",
+            meaning: "No sensor is that good; the results are a best case.",
+        },
+    }
+}
+
+const LIMITS_OF_EVERY_ASSESSMENT: [LimitingAssumption; 5] = [
+    LimitingAssumption {
+        assumed: "Other vehicles observe the true state",
+        meaning: "They react without delay unless a scenario or space states one; the follower's emergency brake never \
+                  fails.",
+    },
+    LimitingAssumption {
+        assumed: "Random scenarios follow the distribution of their space",
+        meaning: "Failure rates hold for this distribution only. Dangerous spaces give no rates per kilometre of real \
+                  driving.",
+    },
+    LimitingAssumption {
+        assumed: "A tested claim may fail in other runs",
+        meaning: "A run ends with its scenario: \"no collision\" holds until then, and the report marks runs that end \
+                  while vehicles approach each other.",
+    },
+    LimitingAssumption {
+        assumed: "Vehicles stick together after a collision, with common momentum",
+        meaning: "Deformation, rebound and steering are not modelled, so delta-v is approximate.",
+    },
+    LimitingAssumption {
+        assumed: "This report is no certification",
+        meaning: "No controller here was built for a road, and the report replaces no test on a road.",
+    },
+];
+
+const GIVEN_COUNTS: LimitingAssumption = LimitingAssumption {
+    assumed: "Counts in given certificates are correct",
+    meaning: "The checker only verifies what follows from the counts. `crumple check --rerun` repeats the runs. Counts \
+              of this report are its own.",
+};
+
+const PAPER: LimitingAssumption = LimitingAssumption {
+    assumed: "The paper leaves some values open",
+    meaning: "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three \
+              middle vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking \
+              is normal about the class value with 0.2 m/s²; heavy and light followers are equally likely.",
+};
 
 impl ReportPart for AssessmentLimits {
     fn heading(&self) -> PartHeading {
@@ -109,9 +122,8 @@ impl ReportPart for AssessmentLimits {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        let line = |limit: &LimitingAssumption| {
+        out.list(self.assumptions.iter().map(|limit| {
             RichText::strong(format!("{}.", limit.assumed)).and_prose(format!(" {}", limit.meaning))
-        };
-        out.list(self.assumptions.iter().map(line));
+        }));
     }
 }

@@ -15,7 +15,7 @@ use crumple_measure::{
     OperatingPoint,
 };
 use crumple_sim::engine::FailedControllerRuns;
-use maud::html;
+use maud::{Markup, html};
 
 /// Growth of speed oscillations in a line of vehicles with one controller that observes the true state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -64,15 +64,16 @@ pub struct GainCurve {
     pub gain: Vec<Rounded<3>>,
 }
 
+fn count_points_without_gain(survey: &GainSurvey, reason: &NoGain) -> u64 {
+    survey
+        .points
+        .iter()
+        .filter(|point| point.gain.as_ref() == Err(reason))
+        .count() as u64
+}
+
 impl OscillationGain {
     pub(super) fn new(survey: &GainSurvey) -> Self {
-        let count = |reason: &NoGain| {
-            survey
-                .points
-                .iter()
-                .filter(|point| point.gain.as_ref() == Err(reason))
-                .count()
-        };
         let mut unanswered = None;
         for point in &survey.points {
             if let Err(NoGain::Unanswered(because)) = &point.gain {
@@ -83,7 +84,6 @@ impl OscillationGain {
                 FailedControllerRuns::merge(&mut unanswered, Some(failed));
             }
         }
-        let is_amplified = |gain: &f64| Rounded::<3>::new(*gain).value() > MAX_GAIN;
         let gains = survey
             .points
             .iter()
@@ -96,10 +96,12 @@ impl OscillationGain {
                 .largest()
                 .map(|(at, gain)| LargestGain::new(at, gain)),
             points: survey.points.len() as u64,
-            amplified: gains.filter(|gain| is_amplified(gain)).count() as u64,
-            not_settled: count(&NoGain::NotSettled) as u64,
-            not_steady: count(&NoGain::NotSteady) as u64,
-            collisions: count(&NoGain::Collision) as u64,
+            amplified: gains
+                .filter(|gain| Rounded::<3>::new(**gain).value() > MAX_GAIN)
+                .count() as u64,
+            not_settled: count_points_without_gain(survey, &NoGain::NotSettled),
+            not_steady: count_points_without_gain(survey, &NoGain::NotSteady),
+            collisions: count_points_without_gain(survey, &NoGain::Collision),
             unanswered,
             curves: curves.filter(|curve| !curve.gain.is_empty()).collect(),
         }
@@ -169,15 +171,10 @@ impl OscillationGain {
             (self.not_steady, "the oscillation does not become periodic"),
             (self.collisions, "vehicles collide"),
         ];
-        let at_points = |count: u64, reason: &str| {
-            format!("at {count} of {} operating points {reason}", self.points)
-        };
-        parts.extend(
-            reasons
-                .iter()
-                .filter(|(count, _)| *count > 0)
-                .map(|(count, reason)| at_points(*count, reason)),
-        );
+        for (count, reason) in reasons.iter().filter(|(count, _)| *count > 0) {
+            let points = self.points;
+            parts.push(format!("at {count} of {points} operating points {reason}"));
+        }
         parts.extend(
             self.unanswered
                 .iter()
@@ -210,7 +207,7 @@ impl OscillationGain {
             .gain
             .iter()
             .copied()
-            .max_by(|one, other| one.value().total_cmp(&other.value()))
+            .max_by(|a, b| a.value().total_cmp(&b.value()))
     }
 }
 
@@ -277,20 +274,22 @@ pub(super) fn gain_table(controllers: &[ControllerUsefulness]) -> ReportTable {
         .chain(["all", "operating point of the largest"])
         .collect();
     let mut table = ReportTable::new(&header);
-    for one in controllers {
-        let gain = &one.oscillation_gain;
-        let mut row = vec![ReportCell::text(&one.controller)];
+    for useful in controllers {
+        let gain = &useful.oscillation_gain;
+        let mut row = vec![ReportCell::text(&useful.controller)];
         row.extend(
             GAIN_SPEEDS_MPS.map(|speed_mps| ReportCell::optional(gain.largest_at(speed_mps))),
         );
         row.push(gain.table_cell());
-        let at = gain.largest.map(|one| {
+        let operating_point = gain.largest.map(|largest| {
             format!(
                 "{} m/s, {} rad/s",
-                one.mean_speed_mps, one.frequency_rad_per_s
+                largest.mean_speed_mps, largest.frequency_rad_per_s
             )
         });
-        row.push(ReportCell::text(at.unwrap_or_else(|| "–".to_owned())));
+        row.push(ReportCell::text(
+            operating_point.unwrap_or_else(|| "–".to_owned()),
+        ));
         table.push_row(row);
     }
     table
@@ -311,13 +310,7 @@ const HIGHEST_DRAWN_GAIN: f64 = 1.3;
 pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg {
     let drawn: Vec<_> = controllers
         .iter()
-        .filter(|one| !one.oscillation_gain.curves.is_empty())
-        .collect();
-    let names = DRAWN_SPEEDS_MPS.map(|speed_mps| format!("{speed_mps} m/s"));
-    let entries: Vec<_> = names
-        .iter()
-        .enumerate()
-        .map(|(index, name)| (Stroke::series(index), name.as_str()))
+        .filter(|useful| !useful.oscillation_gain.curves.is_empty())
         .collect();
     let step = (
         PANEL_SIZE.0 + LEFT_MARGIN + 24.0,
@@ -325,45 +318,57 @@ pub(super) fn draw_gains(id: &str, controllers: &[ControllerUsefulness]) -> Svg 
     );
     let columns = drawn.len().clamp(1, PANELS_IN_ROW);
     let width = (columns as f64 * step.0 + 12.0).max(4.0 * 80.0);
-    let (legend, legend_height) = draw_legend(&entries, width);
-    let panels = drawn.iter().enumerate().map(|(index, one)| {
-        let (row, column) = (index / PANELS_IN_ROW, index % PANELS_IN_ROW);
-        let left = LEFT_MARGIN + column as f64 * step.0;
-        let top = legend_height + HEADING_HEIGHT + row as f64 * step.1;
+    let (legend, legend_height) = speed_legend(width);
+    let panels = drawn.iter().enumerate().map(|(index, useful)| {
+        let row = index / PANELS_IN_ROW;
+        let column = index % PANELS_IN_ROW;
         let frame = PixelRect {
-            left,
-            top,
+            left: LEFT_MARGIN + column as f64 * step.0,
+            top: legend_height + HEADING_HEIGHT + row as f64 * step.1,
             width: PANEL_SIZE.0,
             height: PANEL_SIZE.1,
         };
-        gain_panel(one, frame).draw(&Svg::id(id, &format!("gain-{index}")))
+        gain_panel(useful, frame).draw(&Svg::id(id, &format!("gain-{index}")))
     });
     let panels: Vec<_> = panels.collect();
     let rows = drawn.len().div_ceil(PANELS_IN_ROW) as f64;
-    let describe = |one: &&ControllerUsefulness| {
-        format!("{}: {}", one.controller, one.oscillation_gain.describe())
-    };
-    let description = drawn.iter().map(describe).collect::<Vec<_>>().join("; ");
+    let descriptions: Vec<_> = drawn.iter().map(|useful| describe_gain(useful)).collect();
     let content = html! { (legend) @for panel in &panels { (panel) } };
     Svg::new(
         id,
         (width, legend_height + rows * step.1),
         "Gain over the frequency",
-        &description,
+        &descriptions.join("; "),
         content,
     )
 }
 
-fn gain_panel(one: &ControllerUsefulness, frame: PixelRect) -> Panel {
+fn describe_gain(useful: &ControllerUsefulness) -> String {
+    let gain = useful.oscillation_gain.describe();
+    format!("{}: {gain}", useful.controller)
+}
+
+/// Draws the legend of the lines of a panel, and returns its height.
+fn speed_legend(width: f64) -> (Markup, f64) {
+    let names = DRAWN_SPEEDS_MPS.map(|speed_mps| format!("{speed_mps} m/s"));
+    let entries: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(index, name)| (Stroke::series(index), name.as_str()))
+        .collect();
+    draw_legend(&entries, width)
+}
+
+fn gain_panel(useful: &ControllerUsefulness, frame: PixelRect) -> Panel {
     let ticks = [0.05, 0.1, 0.2, 0.5, 1.0, 2.0]
         .map(|frequency: f64| (frequency.log10(), frequency.to_string()));
     let [lowest, highest] = GAIN_FREQUENCIES_RAD_PER_S.map(f64::log10);
     let x = Axis::with_ticks("frequency (rad/s)", (lowest, highest), ticks.into());
     let y = Axis::numeric("", (0.0, HIGHEST_DRAWN_GAIN), 5);
-    let mut panel = Panel::new(frame, &format!("Gain, {}", one.controller), x, y);
+    let mut panel = Panel::new(frame, &format!("Gain, {}", useful.controller), x, y);
     panel.add_horizontal_line(MAX_GAIN, Stroke::solid(Ink::Muted, 1.0));
     for (index, speed_mps) in DRAWN_SPEEDS_MPS.into_iter().enumerate() {
-        let Some(curve) = one
+        let Some(curve) = useful
             .oscillation_gain
             .curves
             .iter()
@@ -377,7 +382,7 @@ fn gain_panel(one: &ControllerUsefulness, frame: PixelRect) -> Panel {
             .collect();
         panel.add_line(&points, Stroke::series(index));
     }
-    if let Some(largest) = one.oscillation_gain.largest {
+    if let Some(largest) = useful.oscillation_gain.largest {
         panel.add_note(
             (highest, 0.1),
             Anchor::End,

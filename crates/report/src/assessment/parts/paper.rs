@@ -35,12 +35,13 @@ impl PaperScenarios {
     pub(in crate::assessment) fn scenarios(
         plan: &AssessmentPlan,
     ) -> Result<Vec<Scenario>, AssessError> {
-        let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
         let names = built_in_scenario_names()
             .into_iter()
             .filter(|_| plan.config.paper);
-        let known = names.filter_map(|(name, _)| built_in_scenario(name));
-        Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
+        let scenarios = names.filter_map(|(name, _)| built_in_scenario(name));
+        Ok(scenarios
+            .map(|scenario| scenario.edited(|spec| spec.seed = plan.config.seed))
+            .collect::<Result<Vec<_>, _>>()?)
     }
 
     pub(in crate::assessment) fn gather(
@@ -51,55 +52,60 @@ impl PaperScenarios {
             return Ok(None);
         }
         let scenarios = Self::scenarios(plan)?;
-        let all: Vec<&Scenario> = scenarios.iter().collect();
+        let references: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(
-            &all,
+            &references,
             &plan.controllers,
             plan.config.estimator,
             MotionRetention::Keep,
         )?;
-        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
-        let best = |scenario: &Scenario| CertifiedAvoidance::load_or_compute(scenario, work);
-        let bests = scenarios
+        work.add_runs((references.len() * plan.controllers.len()) as u64)?;
+        let avoidances = scenarios
             .par_iter()
-            .map(best)
+            .map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work))
             .collect::<Result<Vec<_>, _>>()?;
-        let with_avoidance = |((scenario, cases), best): ((&Scenario, _), _)| {
-            let mut replay = CrumpleCommand::new(["simulate", scenario.spec().name.as_str()])
-                .with_args(plan.estimator_args().iter().copied());
-            if plan.config.seed != 0 {
-                replay = replay.with_args(["--seed".to_owned(), plan.config.seed.to_string()]);
-            }
-            ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
-        };
         let scenarios = scenarios
             .iter()
             .zip(cases)
-            .zip(bests)
-            .map(with_avoidance)
+            .zip(avoidances)
+            .map(|((scenario, cases), avoidance)| {
+                ScenarioCases::new(scenario, replay_command(plan, scenario), cases)
+                    .with_avoidance(avoidance)
+            })
             .collect();
         // The first controller, and the subject or else the second.
-        let beside = [0, plan.subject_index.max(1)]
+        let side_by_side = [0, plan.subject_index.max(1)]
             .into_iter()
             .filter(|&index| index < plan.controllers.len());
         Ok(Some(Self {
             scenarios,
-            side_by_side: beside.collect(),
+            side_by_side: side_by_side.collect(),
         }))
     }
 
-    /// Returns the cases of the combined figure, and the others.
-    fn split_cases<'a>(
+    /// Returns the cases of the combined figure (`true`), or the others.
+    fn select_cases<'a>(
         &self,
         scenario: &'a ScenarioCases,
-    ) -> (Vec<&'a CaseResult>, Vec<&'a CaseResult>) {
-        let numbered = scenario.cases.iter().enumerate();
-        let (beside, others): (Vec<_>, Vec<_>) =
-            numbered.partition(|(index, _)| self.side_by_side.contains(index));
-        let cases = |numbered: Vec<(usize, &'a CaseResult)>| {
-            numbered.into_iter().map(|(_, case)| case).collect()
-        };
-        (cases(beside), cases(others))
+        is_side_by_side: bool,
+    ) -> Vec<&'a CaseResult> {
+        scenario
+            .cases
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| self.side_by_side.contains(index) == is_side_by_side)
+            .map(|(_, case)| case)
+            .collect()
+    }
+}
+
+/// Returns the command that simulates a scenario, without the controller.
+fn replay_command(plan: &AssessmentPlan, scenario: &Scenario) -> CrumpleCommand {
+    let command = CrumpleCommand::new(["simulate", scenario.spec().name.as_str()])
+        .with_args(plan.estimator_args().iter().copied());
+    match plan.config.seed {
+        0 => command,
+        seed => command.with_args(["--seed".to_owned(), seed.to_string()]),
     }
 }
 
@@ -119,7 +125,7 @@ impl ReportPart for PaperScenarios {
     fn write(&self, out: &mut ReportDocument) {
         [INTRODUCTION, REGRET_EXPLANATION, FURTHER_MEASURES_NOTE]
             .iter()
-            .for_each(|&words| out.paragraph(words));
+            .for_each(|&paragraph| out.paragraph(paragraph));
         self.scenarios
             .iter()
             .for_each(|scenario| self.write_scenario(scenario, out));
@@ -156,23 +162,25 @@ impl ReportPart for PaperScenarios {
 
 impl PaperScenarios {
     fn write_scenario(&self, scenario: &ScenarioCases, out: &mut ReportDocument) {
-        let (beside, others) = self.split_cases(scenario);
+        let side_by_side = self.select_cases(scenario, true);
         out.heading(&scenario.scenario);
         out.paragraph(&scenario.about);
-        out.figure(scenario.figures_side_by_side(&beside));
-        out.push(ReportBlock::Commands(scenario.replay_commands(&beside)));
+        out.figure(scenario.figures_side_by_side(&side_by_side));
+        out.push(ReportBlock::Commands(
+            scenario.replay_commands(&side_by_side),
+        ));
         out.paragraph(scenario.describe_avoidance());
         scenario.write_tables(out);
         let mut figures = ReportDocument::new();
-        for case in others {
+        for case in self.select_cases(scenario, false) {
             scenario.write_folded_figure(case, &mut figures);
         }
         out.html_only(figures);
     }
 
     fn figure_file(&self, scenario: &ScenarioCases) -> (String, Vec<u8>) {
-        let (beside, _) = self.split_cases(scenario);
-        let figure = scenario.combined_figure(&beside).document();
+        let cases = self.select_cases(scenario, true);
+        let figure = scenario.combined_figure(&cases).document();
         (
             format!("figures/{}.svg", scenario.scenario),
             figure.into_bytes(),

@@ -40,6 +40,27 @@ const CONDITIONS: [&str; 4] = [
     "the code of the shield implements the kernel; this is tested, not proved",
 ];
 
+impl CertificateStatus {
+    /// Returns the confidence level of a bound or comparison that the certificate proves.
+    fn confidence_percent(&self) -> Option<f64> {
+        match self {
+            Self::Accepted {
+                strength:
+                    Some(
+                        Strength::Between {
+                            confidence_percent, ..
+                        }
+                        | Strength::Counted {
+                            confidence_percent, ..
+                        },
+                    ),
+                ..
+            } => Some(confidence_percent.value()),
+            _ => None,
+        }
+    }
+}
+
 impl Proofs {
     /// Checks all certificates, with those that `parts` found.
     pub(in crate::assessment) fn gather(
@@ -59,7 +80,7 @@ impl Proofs {
         for proof in &self.certificates {
             if let CertificateSubject::Claim(claim) = &proof.subject
                 && matches!(claim.domain, Domain::Box { .. })
-                && !boxes.iter().any(|known| known.domain == claim.domain)
+                && !boxes.iter().any(|other| other.domain == claim.domain)
             {
                 boxes.push(claim);
             }
@@ -96,12 +117,15 @@ impl Proofs {
             .certificates
             .iter()
             .filter_map(|proof| proof.recount_controllers.as_ref().zip(proof.file.clone()));
-        let (controllers, files): (Vec<_>, Vec<_>) = counted.unzip();
         let mut arguments: Vec<String> = Vec::new();
-        for controller in controllers.into_iter().flatten() {
-            if !arguments.contains(controller) {
-                arguments.extend(["--controller".to_owned(), controller.clone()]);
+        let mut files: Vec<String> = Vec::new();
+        for (controllers, file) in counted {
+            for controller in controllers {
+                if !arguments.contains(controller) {
+                    arguments.extend(["--controller".to_owned(), controller.clone()]);
+                }
             }
+            files.push(file);
         }
         (!files.is_empty()).then(|| {
             CrumpleCommand::new(["check", "--rerun"])
@@ -112,44 +136,38 @@ impl Proofs {
 
     /// Returns the joint confidence level of all bounds, if there are several (Bonferroni: `1 - sum of (1 - c_i)`).
     fn joint_confidence(&self) -> Option<String> {
-        let open = |proof: &CheckedCertificate| match &proof.status {
-            CertificateStatus::Accepted {
-                strength:
-                    Some(
-                        Strength::Between {
-                            confidence_percent, ..
-                        }
-                        | Strength::Counted {
-                            confidence_percent, ..
-                        },
-                    ),
-                ..
-            } => Some(100.0 - confidence_percent.value()),
-            _ => None,
-        };
-        let open: Vec<f64> = self.certificates.iter().filter_map(open).collect();
-        let together = Rounded::<4>::down((100.0 - open.iter().sum::<f64>()).max(0.0));
-        let bounds = open.len();
+        let risks_percent: Vec<f64> = self
+            .certificates
+            .iter()
+            .filter_map(|proof| proof.status.confidence_percent())
+            .map(|confidence_percent| 100.0 - confidence_percent)
+            .collect();
+        let joint = Rounded::<4>::down((100.0 - risks_percent.iter().sum::<f64>()).max(0.0));
+        let bounds = risks_percent.len();
         (bounds > 1).then(|| {
             format!(
-                "all {bounds} bounds of rates and comparisons hold together at confidence {together} % (Bonferroni)"
+                "all {bounds} bounds of rates and comparisons hold together at confidence {joint} % (Bonferroni)"
             )
         })
     }
 
     fn assumptions(&self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
-        let mut said: Vec<(&str, &[Assumption])> = Vec::new();
+        let mut written: Vec<(&str, &[Assumption])> = Vec::new();
         for proof in &self.certificates {
             let own = (proof.statement, proof.assumptions.as_slice());
-            if !said.contains(&own) {
-                said.push(own);
-                let all: Vec<_> = proof
+            if !written.contains(&own) {
+                written.push(own);
+                let assumptions: Vec<_> = proof
                     .assumptions
                     .iter()
                     .map(Assumption::to_string)
                     .collect();
-                lines.push(format!("{} assumes: {}", proof.statement, all.join("; ")));
+                lines.push(format!(
+                    "{} assumes: {}",
+                    proof.statement,
+                    assumptions.join("; ")
+                ));
             }
         }
         lines.extend(self.joint_confidence());
@@ -208,10 +226,10 @@ impl ReportPart for Proofs {
     }
 
     fn files(&self) -> Vec<(String, Vec<u8>)> {
-        let file = |proof: &CheckedCertificate| {
-            Some((proof.file.clone()?, proof.text.clone().into_bytes()))
-        };
-        self.certificates.iter().filter_map(file).collect()
+        self.certificates
+            .iter()
+            .filter_map(|proof| Some((proof.file.clone()?, proof.text.clone().into_bytes())))
+            .collect()
     }
 }
 
@@ -224,21 +242,23 @@ fn whole_space_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
             spaces.push(&named.content_id);
         }
     }
-    let claim = |space: &ContentId| {
-        let domain = Domain::Space {
-            space: space.clone(),
-        };
-        ClaimDraft::about_all(plan, failure_searches::ANCHOR, Property::NoContact, domain)
-    };
-    spaces.into_iter().map(claim).collect()
+    spaces
+        .into_iter()
+        .map(|space| {
+            let domain = Domain::Space {
+                space: space.clone(),
+            };
+            ClaimDraft::about_all(plan, failure_searches::ANCHOR, Property::NoContact, domain)
+        })
+        .collect()
 }
 
 fn reach_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> ClaimDraft {
     let estimator = claim.subject.estimator;
-    let words = format!("{}, {}", claim.describe(), describe_estimator(estimator));
+    let claim_text = format!("{}, {}", claim.describe(), describe_estimator(estimator));
     let property = claim.property.clone();
     ClaimDraft::with_estimator(plan, estimator, ANCHOR, property, claim.domain.clone())
-        .with_words(words)
+        .with_text(claim_text)
 }
 
 /// Claims for each shield that its kernels avoid the leader. Shields with other limits prove other claims.
@@ -248,18 +268,16 @@ fn shield_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
 }
 
 fn shield_claim(plan: &AssessmentPlan, domain: &Domain) -> ClaimDraft {
-    let claim = |(index, controller): (usize, &NamedController)| {
+    let claims = plan.controllers.iter().enumerate();
+    let claims = claims.map(|(index, controller)| {
         shield_domain(controller).filter(|own| own == domain)?;
         Some(AssuranceClaim {
             subject: plan.claim_subject(index, plan.config.estimator)?,
             property: Property::NoContactAhead,
             domain: domain.clone(),
         })
-    };
-    ClaimDraft::new(
-        ANCHOR,
-        plan.controllers.iter().enumerate().map(claim).collect(),
-    )
+    });
+    ClaimDraft::new(ANCHOR, claims.collect())
 }
 
 /// Returns the domain of a shield's claims; `None` without a shield.

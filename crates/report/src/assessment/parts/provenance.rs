@@ -60,7 +60,7 @@ impl AssessmentProvenance {
             ..plan.config.clone()
         };
         let config = std::iter::once(format!("{config:?}"));
-        let all = config
+        let inputs = config
             .chain(scenarios)
             .chain(spaces)
             .collect::<Vec<_>>()
@@ -68,7 +68,7 @@ impl AssessmentProvenance {
         Self {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
-            config_sha256: sha256(&all),
+            config_sha256: sha256(&inputs),
             evidence: cache.hashes(),
             run_info: None,
         }
@@ -99,11 +99,8 @@ impl AssessmentProvenance {
 
     fn inputs(&self) -> Vec<(String, String)> {
         let config = &self.config;
-        let (spaces, runs, confidence) = (
-            config.search_spaces().join(", "),
-            config.rates.runs,
-            config.rates.confidence,
-        );
+        let spaces = config.search_spaces().join(", ");
+        let rates = &config.rates;
         let files: Vec<_> = config
             .scenarios
             .iter()
@@ -121,7 +118,10 @@ impl AssessmentProvenance {
             ),
             (
                 "counted runs",
-                format!("{runs} at confidence {confidence}, with the seed in each certificate"),
+                format!(
+                    "{} at confidence {}, with the seed in each certificate",
+                    rates.runs, rates.confidence
+                ),
             ),
             (
                 "drives in traffic and in high-risk",

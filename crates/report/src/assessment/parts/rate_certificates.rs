@@ -43,57 +43,58 @@ pub(in crate::assessment) fn planned_rate_counts(
     if plan.config.rates.runs == 0 {
         return Vec::new();
     }
-    let learned = plan
-        .controllers
-        .iter()
-        .enumerate()
-        .filter(|(_, controller)| controller.source.is_learned());
-    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> = learned
-        .map(|(index, one)| {
-            (
-                format!("rate-{}", plan.controller_slug(index)),
-                one.clone(),
-                None,
-            )
-        })
-        .collect();
-    if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
-        && plan.subject_index != 0
-    {
-        let name = format!(
-            "{}-against-{}",
-            plan.controller_slug(plan.subject_index),
-            plan.controller_slug(0)
-        );
-        wanted.push((name, subject.clone(), Some(first.clone())));
+    let mut counts = Vec::new();
+    for space in &plan.rate_spaces {
+        counts.extend(planned_counts_in(plan, space));
     }
     // A claim needs a controller with an identity.
-    wanted.retain(|(_, one, other)| {
-        std::iter::once(one)
-            .chain(other)
-            .all(|of| of.source.identity().is_some())
-    });
-    let several = plan.rate_spaces.len() > 1;
-    let mut counted = Vec::new();
-    for space in &plan.rate_spaces {
-        for (name, controller, against) in wanted.clone() {
-            let name = if several {
-                format!("{name}-{}", file_stem(space.space.name()))
-            } else {
-                name
-            };
-            counted.push(PlannedRateCount {
-                name,
+    counts.retain(PlannedRateCount::has_identities);
+    counts
+}
+
+/// Returns the counts in one space: each learned controller, and the subject against the first controller.
+fn planned_counts_in<'a>(
+    plan: &AssessmentPlan,
+    space: &'a NamedSpace,
+) -> Vec<PlannedRateCount<'a>> {
+    let suffix = if plan.rate_spaces.len() > 1 {
+        format!("-{}", file_stem(space.space.name()))
+    } else {
+        String::new()
+    };
+    let mut counts = Vec::new();
+    for (index, controller) in plan.controllers.iter().enumerate() {
+        if controller.source.is_learned() {
+            counts.push(PlannedRateCount {
+                name: format!("rate-{}{suffix}", plan.controller_slug(index)),
                 space,
-                controller,
-                against,
+                controller: controller.clone(),
+                against: None,
             });
         }
     }
-    counted
+    if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
+        && plan.subject_index != 0
+    {
+        let own = plan.controller_slug(plan.subject_index);
+        let other = plan.controller_slug(0);
+        counts.push(PlannedRateCount {
+            name: format!("{own}-against-{other}{suffix}"),
+            space,
+            controller: subject.clone(),
+            against: Some(first.clone()),
+        });
+    }
+    counts
 }
 
 impl PlannedRateCount<'_> {
+    fn has_identities(&self) -> bool {
+        std::iter::once(&self.controller)
+            .chain(&self.against)
+            .all(|controller| controller.source.identity().is_some())
+    }
+
     pub(in crate::assessment) fn gather(
         self,
         work: &GatherContext<'_>,
@@ -110,22 +111,10 @@ impl PlannedRateCount<'_> {
                 plan.config.rates.runs,
             )
         })?;
-        // First line: the certificate. Second line, if needed: the controllers that gave no answer.
-        let kept: String = work.get_or_gather(&self.name, rates.registration(), || {
-            let mut tally = rates.empty_tally();
-            while tally.runs < plan.config.rates.runs {
-                let before = tally.runs;
-                rates.count_batch(&mut tally)?;
-                work.add_runs(tally.runs - before)?;
-            }
-            let text =
-                serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
-            Ok::<_, AssessError>(match tally.missing_answers_summary() {
-                unanswered if unanswered.is_empty() => text,
-                unanswered => format!("{text}\n{unanswered}"),
-            })
+        let entry: String = work.get_or_gather(&self.name, rates.registration(), || {
+            count_runs(&rates, plan.config.rates.runs, work)
         })?;
-        let (text, unanswered) = kept.split_once('\n').unwrap_or((&kept, ""));
+        let (text, unanswered) = entry.split_once('\n').unwrap_or((&entry, ""));
         let certificate = Certificate::from_json(text)
             .map_err(|error| AssessError::Certificate(error.to_string()))?;
         let mut proof = check_certificate(plan, self.name, &certificate, None)?;
@@ -137,6 +126,25 @@ impl PlannedRateCount<'_> {
         }
         Ok(proof)
     }
+}
+
+/// Counts the runs, and returns the certificate. A second line names the controllers that gave no answer, if any.
+fn count_runs(
+    rates: &RatePlan,
+    runs: u64,
+    work: &GatherContext<'_>,
+) -> Result<String, AssessError> {
+    let mut tally = rates.empty_tally();
+    while tally.runs < runs {
+        let before = tally.runs;
+        rates.count_batch(&mut tally)?;
+        work.add_runs(tally.runs - before)?;
+    }
+    let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
+    Ok(match tally.missing_answers_summary() {
+        unanswered if unanswered.is_empty() => text,
+        unanswered => format!("{text}\n{unanswered}"),
+    })
 }
 
 /// Returns the controllers, as arguments in the report folder, with which `check --rerun` repeats the counts of a
@@ -161,11 +169,17 @@ pub(super) fn recount_controllers(
     .ok()?;
     let identities =
         ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
-    let argument = |identity: &String| {
-        let is_it = |one: &&NamedController| one.source.identity().as_ref() == Some(identity);
-        controller_arg(&*plan.controllers.iter().find(is_it)?.source)
-    };
-    identities.into_iter().flatten().map(argument).collect()
+    identities
+        .into_iter()
+        .flatten()
+        .map(|identity| {
+            let controller = plan
+                .controllers
+                .iter()
+                .find(|controller| controller.source.identity().as_ref() == Some(identity))?;
+            controller_arg(&*controller.source)
+        })
+        .collect()
 }
 
 /// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.
@@ -175,14 +189,14 @@ fn not_shown_status(
     unanswered: &str,
 ) -> Option<CertificateStatus> {
     match statement {
-        Statement::Comparison(two) => {
-            let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
+        Statement::Comparison(comparison) => {
             let Registration {
                 runs, confidence, ..
-            } = two.registration;
+            } = comparison.registration;
             Some(CertificateStatus::NothingShown {
                 counted: format!(
-                    "only the first failed in {only_first} runs, only the second in {only_second}{unanswered}"
+                    "only the first failed in {} runs, only the second in {}{unanswered}",
+                    comparison.only_first_failed, comparison.only_second_failed
                 ),
                 strength: Strength::NotShownByCounting {
                     confidence_percent: Rounded::down(100.0 * confidence),

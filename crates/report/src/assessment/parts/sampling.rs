@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::proofs;
-use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
+use super::share::{CONFIDENCE, PercentInterval, ShareFigure, ShareMark};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
@@ -103,7 +103,7 @@ impl ControllerSample {
     /// Returns the strength of the claim to fail less often. Scenarios without an answer of the other controller are
     /// open.
     fn strength_against(&self, other: &Self, random_scenarios: u64) -> Strength {
-        let beside = [
+        let other_counts = [
             other.ends.collisions,
             other
                 .ends
@@ -112,7 +112,7 @@ impl ControllerSample {
         ];
         let own = [self.ends.failures(), self.ends.ended_by_others];
         match (
-            Strength::from_paired_counts(own, beside, random_scenarios),
+            Strength::from_paired_counts(own, other_counts, random_scenarios),
             &other.ends.unanswered,
         ) {
             (Strength::Untried, Some(unanswered)) => Strength::OtherUnanswered {
@@ -138,16 +138,18 @@ impl ControllerSample {
 impl SpaceSamples {
     pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let plan = work.plan;
-        let of = |named: &NamedSpace| SpaceSample::gather(named, work);
-        Ok(Self {
-            spaces: plan.rate_spaces.iter().map(of).collect::<Result<_, _>>()?,
-        })
+        let spaces = plan
+            .rate_spaces
+            .iter()
+            .map(|named| SpaceSample::gather(named, work))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { spaces })
     }
 
     fn simulated(&self) -> impl Iterator<Item = &SpaceSample> {
         self.spaces
             .iter()
-            .filter(|drawn| drawn.random_scenarios > 0)
+            .filter(|sample| sample.random_scenarios > 0)
     }
 }
 
@@ -169,32 +171,39 @@ impl SpaceSample {
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let subjects = plan.claim_subjects();
         let first = subjects.first().zip(self.controllers.first());
-        let mut all = Vec::new();
+        let mut evidence = Vec::new();
         for (subject, sampled) in subjects.iter().zip(&self.controllers) {
-            all.extend(self.evidence_about(subject, sampled));
-            if let Some((first, of_first)) = first.filter(|(first, _)| *first != subject) {
+            evidence.extend(self.evidence_about(subject, sampled));
+            if let Some((first, first_sampled)) = first.filter(|(first, _)| *first != subject) {
                 let than = Property::FailsLessOften {
                     than: first.controller.clone(),
                 };
-                let strength = sampled.strength_against(of_first, self.random_scenarios);
-                all.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
+                let strength = sampled.strength_against(first_sampled, self.random_scenarios);
+                evidence.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
             }
         }
-        all
+        evidence
     }
 
     fn evidence_about(&self, subject: &Subject, sampled: &ControllerSample) -> [Evidence; 3] {
         let runs = self.random_scenarios;
-        let piece = |property, domain, strength| {
-            self.piece_of_evidence(subject, property, domain, strength)
-        };
         let no_contact = sampled.ends.strength(runs);
         let others_clear = Strength::from_counts(sampled.ends.ended_by_others, runs);
         let rate = sampled.rate_strength(self);
         [
-            piece(Property::NoContact, self.draws_domain(), no_contact),
-            piece(Property::OthersKeepClear, self.draws_domain(), others_clear),
-            piece(Property::FailureRate, self.space_domain(), rate),
+            self.piece_of_evidence(
+                subject,
+                Property::NoContact,
+                self.draws_domain(),
+                no_contact,
+            ),
+            self.piece_of_evidence(
+                subject,
+                Property::OthersKeepClear,
+                self.draws_domain(),
+                others_clear,
+            ),
+            self.piece_of_evidence(subject, Property::FailureRate, self.space_domain(), rate),
         ]
     }
 
@@ -205,7 +214,7 @@ impl SpaceSample {
         domain: Domain,
         strength: Strength,
     ) -> Evidence {
-        let what = format!(
+        let description = format!(
             "{} random scenarios, seed {}",
             self.random_scenarios, self.seed
         );
@@ -216,45 +225,60 @@ impl SpaceSample {
                 domain,
             },
             strength,
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 
     fn claims(&self, plan: &AssessmentPlan, named: &NamedSpace) -> Vec<ClaimDraft> {
-        let draft = |part, property, domain| ClaimDraft::about_all(plan, part, property, domain);
         let rare = Property::RateAtMost {
             percent: Rounded::new(RARE_PERCENT),
         };
-        let mut claims = vec![draft(ANCHOR, Property::NoContact, self.draws_domain())];
+        let mut claims = vec![ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            Property::NoContact,
+            self.draws_domain(),
+        )];
         if named.can_others_collide() {
-            claims.push(draft(
+            claims.push(ClaimDraft::about_all(
+                plan,
                 ANCHOR,
                 Property::OthersKeepClear,
                 self.draws_domain(),
             ));
         }
-        claims.push(draft(ANCHOR, rare, self.space_domain()));
+        claims.push(ClaimDraft::about_all(
+            plan,
+            ANCHOR,
+            rare,
+            self.space_domain(),
+        ));
         if let Some(first) = plan.claim_subject(0, plan.config.estimator) {
             let fewer = Property::FailsLessOften {
                 than: first.controller,
             };
             // The first controller cannot fail less often than itself.
-            claims.push(draft(ANCHOR, fewer.clone(), self.draws_domain()).without_first());
-            claims.push(draft(proofs::ANCHOR, fewer, self.space_domain()).without_first());
+            claims.push(
+                ClaimDraft::about_all(plan, ANCHOR, fewer.clone(), self.draws_domain())
+                    .without_first(),
+            );
+            claims.push(
+                ClaimDraft::about_all(plan, proofs::ANCHOR, fewer, self.space_domain())
+                    .without_first(),
+            );
         }
         claims
     }
 
     fn unanswered_notes(&self) -> Vec<String> {
-        let note = |one: &ControllerSample| {
-            let unanswered = one.ends.unanswered.as_ref()?;
-            Some(note_unanswered(
-                &one.controller,
-                unanswered,
-                self.random_scenarios,
-            ))
-        };
-        self.controllers.iter().filter_map(note).collect()
+        self.controllers
+            .iter()
+            .filter_map(|sampled| {
+                let unanswered = sampled.ends.unanswered.as_ref()?;
+                let runs = self.random_scenarios;
+                Some(note_unanswered(&sampled.controller, unanswered, runs))
+            })
+            .collect()
     }
 
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerSample> {
@@ -334,73 +358,75 @@ impl SpaceSample {
             .map_or("", |sampled| sampled.controller.as_str());
         let only_first = format!("only {first} collides");
         let columns: [ReportColumn<'_, &ControllerSample>; 13] = [
-            ("controller", &|one| ReportCell::text(&one.controller)),
-            ("collisions", &|one| {
+            ("controller", &|sampled| {
+                ReportCell::text(&sampled.controller)
+            }),
+            ("collisions", &|sampled| {
                 ReportCell::with_verdict(
-                    one.ends.collisions,
-                    one.ends.collisions + one.ends.ended_by_others == 0,
+                    sampled.ends.collisions,
+                    sampled.ends.collisions + sampled.ends.ended_by_others == 0,
                 )
             }),
-            ("no answer", &|one| {
+            ("no answer", &|sampled| {
                 ReportCell::with_verdict(
-                    one.ends.unanswered_runs(),
-                    one.ends.unanswered_runs() == 0,
+                    sampled.ends.unanswered_runs(),
+                    sampled.ends.unanswered_runs() == 0,
                 )
             }),
-            ("rate (%)", &|one| {
-                ReportCell::number(one.rate_percent.observed)
+            ("rate (%)", &|sampled| {
+                ReportCell::number(sampled.rate_percent.observed)
             }),
-            ("bounds (%)", &|one| {
-                ReportCell::number(one.rate_percent.format_bounds())
+            ("bounds (%)", &|sampled| {
+                ReportCell::number(sampled.rate_percent.format_bounds())
             }),
-            ("hits leader", &|one| ReportCell::number(one.ends.hit)),
-            ("hit from behind", &|one| {
-                ReportCell::number(one.ends.was_hit)
+            ("hits leader", &|sampled| {
+                ReportCell::number(sampled.ends.hit)
             }),
-            ("ended by others", &|one| {
-                ReportCell::number(one.ends.ended_by_others)
+            ("hit from behind", &|sampled| {
+                ReportCell::number(sampled.ends.was_hit)
             }),
-            ("min gap ahead (m)", &|one| {
-                ReportCell::optional(one.min_gap_ahead_m)
+            ("ended by others", &|sampled| {
+                ReportCell::number(sampled.ends.ended_by_others)
             }),
-            ("min gap behind (m)", &|one| {
-                ReportCell::optional(one.min_gap_behind_m)
+            ("min gap ahead (m)", &|sampled| {
+                ReportCell::optional(sampled.min_gap_ahead_m)
             }),
-            ("mean impact (m/s)", &|one| {
-                ReportCell::optional(one.mean_impact_speed_mps)
+            ("min gap behind (m)", &|sampled| {
+                ReportCell::optional(sampled.min_gap_behind_m)
             }),
-            (&only_first, &|one| {
-                ReportCell::optional(one.paired.map(|paired| paired.only_first))
+            ("mean impact (m/s)", &|sampled| {
+                ReportCell::optional(sampled.mean_impact_speed_mps)
             }),
-            ("only this collides", &|one| {
-                ReportCell::optional(one.paired.map(|paired| paired.only_this))
+            (&only_first, &|sampled| {
+                ReportCell::optional(sampled.paired.map(|paired| paired.only_first))
+            }),
+            ("only this collides", &|sampled| {
+                ReportCell::optional(sampled.paired.map(|paired| paired.only_this))
             }),
         ];
         let all_answered = self
             .controllers
             .iter()
-            .all(|one| one.ends.unanswered.is_none());
+            .all(|sampled| sampled.ends.unanswered.is_none());
         ReportTable::from_items(&self.controllers, &columns)
             .without_column(all_answered.then_some(2))
     }
 
     fn figure(&self) -> Svg {
-        let rows = self.controllers.iter().map(|one| {
-            let is_safe = one.ends.failures() == 0;
-            let (ink, marker) = if is_safe {
-                (Ink::Series(0), Marker::Ring)
-            } else {
-                (Ink::Alert, Marker::Cross)
+        let rows = self.controllers.iter().map(|sampled| {
+            let is_safe = sampled.ends.failures() == 0;
+            let mark = ShareMark {
+                share: sampled.rate_percent,
+                offset: 0.0,
+                ink: if is_safe { Ink::Series(0) } else { Ink::Alert },
+                marker: if is_safe { Marker::Ring } else { Marker::Cross },
             };
-            (
-                one.controller.as_str(),
-                vec![(one.rate_percent, 0.0, ink, marker)],
-            )
+            (sampled.controller.as_str(), vec![mark])
         });
         let description = self
             .controllers
             .iter()
-            .map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
+            .map(|sampled| format!("{} {} %", sampled.controller, sampled.rate_percent.observed));
         let figure = ShareFigure {
             heading: "Collision rate and its exact bounds",
             axis: "Collisions (% of random scenarios)",
@@ -463,28 +489,29 @@ pub(super) fn simulate_each<T: Send>(
 
 impl RunSummary {
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
-        let gap_m = |behind: usize| {
-            let of = |index: usize| {
-                simulated
-                    .vehicles
-                    .get(index + behind)
-                    .and_then(|vehicle| vehicle.min_gap_m)
-            };
-            smallest(
-                (0..simulated.vehicles.len())
-                    .filter(|&index| scenario.is_under_test(index))
-                    .map(of),
-            )
-        };
+        let under_test: Vec<usize> = (0..simulated.vehicles.len())
+            .filter(|&index| scenario.is_under_test(index))
+            .collect();
         Self {
             verdict: CaseVerdict::new(simulated, scenario),
             impact_speed_mps: simulated
                 .outcome
                 .contact()
                 .map(|contact| contact.impact_speed_mps),
-            gaps_m: [gap_m(0), gap_m(1)],
+            gaps_m: [
+                smallest_gap_m(simulated, under_test.iter().copied()),
+                smallest_gap_m(simulated, under_test.iter().map(|index| index + 1)),
+            ],
         }
     }
+}
+
+/// Returns the smallest gap of these vehicles to their leaders.
+fn smallest_gap_m(
+    simulated: &SimulationResult,
+    indices: impl Iterator<Item = usize>,
+) -> Option<f64> {
+    smallest(indices.map(|index| simulated.vehicles.get(index)?.min_gap_m))
 }
 
 #[derive(Default)]
@@ -518,7 +545,7 @@ impl SampleTally {
             match (first.verdict.is_failure(), run.verdict.is_failure()) {
                 (true, true) => self.paired.both += 1,
                 (false, true) => self.paired.only_this += 1,
-                // A scenario without an answer of the first controller does not count in favour of this one.
+                // A scenario without an answer of the first controller does not count in favour of this sampled.
                 (true, false) if first.verdict.unanswered().is_none() => {
                     self.paired.only_first += 1
                 }
@@ -554,13 +581,13 @@ impl ReportPart for SpaceSamples {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        for drawn in &self.spaces {
-            out.paragraph(drawn.introduction());
-            out.table(drawn.table());
-            for note in drawn.unanswered_notes() {
+        for sample in &self.spaces {
+            out.paragraph(sample.introduction());
+            out.table(sample.table());
+            for note in sample.unanswered_notes() {
                 out.paragraph(note);
             }
-            out.figure(drawn.figure());
+            out.figure(sample.figure());
         }
     }
 
@@ -570,15 +597,15 @@ impl ReportPart for SpaceSamples {
 
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         self.simulated()
-            .flat_map(|drawn| drawn.evidence(plan))
+            .flat_map(|sample| sample.evidence(plan))
             .collect()
     }
 
     fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
         let spaces = self.spaces.iter().zip(&plan.rate_spaces);
         spaces
-            .filter(|(drawn, _)| drawn.random_scenarios > 0)
-            .flat_map(|(drawn, named)| drawn.claims(plan, named))
+            .filter(|(sample, _)| sample.random_scenarios > 0)
+            .flat_map(|(sample, named)| sample.claims(plan, named))
             .collect()
     }
 }

@@ -50,34 +50,35 @@ pub(super) fn evidence(
     scenarios: &[ScenarioCases],
     part: &str,
 ) -> Vec<Evidence> {
-    let of = |(index, subject): (usize, Subject)| {
-        let verdicts: Vec<_> = scenarios
-            .iter()
-            .filter_map(|scenario| scenario.cases.get(index))
-            .map(|case| &case.verdict)
-            .collect();
-        let (ends, runs) = (
-            RunEnds::from_verdicts(verdicts.iter().copied()),
-            verdicts.len() as u64,
-        );
-        let claim = AssuranceClaim {
-            subject,
-            property: Property::NoContact,
-            domain: domain(scenarios, part),
-        };
-        let source =
-            EvidenceSource::from_part(part, format!("{} runs", runs - ends.ended_by_others));
-        Evidence {
-            claim,
-            strength: ends.strength(runs),
-            source,
-        }
-    };
     plan.claim_subjects()
         .into_iter()
         .enumerate()
-        .map(of)
+        .map(|(index, subject)| evidence_about(index, subject, scenarios, part))
         .collect()
+}
+
+fn evidence_about(
+    index: usize,
+    subject: Subject,
+    scenarios: &[ScenarioCases],
+    part: &str,
+) -> Evidence {
+    let verdicts = scenarios
+        .iter()
+        .filter_map(|scenario| scenario.cases.get(index))
+        .map(|case| &case.verdict);
+    let runs = verdicts.clone().count() as u64;
+    let ends = RunEnds::from_verdicts(verdicts);
+    let description = format!("{} runs", runs - ends.ended_by_others);
+    Evidence {
+        claim: AssuranceClaim {
+            subject,
+            property: Property::NoContact,
+            domain: domain(scenarios, part),
+        },
+        strength: ends.strength(runs),
+        source: EvidenceSource::from_part(part, description),
+    }
 }
 
 pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
@@ -85,12 +86,13 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "scenario files and recordings",
     };
-    let known = |cases: &ScenarioCases| {
-        ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario)
-    };
+    let content_ids = scenarios
+        .iter()
+        .map(|cases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario))
+        .collect();
     Domain::Scenarios {
         about: UncomparedText(about.to_owned()),
-        all: scenarios.iter().map(known).collect(),
+        all: content_ids,
     }
 }
 
@@ -242,12 +244,14 @@ impl ScenarioCases {
 
     /// Returns the drawing of each case with its outcome.
     pub(super) fn captioned_drawings(&self) -> Vec<CaptionedDrawing> {
-        let captioned = |case: &CaseResult| CaptionedDrawing {
-            drawing: self.figure(case),
-            caption: case.verdict.describe(),
-            command: self.replay_command(case).map(|command| command.to_string()),
-        };
-        self.cases.iter().map(captioned).collect()
+        self.cases
+            .iter()
+            .map(|case| CaptionedDrawing {
+                drawing: self.figure(case),
+                caption: case.verdict.describe(),
+                command: self.replay_command(case).map(|command| command.to_string()),
+            })
+            .collect()
     }
 
     pub(in crate::assessment) fn figure(&self, case: &CaseResult) -> Markup {
@@ -282,28 +286,30 @@ impl ScenarioCases {
         cases: &[&CaseResult],
         draw: impl FnOnce(&[MotionFigure<'_>]) -> T,
     ) -> T {
-        let moved: Vec<_> = cases
+        let recorded: Vec<_> = cases
             .iter()
             .filter_map(|case| Some((*case, case.motion.as_ref()?)))
             .collect();
-        let names = |(case, _): &(&CaseResult, _)| {
-            let (scenario, controller) = (&self.scenario, &case.controller);
-            (
-                format!("{scenario}-{controller}"),
-                format!("{scenario}, {controller}"),
-            )
-        };
-        let names: Vec<_> = moved.iter().map(names).collect();
-        let figures = moved
+        let names: Vec<_> = recorded
             .iter()
-            .zip(&names)
-            .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
-                prefix,
-                title,
-                labels: &self.labels,
-                trace,
-                impacts,
-            });
+            .map(|(case, _)| {
+                (
+                    format!("{}-{}", self.scenario, case.controller),
+                    format!("{}, {}", self.scenario, case.controller),
+                )
+            })
+            .collect();
+        let figures =
+            recorded
+                .iter()
+                .zip(&names)
+                .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
+                    prefix,
+                    title,
+                    labels: &self.labels,
+                    trace,
+                    impacts,
+                });
         draw(&figures.collect::<Vec<_>>())
     }
 

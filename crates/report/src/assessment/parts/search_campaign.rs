@@ -30,7 +30,7 @@ pub(in crate::assessment) struct CounterexampleFiles {
 pub(super) fn run_campaign(
     campaign: &Campaign,
     (item, inputs): (&str, &Value),
-    most: usize,
+    max_shown: usize,
     work: &GatherContext<'_>,
 ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
     work.get_or_gather(item, inputs, || {
@@ -45,13 +45,14 @@ pub(super) fn run_campaign(
                 ControlFlow::Break(())
             }
         })?;
-        let shown = summary.counterexamples.iter().take(most);
-        let read = |name: &String| read_file(&folder.path().join(name));
-        let texts = shown.map(|found| {
-            let escape = found.escape_file.as_ref().map(read).transpose()?;
+        let shown = summary.counterexamples.iter().take(max_shown);
+        let texts = shown.map(|counterexample| {
+            let escape = counterexample.escape_file.as_ref();
             Ok::<_, AssessError>(CounterexampleFiles {
-                counterexample: read(&found.file)?,
-                escape,
+                escape: escape
+                    .map(|name| read_file(&folder.path().join(name)))
+                    .transpose()?,
+                counterexample: read_file(&folder.path().join(&counterexample.file))?,
             })
         });
         let texts = texts.collect::<Result<Vec<_>, _>>()?;
@@ -79,8 +80,12 @@ pub(super) fn simulate_failures(
         // Add the failure's name, to be unique on the page: scenarios are named after their space.
         let named = scenario
             .edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
-        let one = std::slice::from_ref(controller);
-        let cases = run_cases(&[&named], one, plan.config.estimator, MotionRetention::Keep)?;
+        let cases = run_cases(
+            &[&named],
+            std::slice::from_ref(controller),
+            plan.config.estimator,
+            MotionRetention::Keep,
+        )?;
         let replay = CrumpleCommand::new(["simulate", failure.file.as_str()])
             .with_args(plan.estimator_args().iter().copied());
         drawn.extend(

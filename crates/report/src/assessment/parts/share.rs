@@ -32,7 +32,8 @@ impl PercentInterval {
     /// Returns the share of `count` and its exact bounds, rounded outwards. Runs that ended early count in the upper
     /// bound only.
     pub(super) fn clopper_pearson([count, ended_by_others]: [u64; 2], total: u64) -> Self {
-        let bounds = |count| RateInterval::clopper_pearson(count, total, CONFIDENCE);
+        let lower = RateInterval::clopper_pearson(count, total, CONFIDENCE).lower;
+        let upper = RateInterval::clopper_pearson(count + ended_by_others, total, CONFIDENCE).upper;
         let observed = if total == 0 {
             0.0
         } else {
@@ -40,14 +41,34 @@ impl PercentInterval {
         };
         Self {
             observed: Rounded::new(100.0 * observed),
-            lower: Rounded::down(100.0 * bounds(count).lower),
-            upper: Rounded::up(100.0 * bounds(count + ended_by_others).upper),
+            lower: Rounded::down(100.0 * lower),
+            upper: Rounded::up(100.0 * upper),
         }
     }
 }
 
-/// A share in a row of a figure: its offset from the middle of the row, colour and marker.
-pub(super) type ShareMark = (PercentInterval, f64, Ink, Marker);
+/// A share in a row of a figure.
+#[derive(Clone, Copy)]
+pub(super) struct ShareMark {
+    pub(super) share: PercentInterval,
+    /// Upward offset from the middle of the row, in rows.
+    pub(super) offset: f64,
+    pub(super) ink: Ink,
+    pub(super) marker: Marker,
+}
+
+impl ShareMark {
+    /// Adds the mark and its bounds to a panel with numbered rows.
+    fn draw(&self, row: usize, panel: &mut Panel) {
+        let y = row as f64 + self.offset;
+        panel.add_segment(
+            (self.share.lower.value(), y),
+            (self.share.upper.value(), y),
+            Stroke::solid(self.ink, 2.5),
+        );
+        panel.add_markers(&[(self.share.observed.value(), y)], self.marker, self.ink);
+    }
+}
 
 /// The texts of a figure: heading, axis, title and description.
 pub(super) struct ShareFigure<'a> {
@@ -67,12 +88,12 @@ impl ShareFigure<'_> {
             .map(|name| text_width(name, SMALL_TEXT_SIZE))
             .fold(0.0, f64::max)
             + 16.0;
-        let (width, height) = (480.0, self.row_height * names.len() as f64);
+        let width = 480.0;
         let frame = PixelRect {
             left,
             top: HEADING_HEIGHT,
             width: width - left - 24.0,
-            height,
+            height: self.row_height * names.len() as f64,
         };
         let axis = Axis::numeric(self.axis, (0.0, 100.0), 5);
         let mut panel = Panel::new(
@@ -82,24 +103,8 @@ impl ShareFigure<'_> {
             Axis::categorical("", &names).reversed(),
         );
         for (index, (_, marks)) in rows.iter().enumerate() {
-            for &(
-                PercentInterval {
-                    observed,
-                    lower,
-                    upper,
-                },
-                offset,
-                ink,
-                marker,
-            ) in marks
-            {
-                let y = (rows.len() - 1 - index) as f64 + offset;
-                panel.add_segment(
-                    (lower.value(), y),
-                    (upper.value(), y),
-                    Stroke::solid(ink, 2.5),
-                );
-                panel.add_markers(&[(observed.value(), y)], marker, ink);
+            for mark in marks {
+                mark.draw(rows.len() - 1 - index, &mut panel);
             }
         }
         let size = (width, frame.bottom() + BOTTOM_MARGIN);

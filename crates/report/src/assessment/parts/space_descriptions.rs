@@ -58,11 +58,14 @@ impl SpaceDescriptions {
 impl SpaceDescription {
     fn new(space: &ScenarioSpace) -> Self {
         let spec = space.spec();
-        let parameters = spec.parameters.iter().map(|one| ParameterDescription {
-            field: one.field.clone(),
-            unit: one.unit.clone(),
-            distribution: one.distribution.to_string(),
-        });
+        let parameters = spec
+            .parameters
+            .iter()
+            .map(|parameter| ParameterDescription {
+                field: parameter.field.clone(),
+                unit: parameter.unit.clone(),
+                distribution: parameter.distribution.to_string(),
+            });
         Self {
             name: spec.name.clone(),
             about: built_in_space_summary(space).map_or_else(|| spec.about.clone(), sentence),
@@ -75,10 +78,10 @@ impl SpaceDescription {
         ReportTable::from_items(
             &self.parameters,
             &[
-                ("parameter", &|one| ReportCell::text(&one.field)),
-                ("unit", &|one| ReportCell::text(&one.unit)),
-                ("range and distribution", &|one| {
-                    ReportCell::text(&one.distribution)
+                ("parameter", &|parameter| ReportCell::text(&parameter.field)),
+                ("unit", &|parameter| ReportCell::text(&parameter.unit)),
+                ("range and distribution", &|parameter| {
+                    ReportCell::text(&parameter.distribution)
                 }),
             ],
         )

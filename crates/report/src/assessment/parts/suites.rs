@@ -37,7 +37,7 @@ pub(in crate::assessment) fn gather_suite(
     let tested: Vec<NamedController> = planned
         .controller_indices
         .iter()
-        .filter_map(|&place| plan.controllers.get(place).cloned())
+        .filter_map(|&index| plan.controllers.get(index).cloned())
         .collect();
     let identities: Vec<_> = tested
         .iter()
@@ -45,9 +45,9 @@ pub(in crate::assessment) fn gather_suite(
         .collect();
     let inputs = json!([planned.content_id.sha256, identities]);
     let name = format!("suite {}", planned.content_id.name);
-    let kept = work.get_or_gather(&name, &inputs, || run_planned_suite(plan, planned, &tested))?;
+    let entry = work.get_or_gather(&name, &inputs, || run_planned_suite(plan, planned, &tested))?;
     work.add_runs(planned.run_count())?;
-    Ok(kept)
+    Ok(entry)
 }
 
 /// The findings of all suites.
@@ -185,13 +185,16 @@ impl Suites {
     /// Returns the outcomes of a controller in the suite with that index in the plan.
     pub(in crate::assessment) fn controller_outcomes<'s>(
         &'s self,
-        place: usize,
+        suite_index: usize,
         controller: &'s str,
     ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> {
-        let found = self.suites.get(place).into_iter();
-        found.flat_map(move |found| {
-            let column = found.controllers.iter().position(|name| name == controller);
-            found
+        let suite = self.suites.get(suite_index).into_iter();
+        suite.flat_map(move |findings| {
+            let column = findings
+                .controllers
+                .iter()
+                .position(|name| name == controller);
+            findings
                 .tests
                 .iter()
                 .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
@@ -204,20 +207,24 @@ impl Suites {
 }
 
 fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
-    let claim = |place: usize| {
-        let subject = plan
-            .claim_subject(place, plan.config.estimator)
-            .filter(|_| planned.controller_indices.contains(&place))?;
-        let domain = Domain::Suite {
-            suite: planned.content_id.clone(),
-        };
-        Some(AssuranceClaim {
-            subject,
-            property: Property::PassesTests,
-            domain,
-        })
+    (0..plan.controllers.len())
+        .map(|index| claim(plan, planned, index))
+        .collect()
+}
+
+/// Returns the claim about a controller; `None` if the suite does not test it.
+fn claim(plan: &AssessmentPlan, planned: &PlannedSuite, index: usize) -> Option<AssuranceClaim> {
+    let subject = plan
+        .claim_subject(index, plan.config.estimator)
+        .filter(|_| planned.controller_indices.contains(&index))?;
+    let domain = Domain::Suite {
+        suite: planned.content_id.clone(),
     };
-    (0..plan.controllers.len()).map(claim).collect()
+    Some(AssuranceClaim {
+        subject,
+        property: Property::PassesTests,
+        domain,
+    })
 }
 
 fn run_planned_suite(
@@ -233,15 +240,14 @@ fn run_planned_suite(
         for (tested, controller) in test.controllers.iter().zip(tested) {
             outcomes.push(SuiteOutcome::new(tested, controller, plan, &mut files)?);
         }
-        let (clause, test_name) = (clause.clause.clone(), test.name.clone());
         tests.push(SuiteTest {
-            clause,
-            test: test_name,
+            clause: clause.clause.clone(),
+            test: test.name.clone(),
             is_as_stated: test.is_as_stated,
             outcomes,
         });
     }
-    let found = SuiteFindings {
+    let findings = SuiteFindings {
         suite: planned.content_id.clone(),
         document: format!("{}, {}", result.document, result.edition),
         figures_from: result.parameter_source,
@@ -253,10 +259,7 @@ fn run_planned_suite(
             .collect(),
         tests,
     };
-    Ok(SuiteCacheEntry {
-        findings: found,
-        files,
-    })
+    Ok(SuiteCacheEntry { findings, files })
 }
 
 impl SuiteOutcome {
@@ -268,14 +271,12 @@ impl SuiteOutcome {
     ) -> Result<Self, AssessError> {
         let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
         let within = tested.worst_in_tolerance.as_ref();
-        let impact_mps = |failed: &FailedPoint| failed.verdict.impact_speed_mps();
-        let worst = tested
-            .failures()
-            .max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
-        let (failed, passed) = (
-            tested.failed_points.len() as u64,
-            tested.passed_points as u64,
-        );
+        let worst = tested.failures().max_by(|a, b| {
+            let impact_mps = a.verdict.impact_speed_mps();
+            impact_mps.total_cmp(&b.verdict.impact_speed_mps())
+        });
+        let failed = tested.failed_points.len() as u64;
+        let passed = tested.passed_points as u64;
         Ok(Self {
             passed: (tested.is_passed() || !is_refused).then(|| tested.is_passed()),
             verdict: describe_verdict(&tested.verdict),
@@ -296,9 +297,9 @@ impl SuiteOutcome {
 
     /// Returns the number of runs without an answer, of grid and search, and the reason of the first.
     pub(in crate::assessment) fn total_unanswered(&self) -> Option<FailedControllerRuns> {
-        let mut all = self.unanswered.clone();
-        FailedControllerRuns::merge(&mut all, self.unanswered_in_tolerance.clone());
-        all
+        let mut unanswered = self.unanswered.clone();
+        FailedControllerRuns::merge(&mut unanswered, self.unanswered_in_tolerance.clone());
+        unanswered
     }
 
     fn table_cell(&self) -> ReportCell {
@@ -307,7 +308,7 @@ impl SuiteOutcome {
             .total_unanswered()
             .map_or(0, |unanswered| unanswered.runs);
         let contact = self.worst.as_ref().filter(|_| unanswered < self.failures);
-        let mut words = match (self.points, self.passed, contact) {
+        let mut text = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
             (points, None, _) => format!(
                 "{} of {points}; the others cannot be run",
@@ -319,7 +320,7 @@ impl SuiteOutcome {
             (points, Some(_), None) => format!("{} of {points}", self.points_passed),
         };
         if unanswered > 0 {
-            words += &format!("; no answer in {unanswered} of {} runs", self.runs);
+            text += &format!("; no answer in {unanswered} of {} runs", self.runs);
         }
         let mark = self.passed.map_or(CellMark::Neutral, |passed| {
             if passed {
@@ -328,7 +329,7 @@ impl SuiteOutcome {
                 CellMark::Bad
             }
         });
-        ReportCell::with_mark(words, mark)
+        ReportCell::with_mark(text, mark)
     }
 }
 
@@ -340,39 +341,33 @@ impl SuiteFailure {
         files: &mut BTreeMap<String, String>,
     ) -> Result<Self, CacheError> {
         let text = file::to_toml(&failed.scenario).map_err(CacheError::encoding)?;
-        let (file, sha256) = (
-            format!("counterexamples/suites/{}.toml", failed.scenario_name),
-            sha256(&text),
-        );
-        let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
-        let replay = controller_arg(&*controller.source)
-            .filter(|_| is_contact)
-            .map(|word| {
-                CrumpleCommand::new(["simulate", file.as_str(), "--controller", word.as_str()])
-                    .with_args(plan.estimator_args().iter().copied())
-                    .with_args(["--expect", "collision"])
-            });
-        let escape = failed
-            .escape
-            .as_ref()
-            .map(file::to_toml)
-            .transpose()
-            .map_err(CacheError::encoding)?;
-        let escape =
-            escape.map(|text| EscapeFile::new(&file, text, failed.escape_survives_multi_body));
+        let file = format!("counterexamples/suites/{}.toml", failed.scenario_name);
+        let escape = match &failed.escape {
+            None => None,
+            Some(escape) => Some(EscapeFile::new(
+                &file,
+                file::to_toml(escape).map_err(CacheError::encoding)?,
+                failed.escape_survives_multi_body,
+            )),
+        };
         files.extend(
             escape
                 .iter()
                 .map(|escape| (escape.file.clone(), escape.text.clone())),
         );
+        let text_sha256 = sha256(&text);
         files.insert(file.clone(), text);
-        let (point, description) = (failed.point.clone(), describe_verdict(&failed.verdict));
+        // A controller without an answer causes no collision, which the command expects.
+        let replay = match failed.verdict {
+            TestVerdict::Failed { .. } => collision_command(&file, controller, plan),
+            _ => None,
+        };
         Ok(Self {
             file,
-            sha256,
+            sha256: text_sha256,
             replay,
-            point,
-            description,
+            point: failed.point.clone(),
+            description: describe_verdict(&failed.verdict),
             preventable: describe_preventability(failed),
             escape,
         })
@@ -383,6 +378,18 @@ impl SuiteFailure {
             .iter()
             .chain(self.escape.iter().map(|escape| &escape.replay))
     }
+}
+
+/// Returns the command that simulates a collision; `None` for an external controller.
+fn collision_command(
+    file: &str,
+    controller: &NamedController,
+    plan: &AssessmentPlan,
+) -> Option<CrumpleCommand> {
+    let argument = controller_arg(&*controller.source)?;
+    let simulate = CrumpleCommand::new(["simulate", file, "--controller", argument.as_str()])
+        .with_args(plan.estimator_args().iter().copied());
+    Some(simulate.with_args(["--expect", "collision"]))
 }
 
 impl SuiteFindings {
@@ -414,16 +421,14 @@ impl SuiteFindings {
     }
 
     fn details_table(&self) -> ReportTable {
-        let each = self.tests.iter().flat_map(|test| {
+        let outcomes = self.tests.iter().flat_map(|test| {
             self.controllers
                 .iter()
                 .zip(&test.outcomes)
                 .map(move |(controller, outcome)| (test, controller, outcome))
         });
-        let dash = || "–".to_owned();
-        let prevented = |worst: &SuiteFailure| format!("{}: {}", worst.point, worst.preventable);
         ReportTable::from_items(
-            each,
+            outcomes,
             &[
                 ("test", &|(test, ..)| ReportCell::text(&test.test)),
                 ("controller", &|(_, controller, _)| {
@@ -433,36 +438,42 @@ impl SuiteFindings {
                     ReportCell::text(&outcome.verdict)
                 }),
                 ("margins", &|(.., outcome)| {
-                    ReportCell::text(if outcome.margins.is_empty() {
-                        dash()
-                    } else {
-                        outcome.margins.join("; ")
-                    })
+                    let margins = outcome.margins.join("; ");
+                    text_or_dash(Some(margins).filter(|margins| !margins.is_empty()))
                 }),
                 ("worst within tolerances", &|(.., outcome)| {
-                    ReportCell::text(outcome.worst_in_tolerance.clone().unwrap_or_else(dash))
+                    text_or_dash(outcome.worst_in_tolerance.clone())
                 }),
                 ("preventable by", &|(.., outcome)| {
-                    ReportCell::text(outcome.worst.as_ref().map_or_else(dash, prevented))
+                    let worst = outcome.worst.as_ref();
+                    text_or_dash(
+                        worst.map(|worst| format!("{}: {}", worst.point, worst.preventable)),
+                    )
                 }),
             ],
         )
     }
 
     fn unanswered_notes(&self) -> Vec<String> {
-        let of = |(column, controller): (usize, &String)| {
-            let (mut all, mut runs) = (None, 0);
-            for outcome in self
-                .tests
-                .iter()
-                .filter_map(|test| test.outcomes.get(column))
-            {
-                FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
-                runs += outcome.runs;
-            }
-            Some(note_unanswered(controller, &all?, runs))
-        };
-        self.controllers.iter().enumerate().filter_map(of).collect()
+        self.controllers
+            .iter()
+            .enumerate()
+            .filter_map(|(column, controller)| self.unanswered_note(column, controller))
+            .collect()
+    }
+
+    fn unanswered_note(&self, column: usize, controller: &str) -> Option<String> {
+        let mut unanswered = None;
+        let mut runs = 0;
+        for outcome in self
+            .tests
+            .iter()
+            .filter_map(|test| test.outcomes.get(column))
+        {
+            FailedControllerRuns::merge(&mut unanswered, outcome.total_unanswered());
+            runs += outcome.runs;
+        }
+        Some(note_unanswered(controller, &unanswered?, runs))
     }
 
     fn describe(&self) -> String {
@@ -480,6 +491,10 @@ impl SuiteFindings {
     }
 }
 
+fn text_or_dash(text: Option<String>) -> ReportCell {
+    ReportCell::text(text.unwrap_or_else(|| "–".to_owned()))
+}
+
 const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no vehicle collides before its end. A cell \
     gives the passed scenarios and the fastest impact. Other requirements of the documents are outside the model.";
 
@@ -494,13 +509,13 @@ impl ReportPart for Suites {
 
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(format!("{INTRODUCTION} {}", self.statement));
-        self.suites.iter().for_each(|found| found.write(out));
+        self.suites.iter().for_each(|findings| findings.write(out));
     }
 
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let suites = plan.suites.iter().zip(&self.suites);
         suites
-            .flat_map(|(planned, found)| found.evidence(plan, planned))
+            .flat_map(|(planned, findings)| findings.evidence(plan, planned))
             .collect()
     }
 
@@ -543,12 +558,15 @@ impl SuiteFindings {
 
     fn evidence(&self, plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Evidence> {
         let claims = claims(plan, planned);
-        let columns = planned.controller_indices.iter().enumerate();
-        let about = |(column, &place): (usize, &usize)| {
-            let claim = claims.get(place)?.clone()?;
-            Some(self.evidence_for(claim, &self.counts(column)))
-        };
-        columns.filter_map(about).collect()
+        planned
+            .controller_indices
+            .iter()
+            .enumerate()
+            .filter_map(|(column, &index)| {
+                let claim = claims.get(index)?.clone()?;
+                Some(self.evidence_for(claim, &self.counts(column)))
+            })
+            .collect()
     }
 
     /// Adds up the outcomes of all tests for one controller.
@@ -564,18 +582,20 @@ impl SuiteFindings {
 
     /// A search concentrates on failures, so its failures count only if the tests themselves refute nothing.
     fn evidence_for(&self, claim: AssuranceClaim, counts: &SuiteCounts) -> Evidence {
-        let of_tests = counts.strength_of_tests();
-        let (strength, what) = match of_tests.is_refutation() {
-            true => (of_tests, format!("{} points of the tests", counts.points)),
-            false => (
-                counts.strength_with_search(),
-                format!("{} points of tests and search", counts.runs),
-            ),
-        };
+        let tests_strength = counts.strength_of_tests();
+        if tests_strength.is_refutation() {
+            let description = format!("{} points of the tests", counts.points);
+            return Evidence {
+                claim,
+                strength: tests_strength,
+                source: EvidenceSource::from_part(ANCHOR, description),
+            };
+        }
+        let description = format!("{} points of tests and search", counts.runs);
         Evidence {
             claim,
-            strength,
-            source: EvidenceSource::from_part(ANCHOR, what),
+            strength: counts.strength_with_search(),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }

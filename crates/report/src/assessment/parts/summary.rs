@@ -10,7 +10,6 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult};
-use crumple_sim::engine::NamedController;
 use crumple_spaces::built_in_space_summary;
 
 /// Every claim about every controller.
@@ -64,6 +63,12 @@ pub(super) struct SubjectClaim<'a> {
     pub(super) status: &'a ClaimStatus,
 }
 
+impl SubjectClaim<'_> {
+    pub(super) fn weight(&self) -> f64 {
+        self.status.strength.weight()
+    }
+}
+
 impl ClaimSummary {
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
@@ -94,10 +99,10 @@ impl ClaimSummary {
 
     /// Returns the table of all claims: the main controllers first, then the others.
     fn table(&self) -> ReportTable {
-        let is_main = |index: &usize| self.main_columns.contains(index);
-        let (main, others): (Vec<usize>, Vec<usize>) =
-            (0..self.controllers.len()).partition(is_main);
-        self.table_of(&[main, others].concat(), |_| true)
+        // The sort is stable: within both groups the order stays.
+        let mut columns: Vec<usize> = (0..self.controllers.len()).collect();
+        columns.sort_by_key(|index| !self.main_columns.contains(index));
+        self.table_of(&columns, |_| true)
     }
 
     /// Returns the index of the subject among the controllers.
@@ -112,17 +117,6 @@ impl ClaimSummary {
     /// Returns the measured claims about the first controller and the subject.
     pub(super) fn comparison_table(&self) -> ReportTable {
         let subject_index = self.subject_index();
-        let is_measured = |claim: &AssuranceClaim| match (&claim.property, &claim.domain) {
-            (Property::FailsLessOften { .. }, _) => false,
-            (Property::RateAtMost { .. }, _) => true,
-            (_, domain) => matches!(
-                domain,
-                Domain::Scenarios { .. }
-                    | Domain::Draws { .. }
-                    | Domain::Search { .. }
-                    | Domain::Oscillations { .. }
-            ),
-        };
         let columns = if subject_index == 0 {
             vec![0]
         } else {
@@ -141,28 +135,14 @@ impl ClaimSummary {
             .filter_map(|&index| self.controllers.get(index).map(String::as_str));
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
         let mut table = ReportTable::new(&header);
-        for claim in self
+        for row in self
             .claims
             .iter()
             .filter(|row| row.claims.iter().flatten().any(&is_shown))
         {
-            let of = |&index: &usize| {
-                Some((
-                    claim.claims.get(index)?.as_ref(),
-                    claim.statuses.get(index)?,
-                ))
-            };
-            let cells = columns
-                .iter()
-                .filter_map(of)
-                .map(|(claim, status)| match claim {
-                    Some(_) => {
-                        ReportCell::with_mark(status.strength.table_text(), status.strength.mark())
-                    }
-                    None => ReportCell::text("–"),
-                });
+            let cells = columns.iter().filter_map(|&index| row.cell(index));
             table.push_row(
-                std::iter::once(ReportCell::text(&claim.claim))
+                std::iter::once(ReportCell::text(&row.claim))
                     .chain(cells)
                     .collect(),
             );
@@ -185,8 +165,8 @@ impl ClaimSummary {
         let holding = self.gates.iter().filter(|gate| gate.holds).count();
         match (holding, self.gates.len()) {
             (1, 1) => "The gate holds.".to_owned(),
-            (all, of) if all == of => format!("All {of} gates hold."),
-            (holding, of) => format!("{holding} of {of} gates hold."),
+            (holding, all) if holding == all => format!("All {all} gates hold."),
+            (holding, all) => format!("{holding} of {all} gates hold."),
         }
     }
 
@@ -206,29 +186,43 @@ impl ClaimSummary {
         ReportTable::from_items(
             &self.named,
             &[
-                ("name", &|one| ReportCell::text(&one.name)),
-                ("explanation", &|one| ReportCell::text(&one.explanation)),
+                ("name", &|named| ReportCell::text(&named.name)),
+                ("explanation", &|named| ReportCell::text(&named.explanation)),
             ],
         )
     }
 }
 
+/// True for a claim that runs decide, not proofs.
+fn is_measured(claim: &AssuranceClaim) -> bool {
+    match (&claim.property, &claim.domain) {
+        (Property::FailsLessOften { .. }, _) => false,
+        (Property::RateAtMost { .. }, _) => true,
+        (_, domain) => matches!(
+            domain,
+            Domain::Scenarios { .. }
+                | Domain::Draws { .. }
+                | Domain::Search { .. }
+                | Domain::Oscillations { .. }
+        ),
+    }
+}
+
 fn main_columns(plan: &AssessmentPlan) -> Vec<usize> {
-    let is_asked = |index: usize, controller: &NamedController| {
-        index == 0 || index == plan.subject_index || controller.source.is_learned()
-    };
     plan.controllers
         .iter()
         .enumerate()
-        .filter(|(index, controller)| is_asked(*index, controller))
+        .filter(|(index, controller)| {
+            *index == 0 || *index == plan.subject_index || controller.source.is_learned()
+        })
         .map(|(index, _)| index)
         .collect()
 }
 
 fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
-    let controllers = plan.controllers.iter().map(|one| NameExplanation {
-        name: one.name.clone(),
-        explanation: one.source.description(),
+    let controllers = plan.controllers.iter().map(|controller| NameExplanation {
+        name: controller.name.clone(),
+        explanation: controller.source.description(),
     });
     let spaces = plan.all_spaces().into_iter().map(|space| {
         let explanation =
@@ -243,14 +237,13 @@ fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
 
 /// Returns the text before the first `.` or `:` that is not part of a word or number.
 fn first_clause(text: &str) -> &str {
-    let is_end = |at: usize| {
-        text.get(at + 1..)
-            .is_none_or(|rest| rest.chars().next().is_none_or(char::is_whitespace))
-    };
     let end = text
         .match_indices(['.', ':'])
-        .map(|(at, _)| at)
-        .find(|at| is_end(*at));
+        .map(|(index, _)| index)
+        .find(|index| {
+            let rest = text.get(index + 1..).unwrap_or_default();
+            rest.chars().next().is_none_or(char::is_whitespace)
+        });
     end.and_then(|end| text.get(..end)).unwrap_or(text)
 }
 
@@ -262,17 +255,27 @@ impl ClaimRow {
     ) -> Vec<Self> {
         let mut rows: Vec<Self> = Vec::new();
         for draft in drafts {
-            let is_known = rows.iter().any(|known| known.claims == draft.claims);
-            if !is_known {
+            let is_repeated = rows.iter().any(|row| row.claims == draft.claims);
+            if !is_repeated {
                 rows.extend(Self::from_draft(draft, evidence));
             }
         }
         rows
     }
 
+    /// Returns the cell of a controller; a dash if the claim does not apply to it.
+    fn cell(&self, index: usize) -> Option<ReportCell> {
+        let claim = self.claims.get(index)?;
+        let strength = &self.statuses.get(index)?.strength;
+        Some(match claim {
+            Some(_) => ReportCell::with_mark(strength.table_text(), strength.mark()),
+            None => ReportCell::text("–"),
+        })
+    }
+
     fn from_draft(draft: ClaimDraft, evidence: &Ledger) -> Option<Self> {
         let first = draft.claims.iter().flatten().next()?;
-        let claim = draft.words.unwrap_or_else(|| first.describe());
+        let claim = draft.text.unwrap_or_else(|| first.describe());
         let statuses = draft
             .claims
             .iter()

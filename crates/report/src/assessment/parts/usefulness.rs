@@ -6,7 +6,7 @@ use serde_json::json;
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, run_samples, simulate_each};
-use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
+use super::share::{CONFIDENCE, PercentInterval, ShareFigure, ShareMark};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
@@ -112,6 +112,11 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
 }
 
+fn space_id(space: &ScenarioSpace) -> Result<ContentId, CacheError> {
+    let text = space_file::to_toml(space).map_err(CacheError::encoding)?;
+    Ok(ContentId::new(space.name(), text))
+}
+
 impl UsefulnessReport {
     pub(in crate::assessment) fn gather(
         work: &GatherContext<'_>,
@@ -131,15 +136,12 @@ impl UsefulnessReport {
 
     fn run(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let plan = work.plan;
-        let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
+        let seed = plan.config.seed;
+        let count = plan.config.everyday_draws;
         let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else {
             return Ok(None);
         };
-        let content_id = |space: &ScenarioSpace| {
-            let text = space_file::to_toml(space).map_err(CacheError::encoding)?;
-            Ok::<_, CacheError>(ContentId::new(space.name(), text))
-        };
-        let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
+        let spaces = [space_id(&traffic)?, space_id(&high_risk)?];
         let traffic = draw_scenarios(&traffic, seed, 0..count)?;
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
         let followers = [&traffic, &high_risk]
@@ -160,10 +162,11 @@ impl UsefulnessReport {
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
-        let (seed, draws) = (self.seed, self.random_scenarios);
-        self.spaces
-            .clone()
-            .map(|space| Domain::Draws { space, seed, draws })
+        self.spaces.clone().map(|space| Domain::Draws {
+            space,
+            seed: self.seed,
+            draws: self.random_scenarios,
+        })
     }
 
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerUsefulness> {
@@ -178,8 +181,8 @@ impl UsefulnessReport {
         controller: &str,
         space: &str,
     ) -> Option<(u64, RunEnds)> {
-        let place = EVERYDAY_SPACES.iter().position(|known| *known == space)?;
-        Some((self.random_scenarios, self.find(controller)?.ends(place)))
+        let index = EVERYDAY_SPACES.iter().position(|name| *name == space)?;
+        Some((self.random_scenarios, self.find(controller)?.ends(index)))
     }
 
     fn introduction(&self) -> String {
@@ -199,50 +202,54 @@ impl UsefulnessReport {
 
     fn table(&self) -> ReportTable {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 13] = [
-            ("controller", &|one| ReportCell::text(&one.controller)),
-            ("failures", &|one| {
-                ReportCell::with_verdict(one.failures, one.failures == 0)
+            ("controller", &|useful| ReportCell::text(&useful.controller)),
+            ("failures", &|useful| {
+                ReportCell::with_verdict(useful.failures, useful.failures == 0)
             }),
-            ("unnecessary braking (%)", &|one| match (
-                one.unnecessary_braking,
-                one.unanswered_runs(),
+            ("unnecessary braking (%)", &|useful| match (
+                useful.unnecessary_braking,
+                useful.unanswered_runs(),
             ) {
                 // A drive without an answer is no evidence for the absence of unnecessary braking.
                 (0, [unanswered, _]) if unanswered > 0 => {
-                    ReportCell::number(one.unnecessary_braking_percent.observed)
+                    ReportCell::number(useful.unnecessary_braking_percent.observed)
                 }
                 (needless, _) => ReportCell::with_verdict(
-                    one.unnecessary_braking_percent.observed,
+                    useful.unnecessary_braking_percent.observed,
                     needless == 0,
                 ),
             }),
-            ("bounds (%)", &|one| {
-                ReportCell::number(one.unnecessary_braking_percent.format_bounds())
+            ("bounds (%)", &|useful| {
+                ReportCell::number(useful.unnecessary_braking_percent.format_bounds())
             }),
-            ("per drive (s)", &|one| {
-                ReportCell::optional(one.unnecessary_braking_s)
+            ("per drive (s)", &|useful| {
+                ReportCell::optional(useful.unnecessary_braking_s)
             }),
-            ("hard braking", &|one| ReportCell::number(one.hard_braking)),
-            ("falls behind", &|one| ReportCell::number(one.left_behind)),
-            ("progress", &|one| ReportCell::optional(one.progress)),
-            ("time gap (s)", &|one| {
+            ("hard braking", &|useful| {
+                ReportCell::number(useful.hard_braking)
+            }),
+            ("falls behind", &|useful| {
+                ReportCell::number(useful.left_behind)
+            }),
+            ("progress", &|useful| ReportCell::optional(useful.progress)),
+            ("time gap (s)", &|useful| {
                 ReportCell::number(format!(
                     "{} ± {}",
-                    or_dash(one.time_gap_s),
-                    or_dash(one.time_gap_deviation_s)
+                    or_dash(useful.time_gap_s),
+                    or_dash(useful.time_gap_deviation_s)
                 ))
             }),
-            ("rms acceleration (m/s²)", &|one| {
-                ReportCell::optional(one.rms_acceleration_mps2)
+            ("rms acceleration (m/s²)", &|useful| {
+                ReportCell::optional(useful.rms_acceleration_mps2)
             }),
-            ("rms jerk (m/s³)", &|one| {
-                ReportCell::optional(one.rms_jerk_mps3)
+            ("rms jerk (m/s³)", &|useful| {
+                ReportCell::optional(useful.rms_jerk_mps3)
             }),
-            ("induced braking (m/s²)", &|one| {
-                ReportCell::optional(one.induced_brake_mps2)
+            ("induced braking (m/s²)", &|useful| {
+                ReportCell::optional(useful.induced_brake_mps2)
             }),
-            ("failures in high-risk (%)", &|one| {
-                ReportCell::number(one.high_risk_percent.observed)
+            ("failures in high-risk (%)", &|useful| {
+                ReportCell::number(useful.high_risk_percent.observed)
             }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
@@ -251,22 +258,26 @@ impl UsefulnessReport {
     /// The main results of both sides, for the first page.
     pub(super) fn both_sides_table(&self) -> ReportTable {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 8] = [
-            ("controller", &|one| ReportCell::text(&one.controller)),
-            ("failures in high-risk (%)", &|one| {
-                ReportCell::number(one.high_risk_percent.observed)
+            ("controller", &|useful| ReportCell::text(&useful.controller)),
+            ("failures in high-risk (%)", &|useful| {
+                ReportCell::number(useful.high_risk_percent.observed)
             }),
-            ("in traffic", &|one| {
-                ReportCell::with_verdict(one.failures, one.failures == 0)
+            ("in traffic", &|useful| {
+                ReportCell::with_verdict(useful.failures, useful.failures == 0)
             }),
-            ("unnecessary braking (%)", &|one| {
-                ReportCell::number(one.unnecessary_braking_percent.observed)
+            ("unnecessary braking (%)", &|useful| {
+                ReportCell::number(useful.unnecessary_braking_percent.observed)
             }),
-            ("hard", &|one| ReportCell::number(one.hard_braking)),
-            ("falls behind", &|one| ReportCell::number(one.left_behind)),
-            ("rms jerk (m/s³)", &|one| {
-                ReportCell::optional(one.rms_jerk_mps3)
+            ("hard", &|useful| ReportCell::number(useful.hard_braking)),
+            ("falls behind", &|useful| {
+                ReportCell::number(useful.left_behind)
             }),
-            ("time gap (s)", &|one| ReportCell::optional(one.time_gap_s)),
+            ("rms jerk (m/s³)", &|useful| {
+                ReportCell::optional(useful.rms_jerk_mps3)
+            }),
+            ("time gap (s)", &|useful| {
+                ReportCell::optional(useful.time_gap_s)
+            }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
     }
@@ -292,108 +303,76 @@ impl UsefulnessReport {
 
     /// The failures of both spaces by their kind.
     fn failure_table(&self) -> ReportTable {
-        let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
-            ("controller", &|one| ReportCell::text(&one.controller)),
-            ("no answer (traffic, high-risk)", &|one| {
+            ("controller", &|useful| ReportCell::text(&useful.controller)),
+            ("no answer (traffic, high-risk)", &|useful| {
                 ReportCell::with_verdict(
-                    pair(one.unanswered_runs()),
-                    one.unanswered_runs() == [0, 0],
+                    format_traffic_and_danger(useful.unanswered_runs()),
+                    useful.unanswered_runs() == [0, 0],
                 )
             }),
-            ("hits leader (traffic, high-risk)", &|one| {
-                ReportCell::number(pair(one.hit))
+            ("hits leader (traffic, high-risk)", &|useful| {
+                ReportCell::number(format_traffic_and_danger(useful.hit))
             }),
-            ("hit from behind (traffic, high-risk)", &|one| {
-                ReportCell::number(pair(one.was_hit))
+            ("hit from behind (traffic, high-risk)", &|useful| {
+                ReportCell::number(format_traffic_and_danger(useful.was_hit))
             }),
         ];
         let all_answered = self
             .controllers
             .iter()
-            .all(|one| all_answered(&one.unanswered));
+            .all(|useful| all_answered(&useful.unanswered));
         ReportTable::from_items(&self.controllers, &columns)
             .without_column(all_answered.then_some(1))
     }
 
     /// Unnecessary braking per hour, without and with sensor faults.
     fn braking_rate_table(&self) -> ReportTable {
-        let cell = |one: &ControllerUsefulness, sensors: &str| {
-            let rate = one
-                .unnecessary_braking_rates
-                .iter()
-                .find(|rate| rate.sensors == sensors);
-            ReportCell::optional(rate.map(
-                |BrakingRate {
-                     per_hour,
-                     interval: [low, high],
-                     ..
-                 }| format!("{per_hour} ({low} to {high})"),
-            ))
-        };
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
-            ("unnecessary braking per hour", &|one| {
-                ReportCell::text(&one.controller)
+            ("unnecessary braking per hour", &|useful| {
+                ReportCell::text(&useful.controller)
             }),
-            ("no fault", &|one| cell(one, "no fault")),
-            ("degraded", &|one| cell(one, "degraded")),
-            ("ghost", &|one| cell(one, "ghost")),
+            ("no fault", &|useful| useful.braking_rate_cell("no fault")),
+            ("degraded", &|useful| useful.braking_rate_cell("degraded")),
+            ("ghost", &|useful| useful.braking_rate_cell("ghost")),
         ];
         ReportTable::from_items(&self.controllers, &columns)
     }
 
     fn unanswered_notes(&self) -> Vec<String> {
-        let of = |useful: &ControllerUsefulness| {
-            let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
-            let words = places.filter_map(|(place, unanswered)| {
-                let words = unanswered.as_ref()?.describe(self.random_scenarios);
-                Some(format!("{} in `{place}`: {words}", useful.controller))
-            });
-            let gain = &useful.oscillation_gain;
-            let line = gain.unanswered.as_ref().map(|failed| {
-                format!(
-                    "{} behind an oscillating leader: {}",
-                    useful.controller,
-                    failed.describe(gain.points)
-                )
-            });
-            words.chain(line).collect::<Vec<_>>()
-        };
-        self.controllers.iter().flat_map(of).collect()
+        self.controllers
+            .iter()
+            .flat_map(|useful| useful.unanswered_notes(self.random_scenarios))
+            .collect()
     }
 
     /// Draws both shares: one row per controller, 0 at the left, lower is better.
     pub(super) fn figure(&self, id: &str) -> Svg {
         let rows = self.controllers.iter().map(|useful| {
-            let failures = (useful.high_risk_percent, 0.15, Ink::Alert, Marker::Cross);
-            let braking = (
-                useful.unnecessary_braking_percent,
-                -0.15,
-                Ink::Series(0),
-                Marker::Ring,
-            );
+            let failures = ShareMark {
+                share: useful.high_risk_percent,
+                offset: 0.15,
+                ink: Ink::Alert,
+                marker: Marker::Cross,
+            };
+            let braking = ShareMark {
+                share: useful.unnecessary_braking_percent,
+                offset: -0.15,
+                ink: Ink::Series(0),
+                marker: Marker::Ring,
+            };
             (useful.controller.as_str(), vec![failures, braking])
         });
-        let of = |useful: &ControllerUsefulness| {
-            let (fails, brakes) = (
-                useful.high_risk_percent.observed,
-                useful.unnecessary_braking_percent.observed,
-            );
-            let name = &useful.controller;
-            format!(
-                "{name} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic"
-            )
-        };
+        let descriptions: Vec<_> = self
+            .controllers
+            .iter()
+            .map(ControllerUsefulness::describe_shares)
+            .collect();
         let figure = ShareFigure {
             heading: "Failures in high-risk (×), unnecessary braking (○)",
             axis: "Share of random scenarios (%)",
             title: "Safety and usefulness",
-            description: &self
-                .controllers
-                .iter()
-                .map(of)
-                .collect::<Vec<_>>()
-                .join("; "),
+            description: &descriptions.join("; "),
             row_height: 36.0,
         };
         figure.draw(id, &rows.collect::<Vec<_>>())
@@ -425,16 +404,60 @@ impl ControllerUsefulness {
             .map(|unanswered| unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
     }
 
+    /// Describes the drives without an answer of the controller, in each space and in a line.
+    fn unanswered_notes(&self, random_scenarios: u64) -> Vec<String> {
+        let mut notes = Vec::new();
+        for (space, unanswered) in EVERYDAY_SPACES.into_iter().zip(&self.unanswered) {
+            if let Some(unanswered) = unanswered {
+                let description = unanswered.describe(random_scenarios);
+                notes.push(format!("{} in `{space}`: {description}", self.controller));
+            }
+        }
+        let gain = &self.oscillation_gain;
+        if let Some(unanswered) = &gain.unanswered {
+            notes.push(format!(
+                "{} behind an oscillating leader: {}",
+                self.controller,
+                unanswered.describe(gain.points)
+            ));
+        }
+        notes
+    }
+
+    fn describe_shares(&self) -> String {
+        format!(
+            "{} fails in {} % of high-risk, brakes unnecessarily in {} % of traffic",
+            self.controller,
+            self.high_risk_percent.observed,
+            self.unnecessary_braking_percent.observed
+        )
+    }
+
+    fn braking_rate_cell(&self, sensors: &str) -> ReportCell {
+        let rate = self
+            .unnecessary_braking_rates
+            .iter()
+            .find(|rate| rate.sensors == sensors);
+        ReportCell::optional(rate.map(|rate| {
+            let [low, high] = rate.interval;
+            format!("{} ({low} to {high})", rate.per_hour)
+        }))
+    }
+
     /// Returns the ends of the everyday drives (0) or of the dangerous scenarios (1).
-    fn ends(&self, place: usize) -> RunEnds {
+    fn ends(&self, space_index: usize) -> RunEnds {
         RunEnds {
-            collisions: self.hit[place] + self.was_hit[place],
-            unanswered: self.unanswered[place].clone(),
-            ended_by_others: self.ended_by_others[place],
-            hit: self.hit[place],
-            was_hit: self.was_hit[place],
+            collisions: self.hit[space_index] + self.was_hit[space_index],
+            unanswered: self.unanswered[space_index].clone(),
+            ended_by_others: self.ended_by_others[space_index],
+            hit: self.hit[space_index],
+            was_hit: self.was_hit[space_index],
         }
     }
+}
+
+fn format_traffic_and_danger([traffic, danger]: [u64; 2]) -> String {
+    format!("{traffic}, {danger}")
 }
 
 const SENSOR_CONDITIONS: &str = "Unnecessary braking per hour of `traffic`, with the exact interval of independent \
@@ -475,10 +498,14 @@ impl ReportPart for UsefulnessReport {
 
     fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
         let [traffic, danger] = self.domains();
-        let draft = |property, domain| ClaimDraft::about_all(plan, ANCHOR, property, domain);
         vec![
-            draft(Property::NoUnnecessaryBraking, traffic.clone()),
-            draft(Property::KeepsUp, traffic.clone()),
+            ClaimDraft::about_all(
+                plan,
+                ANCHOR,
+                Property::NoUnnecessaryBraking,
+                traffic.clone(),
+            ),
+            ClaimDraft::about_all(plan, ANCHOR, Property::KeepsUp, traffic.clone()),
             ClaimDraft::with_estimator(
                 plan,
                 EstimatorKind::Truth,
@@ -486,8 +513,8 @@ impl ReportPart for UsefulnessReport {
                 Property::NoGrowingOscillation,
                 OscillationGain::domain(),
             ),
-            draft(Property::NoContact, traffic),
-            draft(Property::NoContact, danger),
+            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, traffic),
+            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, danger),
         ]
     }
 }
@@ -497,23 +524,25 @@ impl UsefulnessReport {
         let runs = self.random_scenarios;
         let [traffic, danger] = self.domains();
         let in_traffic = useful.ends(0);
-        let driving = |failures| {
-            let unanswered = in_traffic.unanswered.as_ref();
-            Strength::from_counts_with_unanswered(failures, runs, unanswered, false)
-        };
-        let piece = |property, domain: &Domain, strength| {
-            self.piece_of_evidence(&subject, property, domain, strength)
-        };
+        // A drive without an answer is no evidence about driving.
+        let [unnecessary, keeps_up] =
+            [useful.unnecessary_braking, useful.left_behind].map(|failures| {
+                let unanswered = in_traffic.unanswered.as_ref();
+                Strength::from_counts_with_unanswered(failures, runs, unanswered, false)
+            });
+        let no_contact = in_traffic.strength(runs);
+        let no_contact_in_danger = useful.ends(1).strength(runs);
         [
             useful.oscillation_gain.evidence_about(&subject),
-            piece(Property::NoContact, &traffic, in_traffic.strength(runs)),
-            piece(
+            self.piece_of_evidence(&subject, Property::NoContact, &traffic, no_contact),
+            self.piece_of_evidence(
+                &subject,
                 Property::NoUnnecessaryBraking,
                 &traffic,
-                driving(useful.unnecessary_braking),
+                unnecessary,
             ),
-            piece(Property::KeepsUp, &traffic, driving(useful.left_behind)),
-            piece(Property::NoContact, &danger, useful.ends(1).strength(runs)),
+            self.piece_of_evidence(&subject, Property::KeepsUp, &traffic, keeps_up),
+            self.piece_of_evidence(&subject, Property::NoContact, &danger, no_contact_in_danger),
         ]
     }
 
@@ -524,7 +553,7 @@ impl UsefulnessReport {
         domain: &Domain,
         strength: Strength,
     ) -> Evidence {
-        let what = format!("{} drives, seed {}", self.random_scenarios, self.seed);
+        let description = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         Evidence {
             claim: AssuranceClaim {
                 subject: subject.clone(),
@@ -532,7 +561,7 @@ impl UsefulnessReport {
                 domain: domain.clone(),
             },
             strength,
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }
@@ -547,11 +576,11 @@ impl OscillationGain {
             property: Property::NoGrowingOscillation,
             domain: Self::domain(),
         };
-        let what = format!("{} operating points", self.points);
+        let description = format!("{} operating points", self.points);
         Evidence {
             claim,
             strength: self.strength(),
-            source: EvidenceSource::from_part(ANCHOR, what),
+            source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 }

@@ -57,8 +57,8 @@ impl Measure {
 
 /// Reads a field, whose path has slashes. The error names the field.
 pub(super) fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T, String> {
-    let found = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
-    T::deserialize(found).map_err(|error| format!("{field}: {error}"))
+    let content = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
+    T::deserialize(content).map_err(|error| format!("{field}: {error}"))
 }
 
 /// Reads the results of an `assessment.json`.
@@ -70,27 +70,30 @@ pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
     let domains = add_claims(evidence, &mut facts)?;
     add_gaps(evidence, &domains, &mut facts)?;
     add_failures(evidence, &domains, &mut facts)?;
+    add_certificates(evidence, &mut facts)?;
+    Ok(facts)
+}
+
+fn add_certificates(evidence: &Value, facts: &mut Facts) -> Result<(), String> {
     for proof in read::<Vec<Value>>(evidence, "proofs/certificates")? {
         let status: CertificateStatus = read(&proof, "status")?;
-        let measure = Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. }));
-        let text = |field: &str| read::<String>(&proof, field);
         // A changed certificate of the same name is another result.
-        let what = format!(
-            "certificate {}: {}, {}",
-            text("name")?,
-            text("statement")?,
-            text("about")?
-        );
+        let name: String = read(&proof, "name")?;
+        let statement: String = read(&proof, "statement")?;
+        let about: String = read(&proof, "about")?;
         facts.insert(
-            (what, String::new()),
+            (
+                format!("certificate {name}: {statement}, {about}"),
+                String::new(),
+            ),
             Fact {
-                measure,
+                measure: Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. })),
                 description: status.describe(),
                 is_failure: false,
             },
         );
     }
-    Ok(facts)
+    Ok(())
 }
 
 fn hash(domain: &Domain) -> String {
@@ -102,13 +105,13 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
     let controllers: Vec<String> = read(evidence, "summary/controllers")?;
     let mut domains = Vec::new();
     for row in read::<Vec<Value>>(evidence, "summary/claims")? {
-        let words: String = read(&row, "claim")?;
+        let claim_text: String = read(&row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
         let statuses: Vec<Value> = read(&row, "statuses")?;
         let strengths: Vec<Strength> = read(&row, "statuses")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
             return Err(format!(
-                "summary/claims: `{words}` needs one entry per controller"
+                "summary/claims: `{claim_text}` needs one entry per controller"
             ));
         }
         for (((controller, claim), strength), status) in
@@ -119,14 +122,12 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
                 let domain = claim
                     .as_ref()
                     .map_or_else(String::new, |claim| hash(&claim.domain));
-                let (description, is_failure) = (strength.describe(), strength.is_refutation());
-                let measure = Measure::Claim(strength, deciding_domain(evidence, status));
                 facts.insert(
-                    (format!("{controller}: {words}"), domain),
+                    (format!("{controller}: {claim_text}"), domain),
                     Fact {
-                        measure,
-                        description,
-                        is_failure,
+                        description: strength.describe(),
+                        is_failure: strength.is_refutation(),
+                        measure: Measure::Claim(strength, deciding_domain(evidence, status)),
                     },
                 );
             }
@@ -138,8 +139,8 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
 
 /// Returns the hash of the domain of the first piece of evidence behind a status.
 fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
-    let place = status.pointer("/evidence/0")?.as_u64()?;
-    let domain = evidence.pointer(&format!("/evidence/{place}/claim/domain"))?;
+    let index = status.pointer("/evidence/0")?.as_u64()?;
+    let domain = evidence.pointer(&format!("/evidence/{index}/claim/domain"))?;
     Some(hash(&Domain::deserialize(domain).ok()?))
 }
 
@@ -152,7 +153,7 @@ fn listed_scenarios(domain: &Domain) -> &[ContentId] {
 
 /// Adds the smallest gap of each case.
 fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
-    let known: BTreeMap<&str, &str> = domains
+    let sha256_by_name: BTreeMap<&str, &str> = domains
         .iter()
         .flat_map(listed_scenarios)
         .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
@@ -160,19 +161,22 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
     for part in ["paper_scenarios/scenarios", "file_scenarios/scenarios"] {
         for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
             let name: String = read(&scenario, "scenario")?;
-            let content = known.get(name.as_str()).copied().unwrap_or_default();
+            let content = sha256_by_name
+                .get(name.as_str())
+                .copied()
+                .unwrap_or_default();
             for case in read::<Vec<Value>>(&scenario, "cases")? {
                 let controller: String = read(&case, "controller")?;
                 let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else {
                     continue;
                 };
-                let what = (
+                let key = (
                     format!("{controller}: smallest gap in {name}"),
                     content.to_owned(),
                 );
                 let description = format!("{gap_m:.2} m");
                 facts.insert(
-                    what,
+                    key,
                     Fact {
                         measure: Measure::GapM(gap_m),
                         description,
@@ -191,10 +195,11 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
         let name: String = read(&space, "name")?;
         let content: String = read(&space, "content_id/sha256")?;
         // A search with another budget or seed is another result.
-        let is_of = |domain: &&Domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content);
         let domain = domains
             .iter()
-            .find(is_of)
+            .find(
+                |domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content),
+            )
             .map_or_else(|| content.clone(), hash);
         for search in read::<Vec<Value>>(&space, "controllers")? {
             let controller: String = read(&search, "controller")?;
@@ -202,18 +207,18 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
             for failure in read::<Vec<Value>>(&search, "failures")? {
                 let is_avoidable =
                     read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
-                let [found, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
-                *found += 1;
+                let [count, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
+                *count += 1;
                 *avoidable += usize::from(is_avoidable);
             }
-            for (kind, [found, avoidable]) in kinds {
-                let what = (
+            for (kind, [count, avoidable]) in kinds {
+                let key = (
                     format!("{controller}: failure in `{name}`: {kind}"),
                     domain.clone(),
                 );
-                let description = format!("{found} found, {avoidable} avoidable");
+                let description = format!("{count} found, {avoidable} avoidable");
                 facts.insert(
-                    what,
+                    key,
                     Fact {
                         measure: Measure::Found,
                         description,

@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use crate::assessment::claims::Strength;
+use crate::assessment::claims::{RateBounds, Strength};
 
 /// Compares two strengths of a claim: greater is better. `None` if neither is better.
 ///
@@ -39,12 +39,7 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
                 avoidable,
                 ..
             },
-        ) => match (failures.cmp(before), avoidable.cmp(before_avoidable)) {
-            (Ordering::Greater, _) | (Ordering::Equal, Ordering::Greater) => Some(Ordering::Less),
-            (Ordering::Equal, Ordering::Equal) => Some(Ordering::Equal),
-            (Ordering::Equal, Ordering::Less) | (Ordering::Less, Ordering::Greater) => None,
-            (Ordering::Less, _) => Some(Ordering::Greater),
-        },
+        ) => compare_searches([before, before_avoidable], [failures, avoidable]),
         (Strength::Tested { runs: before }, Strength::Tested { runs }) => Some(runs.cmp(before)),
         (Strength::Proved { .. }, Strength::Proved { .. }) => Some(Ordering::Equal),
         (
@@ -80,7 +75,20 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
             },
             Strength::Gain { largest, .. },
         ) => Some(before.value().total_cmp(&largest.value())),
-        _ => compare_bounds(rate_bounds(before)?, rate_bounds(now)?),
+        _ => compare_bounds(before.rate_bounds()?, now.rate_bounds()?),
+    }
+}
+
+/// Compares the distinct and the avoidable failures of two searches.
+fn compare_searches(
+    [before, before_avoidable]: [&usize; 2],
+    [failures, avoidable]: [&usize; 2],
+) -> Option<Ordering> {
+    match (failures.cmp(before), avoidable.cmp(before_avoidable)) {
+        (Ordering::Greater, _) | (Ordering::Equal, Ordering::Greater) => Some(Ordering::Less),
+        (Ordering::Equal, Ordering::Equal) => Some(Ordering::Equal),
+        (Ordering::Equal, Ordering::Less) | (Ordering::Less, Ordering::Greater) => None,
+        (Ordering::Less, _) => Some(Ordering::Greater),
     }
 }
 
@@ -103,49 +111,22 @@ fn compare_failures(
     [before, before_runs]: [u64; 2],
     [failures, runs]: [u64; 2],
 ) -> Option<Ordering> {
-    let share = |failures: u64, runs: u64| failures as f64 / runs.max(1) as f64;
+    let share_before = before as f64 / before_runs.max(1) as f64;
+    let share = failures as f64 / runs.max(1) as f64;
     match failures.cmp(&before) {
-        Ordering::Less if share(failures, runs) > share(before, before_runs) => None,
+        Ordering::Less if share > share_before => None,
         order => Some(order.reverse()),
     }
 }
 
-/// Returns the lower and the upper bound of a rate in percent, and their confidence level.
-fn rate_bounds(strength: &Strength) -> Option<[f64; 3]> {
-    match strength {
-        Strength::Bounded {
-            upper_percent,
-            confidence_percent,
-        } => Some([0.0, upper_percent.value(), confidence_percent.value()]),
-        Strength::Exceeded {
-            lower_percent,
-            confidence_percent,
-        } => Some([lower_percent.value(), 100.0, confidence_percent.value()]),
-        Strength::Undecided {
-            lower_percent,
-            upper_percent,
-            confidence_percent,
-        }
-        | Strength::Between {
-            lower_percent,
-            upper_percent,
-            confidence_percent,
-            ..
-        } => Some([
-            lower_percent.value(),
-            upper_percent.value(),
-            confidence_percent.value(),
-        ]),
-        _ => None,
-    }
-}
-
 /// Compares bounds of equal confidence levels: lower ones are better, and narrower ones are neither.
-fn compare_bounds(before: [f64; 3], now: [f64; 3]) -> Option<Ordering> {
-    if before[2] != now[2] {
+fn compare_bounds(before: RateBounds, now: RateBounds) -> Option<Ordering> {
+    if before.confidence_percent() != now.confidence_percent() {
         return None;
     }
-    match (before[0].total_cmp(&now[0]), before[1].total_cmp(&now[1])) {
+    let lower = before.lower_percent().total_cmp(&now.lower_percent());
+    let upper = before.upper_percent().total_cmp(&now.upper_percent());
+    match (lower, upper) {
         (lower, upper) if lower == upper => Some(lower),
         (Ordering::Equal, order) | (order, Ordering::Equal) => Some(order),
         _ => None,

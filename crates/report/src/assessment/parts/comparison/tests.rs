@@ -43,7 +43,7 @@ fn refuted(failures: u64, runs: u64) -> Strength {
 }
 
 #[test]
-fn everything_falls_into_one_place() {
+fn each_result_is_in_exactly_one_group_of_changes() {
     let before = earlier(&[
         ("a", tested(1)),
         ("b", tested(2)),
@@ -60,7 +60,7 @@ fn everything_falls_into_one_place() {
         ("f", found(11, 9)),
         ("g", found(10, 9)),
     ]);
-    let found = AssessmentComparison::from_facts(&before, &now, true);
+    let comparison = AssessmentComparison::from_facts(&before, &now, true);
     let names = |changes: &[AssessmentChange]| {
         changes
             .iter()
@@ -68,22 +68,22 @@ fn everything_falls_into_one_place() {
             .collect::<String>()
     };
     let all = [
-        &found.better,
-        &found.worse,
-        &found.changed,
-        &found.new,
-        &found.gone,
+        &comparison.better,
+        &comparison.worse,
+        &comparison.changed,
+        &comparison.new,
+        &comparison.gone,
     ]
     .map(|changes| names(changes));
     assert_eq!(
-        (all, found.unchanged),
+        (all, comparison.unchanged),
         (["a", "bf", "g", "e", "d"].map(str::to_owned), 1)
     );
-    assert!(found.describe().ends_with(
+    assert!(comparison.describe().ends_with(
         "1 better, 2 worse, 1 new, 1 gone, 1 changed without being better or worse, 1 unchanged."
     ));
     assert_eq!(
-        found.describe_changed(),
+        comparison.describe_changed(),
         "; 1 changed, and neither result is better"
     );
 }
@@ -178,7 +178,7 @@ fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
 }
 
 #[test]
-fn what_is_no_evidence_is_refused_with_its_line() {
+fn a_file_without_evidence_is_refused_with_its_line() {
     let refused = |text: &str| {
         EarlierAssessment::from_json(text, Path::new("old.json"))
             .unwrap_err()

@@ -15,8 +15,8 @@ fn both_measures_are_reported_for_every_controller() {
     let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
     let cache = EvidenceCache::disabled();
     let work = GatherContext::new(&plan, &cache, ProgressCounter::new(&Quiet, None));
-    let found = UsefulnessReport::gather(&work).unwrap().unwrap();
-    let [idm, retrained] = &found.controllers[..] else {
+    let report = UsefulnessReport::gather(&work).unwrap().unwrap();
+    let [idm, retrained] = &report.controllers[..] else {
         panic!("one entry per controller")
     };
     assert_eq!(
@@ -29,7 +29,7 @@ fn both_measures_are_reported_for_every_controller() {
         (0, 0, 0, 0)
     );
     assert!(
-        retrained.unnecessary_braking > found.random_scenarios / 2
+        retrained.unnecessary_braking > report.random_scenarios / 2
             && retrained.progress < idm.progress
     );
     assert!(
@@ -50,13 +50,13 @@ fn both_measures_are_reported_for_every_controller() {
         "{largest:?}"
     );
     assert!(!idm.oscillation_gain.damps_all() && !retrained.oscillation_gain.damps_all());
-    let json = serde_json::to_string(&found).unwrap();
+    let json = serde_json::to_string(&report).unwrap();
     assert_eq!(
         serde_json::to_string(&serde_json::from_str::<UsefulnessReport>(&json).unwrap()).unwrap(),
         json
     );
     let mut document = ReportDocument::new();
-    found.write(&mut document);
+    report.write(&mut document);
     assert!(
         document.to_markdown().into_string().contains("| idm |")
             && document.to_html().into_string().contains("<svg")
