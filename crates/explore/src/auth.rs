@@ -47,34 +47,48 @@ impl RequestAuth {
                 "the address lacks the token: use the address that crumple printed at its start",
             ));
         }
-        let all = |name: &HeaderName| {
-            headers
-                .get_all(name)
-                .iter()
-                .map(|value| value.to_str().unwrap_or_default())
-                .collect::<Vec<_>>()
-        };
-        let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
-        if !matches!(all(&HOST)[..], [host] if is_own(host)) {
+        let is_own_host =
+            matches!(header_values(headers, &HOST)[..], [host] if self.is_own_host(host));
+        if !is_own_host {
             return Err(RequestError::Forbidden(
                 "the request names another host: use the address that crumple printed",
             ));
         }
-        let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
-        let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
-        if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
+        let is_own_page = header_values(headers, &ORIGIN).iter().all(|origin| {
+            origin
+                .strip_prefix("http://")
+                .is_some_and(|host| self.is_own_host(host))
+        });
+        let is_own_site = header_values(headers, &SEC_FETCH_SITE)
+            .iter()
+            .all(|site| ["same-origin", "none"].contains(site));
+        if !is_own_page || !is_own_site {
             return Err(RequestError::Forbidden(
                 "the request comes from a page of another origin",
             ));
         }
         Ok(rest)
     }
+
+    fn is_own_host(&self, host: &str) -> bool {
+        self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host))
+    }
+}
+
+/// Returns the values of a header; empty for those that are not text.
+fn header_values<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Vec<&'h str> {
+    headers
+        .get_all(name)
+        .iter()
+        .map(|value| value.to_str().unwrap_or_default())
+        .collect()
 }
 
 fn is_equal_constant_time(text: &[u8], wanted: &[u8]) -> bool {
-    let difference = text.iter().zip(wanted).fold(0, |difference, (one, other)| {
-        black_box(difference | (one ^ other))
-    });
+    let difference = text
+        .iter()
+        .zip(wanted)
+        .fold(0, |difference, (a, b)| black_box(difference | (a ^ b)));
     text.len() == wanted.len() && difference == 0
 }
 

@@ -197,11 +197,13 @@ impl TestSpec {
         self.parameters
             .iter()
             .fold(vec![Vec::new()], |points, (_, figure)| {
-                let extended = |point: &Vec<f64>| {
-                    let each = |&value: &f64| point.iter().copied().chain([value]).collect();
-                    figure.values.iter().map(each).collect::<Vec<_>>()
-                };
-                points.iter().flat_map(extended).collect()
+                let mut extended = Vec::new();
+                for point in &points {
+                    for &value in &figure.values {
+                        extended.push(point.iter().copied().chain([value]).collect());
+                    }
+                }
+                extended
             })
     }
 
@@ -219,8 +221,8 @@ impl TestSpec {
     ) -> Option<(usize, &TestParameter)> {
         let mut stated = self.parameters.iter().enumerate();
         stated
-            .find(|(_, (found, _))| *found == parameter)
-            .map(|(place, (_, figure))| (place, figure))
+            .find(|(_, (kind, _))| *kind == parameter)
+            .map(|(position, (_, figure))| (position, figure))
     }
 
     /// Describes a point, as in `own speed 50 km/h, gap 12 m`.
