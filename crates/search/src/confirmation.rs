@@ -38,8 +38,12 @@ impl ReplayShare {
     /// Counts the results; `None` if there is none.
     #[must_use]
     pub fn from_results(results: impl IntoIterator<Item = bool>) -> Option<Self> {
-        let add = |[count, replays]: [u64; 2], result| [count + u64::from(result), replays + 1];
-        let [count, replays] = results.into_iter().fold([0, 0], add);
+        let mut count = 0;
+        let mut replays = 0;
+        for result in results {
+            count += u64::from(result);
+            replays += 1;
+        }
         let interval = RateInterval::clopper_pearson(count, replays, CONFIDENCE);
         (replays > 0).then_some(Self {
             count,

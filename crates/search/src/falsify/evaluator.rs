@@ -80,11 +80,12 @@ impl Evaluator<'_> {
                 options.with_after_contact(self.specification.after_contact()),
             )
         });
-        let (mut runs, mut refused) = (Vec::new(), Vec::new());
-        for (place, run) in prepared.enumerate() {
+        let mut runs = Vec::new();
+        let mut refused = Vec::new();
+        for (index, run) in prepared.enumerate() {
             match run {
                 Ok(run) => runs.push(run),
-                Err(error) => refused.push((place, error)),
+                Err(error) => refused.push((index, error)),
             }
         }
         let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> = simulate_batch(
@@ -98,7 +99,7 @@ impl Evaluator<'_> {
         // Insert in ascending order, so that each index exists.
         refused
             .into_iter()
-            .for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
+            .for_each(|(index, error)| verdicts.insert(index, Err(error.into())));
         verdicts
     }
 }

@@ -94,11 +94,10 @@ impl Plateaus {
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
         self.used_segments.insert((from, to));
-        let (inside, outside) = (inside.clone(), outside.clone());
         Some(Segment {
             plateau_value: *plateau,
-            inside,
-            outside,
+            inside: inside.clone(),
+            outside: outside.clone(),
             outside_value,
             halvings: 0,
         })
@@ -111,7 +110,7 @@ impl Plateaus {
         if half.halvings == PRUNING_HALVINGS {
             let better = self
                 .edge_values
-                .partition_point(|known| *known < half.outside_value);
+                .partition_point(|value| *value < half.outside_value);
             self.edge_values.insert(better, half.outside_value);
             if 2 * better > self.edge_values.len() {
                 return None;

@@ -91,41 +91,43 @@ impl FailureKind {
     /// Describes the kind, for scenarios like `scenario`.
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
-        let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
+        match self {
             Self::ControllerFailed { vehicle } => {
-                return format!("the controller of vehicle {vehicle} fails");
+                format!("the controller of vehicle {vehicle} fails")
             }
             Self::Violation { has_contact: false } => {
-                return "the specification is violated without a collision".to_owned();
+                "the specification is violated without a collision".to_owned()
             }
             Self::Violation { has_contact: true } => {
-                return "the specification is violated with a collision".to_owned();
+                "the specification is violated with a collision".to_owned()
             }
-            Self::Contact {
+            &Self::Contact {
                 front_vehicle,
                 rear_vehicle,
                 ego_braking,
                 rear_class,
-            } => (front_vehicle, rear_vehicle, ego_braking, rear_class),
-        };
-        let is_ego = |index: u32| scenario.is_under_test(index as usize);
-        let class = rear_class.name();
-        let braked = match ego_braking {
-            BrakingLevel::None => "without braking",
-            BrakingLevel::Partial => "braking partly",
-            BrakingLevel::Full => "braking fully",
-        };
-        match (is_ego(*rear_vehicle), is_ego(*front_vehicle)) {
-            (true, _) => {
-                format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}")
+            } => {
+                let class = rear_class.name();
+                let braking = describe_braking(ego_braking);
+                if scenario.is_under_test(rear_vehicle as usize) {
+                    format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braking}")
+                } else if scenario.is_under_test(front_vehicle as usize) {
+                    format!(
+                        "vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braking}"
+                    )
+                } else {
+                    format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}")
+                }
             }
-            (false, true) => {
-                format!(
-                    "vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braked}"
-                )
-            }
-            _ => format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}"),
         }
+    }
+}
+
+fn describe_braking(braking: BrakingLevel) -> &'static str {
+    match braking {
+        BrakingLevel::None => "without braking",
+        BrakingLevel::Partial => "braking partly",
+        BrakingLevel::Full => "braking fully",
     }
 }
 
@@ -224,8 +226,11 @@ impl Failures {
 impl FailureCandidate {
     /// Returns true if this failure is likelier; if equally likely, nearer to nominal.
     fn is_likelier_than(&self, other: &Self) -> bool {
-        let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.distance_from_nominal);
-        key(self) > key(other)
+        self.likelihood_key() > other.likelihood_key()
+    }
+
+    fn likelihood_key(&self) -> (f64, f64) {
+        (self.ln_likelihood, -self.distance_from_nominal)
     }
 }
 
@@ -234,7 +239,7 @@ impl FailureGroup {
     pub(super) fn examination_candidates(&self) -> Vec<&FailureCandidate> {
         let mut picks = vec![&self.severest];
         for candidate in [&self.likeliest, &self.first] {
-            if !picks.iter().any(|known| known.values == candidate.values) {
+            if !picks.iter().any(|pick| pick.values == candidate.values) {
                 picks.push(candidate);
             }
         }

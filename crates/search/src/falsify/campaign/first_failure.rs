@@ -29,7 +29,8 @@ impl Campaign {
         let config = ResolvedConfig::from_campaign(self)?;
         self.check_at(&config.nominal)?;
         let mut search = self.search.method.start(&config.cube, self.seed);
-        let (mut done, mut best) = (0, f64::INFINITY);
+        let mut done = 0;
+        let mut best = f64::INFINITY;
         while done < self.search.budget {
             let left = self.search.budget - done;
             let points = next_points(&mut *search, (&self.search.method, 1), &config, left)?;

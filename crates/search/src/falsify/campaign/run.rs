@@ -325,17 +325,20 @@ impl Campaign {
         findings: &CampaignFindings,
         current: Option<&MethodResults>,
     ) -> CampaignProgress {
-        let all = || findings.method_results.iter().chain(current);
-        CampaignProgress {
+        let mut progress = CampaignProgress {
             method: current.map(|results| results.method.clone()),
             examination: None,
-            evaluations: all().map(|results| results.evaluations).sum(),
+            evaluations: 0,
             total: self.total_evaluations(),
-            failures: all().map(|results| results.failures).sum(),
-            best_robustness: all()
-                .map(|results| results.best)
-                .fold(f64::INFINITY, f64::min),
+            failures: 0,
+            best_robustness: f64::INFINITY,
+        };
+        for results in findings.method_results.iter().chain(current) {
+            progress.evaluations += results.evaluations;
+            progress.failures += results.failures;
+            progress.best_robustness = progress.best_robustness.min(results.best);
         }
+        progress
     }
 
     fn total_evaluations(&self) -> u64 {
@@ -382,10 +385,10 @@ impl Campaign {
             .iter()
             .map(|point| space.scenario_at(point))
             .collect::<Result<Vec<_>, _>>()?;
-        let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
+        let simulations: Vec<_> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
         let verdicts = self
             .evaluator()
-            .evaluate_all(&asked)
+            .evaluate_all(&simulations)
             .into_iter()
             .collect::<Result<_, _>>()?;
         self.ensure_all_trusted()?;
@@ -403,11 +406,13 @@ pub(super) fn next_points(
     let mut points = search.ask();
     (1..batches).for_each(|_| points.extend(search.ask()));
     points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
-    let invalid = |problem| CampaignError::InvalidPoints {
-        method: method.name().to_owned(),
-        problem,
-    };
-    config.cube.check_points(&points).map_err(invalid)?;
+    config
+        .cube
+        .check_points(&points)
+        .map_err(|problem| CampaignError::InvalidPoints {
+            method: method.name().to_owned(),
+            problem,
+        })?;
     points
         .iter_mut()
         .for_each(|point| *point = config.space.search_point(point));

@@ -52,8 +52,9 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
     answer: &impl Fn(&[Q]) -> Vec<A>,
 ) -> Vec<R> {
     thread::scope(|scope| {
-        let (questions, asked) = channel();
-        let (mut threads, mut answer_senders) = (Vec::new(), Vec::new());
+        let (questions, received_questions) = channel();
+        let mut threads = Vec::new();
+        let mut answer_senders = Vec::new();
         for (index, member) in members.iter().enumerate() {
             let (answer_sender, answers) = channel();
             answer_senders.push(Some(answer_sender));
@@ -65,7 +66,7 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
             threads.push(scope.spawn(move || work(member, &mut |question| sender.ask(question))));
         }
         drop(questions);
-        serve(&asked, answer_senders, answer);
+        serve(&received_questions, answer_senders, answer);
         let joined = threads.into_iter().map(|thread| thread.join());
         joined
             .map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
@@ -74,14 +75,14 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
 }
 
 fn serve<Q, A>(
-    asked: &Receiver<Question<Q>>,
+    received_questions: &Receiver<Question<Q>>,
     mut answer_senders: Vec<Option<Sender<A>>>,
     answer: &impl Fn(&[Q]) -> Vec<A>,
 ) {
     let mut waiting: Vec<(usize, Q)> = Vec::new();
     loop {
         while waiting.len() < answer_senders.iter().flatten().count() {
-            match asked.recv() {
+            match received_questions.recv() {
                 Ok((index, Some(question))) if answer_senders[index].is_some() => {
                     waiting.push((index, question))
                 }
@@ -93,9 +94,9 @@ fn serve<Q, A>(
             return;
         }
         waiting.sort_by_key(|(index, _)| *index);
-        let (who, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
+        let (indices, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
         let mut answers = answer(&questions).into_iter();
-        for index in who {
+        for index in indices {
             match (answers.next(), &answer_senders[index]) {
                 (Some(answer), Some(answer_sender)) => drop(answer_sender.send(answer)),
                 _ => answer_senders[index] = None,

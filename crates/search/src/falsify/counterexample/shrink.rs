@@ -80,26 +80,33 @@ fn join_pieces(
     let range = parameter.coordinates();
     let mut border = range.start + 1;
     while border < range.end {
-        let at = |values: &[f64], index: usize| values.get(index).copied().unwrap_or(f64::NAN);
-        let (left, right) = (at(current, border - 1), at(current, border));
+        let left = value_at(current, border - 1);
+        let right = value_at(current, border);
         if left != right {
             let start = (range.start..border)
                 .rev()
-                .take_while(|&i| at(current, i) == left)
+                .take_while(|&i| value_at(current, i) == left)
                 .last()
                 .unwrap_or(border);
             let end = (border..range.end)
-                .take_while(|&i| at(current, i) == right)
+                .take_while(|&i| value_at(current, i) == right)
                 .last()
                 .map_or(border, |i| i + 1);
-            let mut one = current.clone();
-            one.get_mut(border..end).unwrap_or_default().fill(left);
-            let mut other = current.clone();
-            other.get_mut(start..border).unwrap_or_default().fill(right);
-            let _ = attempt(current, one, holds) || attempt(current, other, holds);
+            let mut all_left = current.clone();
+            all_left.get_mut(border..end).unwrap_or_default().fill(left);
+            let mut all_right = current.clone();
+            all_right
+                .get_mut(start..border)
+                .unwrap_or_default()
+                .fill(right);
+            let _ = attempt(current, all_left, holds) || attempt(current, all_right, holds);
         }
         border += 1;
     }
+}
+
+fn value_at(values: &[f64], index: usize) -> f64 {
+    values.get(index).copied().unwrap_or(f64::NAN)
 }
 
 fn move_towards_nominal(
@@ -166,19 +173,20 @@ fn round_values(
 
 /// Returns the numbers around a value that have fewer decimals, from tens to thousandths; the nearer side first.
 pub fn rounder_values(value: f64) -> impl Iterator<Item = f64> {
-    let at_scale = move |decimals| {
-        let scale = 10f64.powi(decimals);
-        let scaled = value * scale;
-        let other = if scaled.round() > scaled {
-            scaled.floor()
-        } else {
-            scaled.ceil()
-        };
-        [scaled.round() / scale, other / scale]
-    };
     (-1..=MAX_DECIMALS)
-        .flat_map(at_scale)
+        .flat_map(move |decimals| neighbours_with_decimals(value, decimals))
         .take_while(move |&rounded| rounded != value)
+}
+
+fn neighbours_with_decimals(value: f64, decimals: i32) -> [f64; 2] {
+    let scale = 10f64.powi(decimals);
+    let scaled = value * scale;
+    let farther = if scaled.round() > scaled {
+        scaled.floor()
+    } else {
+        scaled.ceil()
+    };
+    [scaled.round() / scale, farther / scale]
 }
 
 /// Returns the coordinates of a parameter, grouped by neighbouring pieces of equal value.
