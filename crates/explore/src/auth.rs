@@ -109,14 +109,14 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_long_and_never_the_same() {
-        let [one, other] = [RequestAuth::new(1).unwrap(), RequestAuth::new(1).unwrap()];
-        assert_eq!(one.token.len(), 2 * TOKEN_BYTES);
-        assert_ne!(one.token, other.token);
+    fn tokens_are_long_and_differ() {
+        let [first, second] = [RequestAuth::new(1).unwrap(), RequestAuth::new(1).unwrap()];
+        assert_eq!(first.token.len(), 2 * TOKEN_BYTES);
+        assert_ne!(first.token, second.token);
     }
 
     #[test]
-    fn only_the_own_page_at_the_own_address_is_let_in() {
+    fn only_requests_of_the_own_page_are_authorized() {
         let gate = RequestAuth::new(8080).unwrap();
         let path = format!("/{}/api/run", gate.token);
         let own = ("host", "127.0.0.1:8080");
@@ -167,7 +167,7 @@ mod tests {
 
         /// Any other text in place of the token is refused.
         #[test]
-        fn nothing_but_the_token_will_do(
+        fn any_text_but_the_token_is_refused(
             path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?",
             change in 0..64_usize,
             to in "[0-9a-f]",

@@ -227,20 +227,22 @@ impl Catalog {
             .opened_drivers
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let offered = self
+        let listed = self
             .scenarios
             .iter()
-            .flat_map(|offered| file_drivers(&offered.scenario));
-        let known: Vec<&FileDriver> = offered.chain(opened.iter()).collect();
+            .flat_map(|listed| file_drivers(&listed.scenario));
+        let allowed: Vec<&FileDriver> = listed.chain(opened.iter()).collect();
         for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
-                let found = known.iter().find(|known| **known == file).ok_or_else(|| {
-                    let field = format!("scenario.vehicles[{index}].driver.file.path");
-                    let problem =
-                        "only the drivers of scenarios that were given at the start are allowed";
-                    RequestError::invalid(field, problem)
-                })?;
-                *file = (*found).clone();
+                let driver = allowed
+                    .iter()
+                    .find(|driver| **driver == file)
+                    .ok_or_else(|| {
+                        let field = format!("scenario.vehicles[{index}].driver.file.path");
+                        let problem = "only the drivers of scenarios that were given at the start are allowed";
+                        RequestError::invalid(field, problem)
+                    })?;
+                *file = (*driver).clone();
             }
         }
         Ok(())

@@ -99,13 +99,13 @@ fn apply_edits(
     catalog.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
     let scenario = Scenario::new(spec).map_err(scenario_error)?;
-    let found = scenario
+    let vehicle_steps = scenario
         .steps()
         .saturating_mul(scenario.vehicles().len())
         .saturating_mul(runs.max(1));
-    if found > MAX_VEHICLE_STEPS {
+    if vehicle_steps > MAX_VEHICLE_STEPS {
         let problem = format!(
-            "asks for {found} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed"
+            "asks for {vehicle_steps} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed"
         );
         return Err(RequestError::invalid("scenario.duration_s", problem));
     }

@@ -174,8 +174,10 @@ pub enum SuiteProblem {
     },
 }
 
-fn describe_alternative(other: Option<&ParameterKind>) -> String {
-    other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
+fn describe_alternative(alternative: Option<&ParameterKind>) -> String {
+    alternative.map_or_else(String::new, |parameter| {
+        format!(", or `{}`", parameter.name())
+    })
 }
 
 type CheckResult = Result<(), InvalidSuite>;
@@ -489,7 +491,7 @@ fn check_parameter_values(
 
 fn check_value(
     parameter: ParameterKind,
-    found: f64,
+    value: f64,
     unit: ParameterUnit,
     field: &str,
 ) -> CheckResult {
@@ -498,39 +500,44 @@ fn check_value(
         .range()
         .map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
     ensure(
-        (range[0]..=range[1]).contains(&found),
+        (range[0]..=range[1]).contains(&value),
         field,
-        SuiteProblem::OutOfRange { range, unit, found },
+        SuiteProblem::OutOfRange {
+            range,
+            unit,
+            found: value,
+        },
     )
 }
 
-fn check_name(found: &str, field: impl Into<String>) -> CheckResult {
-    let is_plain =
-        |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
+fn check_name(name: &str, field: impl Into<String>) -> CheckResult {
+    let is_plain = name
+        .bytes()
+        .all(|letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-');
     ensure(
-        (1..=60).contains(&found.len()) && found.bytes().all(is_plain),
+        (1..=60).contains(&name.len()) && is_plain,
         field,
         SuiteProblem::Name,
     )
 }
 
-fn check_text(found: &str, field: impl Into<String>) -> CheckResult {
-    let is_short = (1..=2000).contains(&found.chars().count());
+fn check_text(text: &str, field: impl Into<String>) -> CheckResult {
+    let is_short = (1..=2000).contains(&text.chars().count());
     ensure(
-        is_short && !found.chars().any(char::is_control),
+        is_short && !text.chars().any(char::is_control),
         field,
         SuiteProblem::Text,
     )
 }
 
-fn check_length(found: usize, least: usize, most: usize, field: impl Into<String>) -> CheckResult {
+fn check_length(length: usize, min: usize, max: usize, field: impl Into<String>) -> CheckResult {
     ensure(
-        (least..=most).contains(&found),
+        (min..=max).contains(&length),
         field,
         SuiteProblem::Length {
-            min: least,
-            max: most,
-            found,
+            min,
+            max,
+            found: length,
         },
     )
 }

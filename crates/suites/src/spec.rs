@@ -232,23 +232,23 @@ impl TestSpec {
     }
 
     pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
-        let each = self
-            .parameters
-            .iter()
-            .zip(point)
-            .enumerate()
-            .filter(|(place, _)| Some(*place) != without);
-        let words = each.map(|(_, ((parameter, figure), value))| {
-            format!("{} {value} {}", parameter.label(), figure.unit)
-        });
-        words.collect::<Vec<_>>().join(", ")
+        let mut values = Vec::new();
+        for (position, ((parameter, figure), value)) in
+            self.parameters.iter().zip(point).enumerate()
+        {
+            if Some(position) != without {
+                values.push(format!("{} {value} {}", parameter.label(), figure.unit));
+            }
+        }
+        values.join(", ")
     }
 }
 
-pub(super) fn with_value(point: &[f64], place: usize, value: f64) -> Vec<f64> {
+/// Returns a point with another value at a position.
+pub(super) fn with_value(point: &[f64], position: usize, value: f64) -> Vec<f64> {
     point
         .iter()
         .enumerate()
-        .map(|(at, &old)| if at == place { value } else { old })
+        .map(|(index, &old)| if index == position { value } else { old })
         .collect()
 }

@@ -216,7 +216,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn coarse_points_survive_refinement(
+        fn refined_points_coarsen_to_the_same_points(
             lengths in prop::collection::vec(1usize..25, 1..4),
             pieces in 1usize..25,
             values in prop::collection::vec(0.0..1.0f64, 75),

@@ -231,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_out_that_only_the_early_integral_counts() {
+    fn the_metric_compares_early_integrals_if_only_they_count() {
         let cube = UnitCube::new([10, 10]).unwrap();
         let mut search = Method::Uniform.start(&cube, 5);
         let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask())
@@ -244,9 +244,9 @@ mod tests {
             .iter()
             .map(|point| (point.clone(), value(point)))
             .collect();
-        let (known, unknown) = data.split_at(60);
+        let (training, test) = data.split_at(60);
         let mut chosen = MetricSelection::default();
-        let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
+        let free = Surrogate::fit(&cube, training, training.len(), &mut chosen).unwrap();
         assert!(
             chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values,
             "{chosen:?}"
@@ -254,14 +254,13 @@ mod tests {
 
         let plain = Metric::candidates(&cube)
             .filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
-        let scores = DVector::from_vec(scores(known));
+        let scores = DVector::from_vec(scores(training));
         let plain =
-            plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
+            plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, training, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let pairs = || {
-            unknown
-                .iter()
-                .flat_map(|a| unknown.iter().map(move |b| (a, b)))
+            test.iter()
+                .flat_map(|a| test.iter().map(move |b| (a, b)))
                 .filter(|(a, b)| a.1 < b.1)
         };
         let wrong = |fit: &Surrogate| {

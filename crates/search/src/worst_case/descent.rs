@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
+    fn a_descent_finds_the_minimum_of_a_kinked_bowl_within_its_bounds() {
         // The minimum is at (0.2, 0.9); the third variable has no effect.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
         let limits = VariableBounds {

@@ -208,24 +208,24 @@ impl KindSearch {
         } else {
             self.done
         };
-        let places = self.done + 1..=last;
-        places
-            .flat_map(|place| self.with_ghosts(FaultSize { place, part: 0 }))
+        let whole_steps = self.done + 1..=last;
+        whole_steps
+            .flat_map(|steps| self.with_ghosts(FaultSize { steps, part: 0 }))
             .collect()
     }
 
     /// Returns the sizes between each smallest size that fails and the one before.
     fn parts(&self) -> Vec<(FaultSize, usize)> {
-        let mut places: Vec<u32> = self
+        let mut whole_steps: Vec<u32> = self
             .smallest
             .iter()
             .flatten()
-            .map(|(size, _)| size.place - 1)
+            .map(|(size, _)| size.steps - 1)
             .collect();
-        places.dedup();
-        let parts = places
+        whole_steps.dedup();
+        let parts = whole_steps
             .into_iter()
-            .flat_map(|place| (1..PARTS).map(move |part| FaultSize { place, part }));
+            .flat_map(|steps| (1..PARTS).map(move |part| FaultSize { steps, part }));
         parts.flat_map(|size| self.with_ghosts(size)).collect()
     }
 
@@ -273,7 +273,7 @@ impl FaultSearch<'_> {
             .collect();
         self.simulate_all(kinds, &rounds)?;
         for (kind, round) in kinds.iter_mut().zip(&rounds) {
-            kind.done = round.last().map_or(kind.done, |(size, _)| size.place);
+            kind.done = round.last().map_or(kind.done, |(size, _)| size.steps);
         }
         Ok(rounds.iter().any(|round| !round.is_empty()))
     }

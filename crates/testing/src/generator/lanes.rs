@@ -69,9 +69,9 @@ mod tests {
         #[test]
         fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
             let paper = built_in_scenario("paper-1").unwrap();
-            let found = with_lane_changes(paper, &mut Unstructured::new(&bytes));
-            prop_assert!(!found.keeps_lanes());
-            prop_assert!(found.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
+            let changed = with_lane_changes(paper, &mut Unstructured::new(&bytes));
+            prop_assert!(!changed.keeps_lanes());
+            prop_assert!(changed.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
         }
     }
 }

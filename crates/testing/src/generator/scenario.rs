@@ -211,12 +211,12 @@ fn read_vehicle(
     motion: InitialMotion,
     choices: &mut Choices<'_>,
 ) -> VehicleSpec {
-    let other = if nominal == VehicleClass::Heavy {
+    let alternative = if nominal == VehicleClass::Heavy {
         VehicleClass::Light
     } else {
         VehicleClass::Heavy
     };
-    let class = choices.choose(&[nominal, other]).unwrap_or(nominal);
+    let class = choices.choose(&[nominal, alternative]).unwrap_or(nominal);
     VehicleSpec {
         length_m: choices.optional(77, |choices| choices.around(class.length_m(), [0.5, 30.0])),
         mass_kg: choices.optional(77, |choices| {

@@ -185,7 +185,7 @@ impl Failures {
             ln_likelihood: evaluated.ln_likelihood,
             distance_from_nominal: evaluated.distance_from_nominal,
         };
-        let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind) else {
+        let Some(group) = self.groups.iter_mut().find(|group| group.kind == kind) else {
             self.groups.push(FailureGroup {
                 kind,
                 by_method: vec![(method.clone(), 1, evaluated.number)],
@@ -195,15 +195,15 @@ impl Failures {
             });
             return;
         };
-        match known.by_method.iter_mut().find(|(by, ..)| by == method) {
+        match group.by_method.iter_mut().find(|(by, ..)| by == method) {
             Some((_, count, _)) => *count += 1,
-            None => known.by_method.push((method.clone(), 1, evaluated.number)),
+            None => group.by_method.push((method.clone(), 1, evaluated.number)),
         }
-        if candidate.is_likelier_than(&known.likeliest) {
-            known.likeliest = candidate.clone();
+        if candidate.is_likelier_than(&group.likeliest) {
+            group.likeliest = candidate.clone();
         }
-        if candidate.verdict.robustness < known.severest.verdict.robustness {
-            known.severest = candidate;
+        if candidate.verdict.robustness < group.severest.verdict.robustness {
+            group.severest = candidate;
         }
     }
 

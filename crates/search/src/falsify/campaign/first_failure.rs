@@ -81,13 +81,13 @@ mod tests {
             };
             let folder = tempfile::tempdir().unwrap();
             let summary = campaign.run(folder.path(), false, &Quiet).unwrap();
-            let found = campaign.find_first_failure(&Quiet).unwrap();
+            let first_failure = campaign.find_first_failure(&Quiet).unwrap();
             assert_eq!(
-                found.simulations, summary.methods[0].first_falsification,
+                first_failure.simulations, summary.methods[0].first_falsification,
                 "{}",
                 campaign.search.method
             );
-            let budget = found.simulations.unwrap() - 1;
+            let budget = first_failure.simulations.unwrap() - 1;
             let short = campaign
                 .with_budget(budget)
                 .find_first_failure(&Quiet)

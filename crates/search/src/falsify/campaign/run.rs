@@ -204,12 +204,12 @@ impl Study for Campaign {
 /// Verdicts of a batch: those that the journal had, and then new ones.
 struct BatchVerdicts {
     verdicts: Vec<RunVerdict>,
-    known: usize,
+    logged: usize,
 }
 
 impl BatchVerdicts {
     fn unlogged(&self) -> &[RunVerdict] {
-        self.verdicts.get(self.known..).unwrap_or_default()
+        self.verdicts.get(self.logged..).unwrap_or_default()
     }
 }
 
@@ -253,10 +253,10 @@ impl Campaign {
         {
             verdicts.push(verdict);
         }
-        let known = verdicts.len();
-        let unknown_points = points.get(known..).unwrap_or_default();
-        verdicts.extend(self.evaluate(&state.config.space, unknown_points)?);
-        Ok(BatchVerdicts { verdicts, known })
+        let logged = verdicts.len();
+        let new_points = points.get(logged..).unwrap_or_default();
+        verdicts.extend(self.evaluate(&state.config.space, new_points)?);
+        Ok(BatchVerdicts { verdicts, logged })
     }
 
     /// Adds evaluations to the findings and the table. Returns their costs for the search.
@@ -425,22 +425,22 @@ pub(super) fn next_points(
 /// [`RunFolderError::Disk`] if it cannot be read. Damage is reported in the examination, as for every other file.
 pub fn verify_journal(
     folder: &Path,
-    mut found: FolderExamination,
+    mut examination: FolderExamination,
 ) -> Result<FolderExamination, RunFolderError> {
-    let Some(identity) = &found.identity else {
-        return Ok(found);
+    let Some(identity) = &examination.identity else {
+        return Ok(examination);
     };
-    if let Some((_, state @ Ok(()))) = found
+    if let Some((_, state @ Ok(()))) = examination
         .files
         .iter_mut()
         .find(|(name, _)| name == JOURNAL_FILE)
     {
         match Journal::verify(&folder.join(JOURNAL_FILE), identity) {
             Err(RunFolderError::Damaged { problem, .. }) => *state = Err(problem),
-            looked => looked?,
+            verified => verified?,
         }
     }
-    Ok(found)
+    Ok(examination)
 }
 
 pub(super) const CONFIGURATION_FILE: &str = "campaign.toml";
@@ -490,11 +490,11 @@ mod tests {
     fn the_observer_sees_each_step_of_the_examination() {
         let folder = tempfile::tempdir().unwrap();
         let campaign = Campaign::of_match_leader("high-risk", Method::Halton, 20, 0);
-        let seen = Mutex::new(Vec::new());
+        let notified = Mutex::new(Vec::new());
         let observer = Listener(|progress: &CampaignProgress| {
             if progress.method.is_none() {
                 assert_eq!(progress.evaluations, progress.total);
-                seen.lock().unwrap().push(progress.examination);
+                notified.lock().unwrap().push(progress.examination);
             }
         });
         let summary = campaign
@@ -507,7 +507,7 @@ mod tests {
             ExaminationStep::Confirming,
         ];
         assert_eq!(
-            seen.into_inner().unwrap(),
+            notified.into_inner().unwrap(),
             [steps.map(Some).as_slice(), &[None]].concat()
         );
     }

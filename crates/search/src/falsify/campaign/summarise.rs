@@ -16,7 +16,7 @@ impl CampaignSummary {
     /// Creates the summary from findings and the recorded distinct failures.
     pub(super) fn from_findings(
         campaign: &Campaign,
-        terms: &ResolvedConfig,
+        config: &ResolvedConfig,
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
     ) -> Result<Self, CampaignError> {
@@ -24,7 +24,7 @@ impl CampaignSummary {
             method_results: reached,
             failures,
         } = findings;
-        let record = &terms.record;
+        let record = &config.record;
         let main = reached.first();
         Ok(Self {
             version: SUMMARY_VERSION,
@@ -42,7 +42,7 @@ impl CampaignSummary {
             failures: failures
                 .by_frequency()
                 .into_iter()
-                .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
+                .map(|kind| FailureKindSummary::from_failures(kind, config, &counterexamples))
                 .collect(),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
@@ -72,7 +72,7 @@ impl MethodSummary {
 impl FailureKindSummary {
     fn from_failures(
         kind: &FailureGroup,
-        terms: &ResolvedConfig,
+        config: &ResolvedConfig,
         examined: &[Counterexample],
     ) -> Self {
         let by_method =
@@ -81,13 +81,13 @@ impl FailureKindSummary {
                 count: *count,
                 first: *first,
             };
-        let words = kind.kind.describe(&terms.nominal);
+        let description = kind.kind.describe(&config.nominal);
         Self {
             because: examined
                 .iter()
-                .find(|one| one.kind == words)
-                .and_then(|one| one.because.clone()),
-            kind: words,
+                .find(|failure| failure.kind == description)
+                .and_then(|failure| failure.because.clone()),
+            kind: description,
             failed_vehicle: match kind.kind {
                 super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),
                 _ => None,

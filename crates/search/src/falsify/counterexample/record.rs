@@ -50,12 +50,12 @@ impl Recorder<'_> {
     ) -> Vec<ExaminedFailure> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<ExaminedFailure> = Vec::new();
-        for one in examined {
+        for failure in examined {
             if !distinct
                 .iter()
-                .any(|known| self.is_same_failure(known, &one))
+                .any(|severer| self.is_same_failure(severer, &failure))
             {
-                distinct.push(one);
+                distinct.push(failure);
             }
         }
         distinct

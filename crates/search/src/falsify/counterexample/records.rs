@@ -43,7 +43,7 @@ impl VerdictRecordReader {
         Ok(folders.into_iter().find_map(|folder| {
             let recorded = records.get(folder)?.expected.iter();
             let verdicts: Vec<_> = recorded
-                .filter(|one| folder.join(&one.scenario) == path)
+                .filter(|verdict| folder.join(&verdict.scenario) == path)
                 .collect();
             (!verdicts.is_empty()).then(|| RecordedVerdicts {
                 folder: folder.to_owned(),
@@ -57,12 +57,12 @@ impl VerdictRecordReader {
             let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME]
                 .iter()
                 .any(|name| folder.join(name).is_file());
-            let read = if has_record {
+            let record = if has_record {
                 ExpectedFile::load_from_folder(folder)?
             } else {
                 ExpectedFile::default()
             };
-            self.folders.insert(folder.to_owned(), read);
+            self.folders.insert(folder.to_owned(), record);
         }
         Ok(())
     }

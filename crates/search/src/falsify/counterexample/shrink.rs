@@ -223,11 +223,11 @@ mod tests {
         // Fails if the gap is small and the leader brakes hard over the first two pieces.
         let mut holds = |v: &[f64]| v[gap] < 8.3 && v[brake] > 0.7123 && v[brake + 1] > 0.7123;
         let shrunk = shrink(&space, &start, &mut holds);
-        for (index, (found, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
+        for (index, (value, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
             let plays_a_part = index == gap || (brake..brake + 5).contains(&index);
             assert!(
-                plays_a_part || *found == nominal,
-                "{}: {found}",
+                plays_a_part || *value == nominal,
+                "{}: {value}",
                 names[index]
             );
         }
@@ -250,7 +250,7 @@ mod tests {
 
         /// Shrinking terminates, preserves the failure, and stays in the ranges.
         #[test]
-        fn shrinking_keeps_failing(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
+        fn shrinking_preserves_the_failure(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
             let space = built_in_space("high-risk").unwrap();
             let start = space.draw_point(seed, 0);
             let score = |point: &[f64]| point.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>();

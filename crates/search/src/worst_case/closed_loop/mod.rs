@@ -242,13 +242,13 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_in_is_avoided_where_that_can_be() {
-        let found = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
-        let escape = found
+    fn an_avoidable_cut_in_has_an_escape() {
+        let avoidance = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
+        let escape = avoidance
             .verdict
             .escape()
             .expect("20 m/s take 53 of 40 m and what is driven meanwhile");
-        assert!(escape.min_gap_m > 1.0 && found.min_gap_bound_m.is_none());
+        assert!(escape.min_gap_m > 1.0 && avoidance.min_gap_bound_m.is_none());
         assert!(escape.scenario.vehicles()[0].enters.is_some());
         // A driver that brakes at once avoids the cut-in.
         assert!(
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn any_follower_will_do_for_an_escape() {
+    fn escapes_exist_ahead_of_followers_that_no_program_models() {
         let paper = built_in_scenario("paper-1").unwrap();
         for follower in ["idm", "acc-aeb"] {
             let behind = |gap_m: f64| {
