@@ -152,8 +152,8 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     nav {
                         @let links = [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")];
-                        @for (name, address, words) in links {
-                            a href=(address) aria-current=[(name == page).then_some("page")] { (words) } " "
+                        @for (name, address, label) in links {
+                            a href=(address) aria-current=[(name == page).then_some("page")] { (label) } " "
                         }
                     }
                 }

@@ -182,7 +182,7 @@ fn render_figures(
         (false, 1) => PanelArrangement::Wide,
         (false, _) => PanelArrangement::Column,
     };
-    let drawn = html! {
+    let markup = html! {
         div.side-by-side data-columns=(if narrow { 1 } else { traced.len().min(2) }) {
             @for (index, (controller, run, trace)) in traced.iter().enumerate() {
                 @let prefix = format!("motion-{index}");
@@ -193,7 +193,7 @@ fn render_figures(
             }
         }
     };
-    TerminalLines(&drawn.into_string()).to_string()
+    TerminalLines(&markup.into_string()).to_string()
 }
 
 /// Renders the diagrams of a run with the scenario's own drivers.

@@ -273,12 +273,12 @@ fn idle_connections_do_not_block_others() {
     let idle: Vec<_> = (0..400)
         .map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap())
         .collect();
-    let begun = Instant::now();
+    let start = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
     assert!(
-        begun.elapsed() < Duration::from_secs(10),
+        start.elapsed() < Duration::from_secs(10),
         "{:?}",
-        begun.elapsed()
+        start.elapsed()
     );
     drop(idle);
 }
@@ -490,10 +490,10 @@ fn an_edited_scenario_has_the_same_collision_in_its_saved_file() {
         ],
         "lead": { "from_s": [0.0, 1.5, 4.25], "accel_mps2": [0.0, -4.5, -1.0] },
     });
-    let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
-    assert_eq!(status, 200, "{drawn}");
+    let (status, response) = post("run", run_request(&edits).to_string().as_bytes());
+    assert_eq!(status, 200, "{response}");
     assert_eq!(
-        drawn["sliders"]["vehicles"][2]["gap_m"]
+        response["sliders"]["vehicles"][2]["gap_m"]
             .as_f64()
             .map(|gap| (gap * 1e6).round() / 1e6),
         Some(9.77)
@@ -523,7 +523,10 @@ fn an_edited_scenario_has_the_same_collision_in_its_saved_file() {
         .contact()
         .expect("hard braking on a wet road")
         .time_s;
-    assert_eq!(drawn["runs"][0]["contact_time_s"].as_f64(), Some(contact_s));
+    assert_eq!(
+        response["runs"][0]["contact_time_s"].as_f64(),
+        Some(contact_s)
+    );
     assert!(
         saved["command"]
             .as_str()

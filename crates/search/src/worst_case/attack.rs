@@ -200,16 +200,16 @@ pub fn attack(
     }
     check_size(scenario, budget)?;
     let usable = usable_envelope(envelope, scenario)?;
-    let mut bench = ProfileSimulator::new(scenario, options, usable, budget, observer);
+    let mut simulator = ProfileSimulator::new(scenario, options, usable, budget, observer);
     // A jerk limit that allows full braking within half a cell has no effect, and a huge one would make the program
     // ill-conditioned.
-    let boundless_mps3 = 2.0 * usable.max_brake_mps2 / bench.cell_s();
-    bench.envelope.jerk_mps3 = usable.jerk_mps3.min(boundless_mps3);
-    let attack = sequential::attack(&mut bench, objective, budget)?;
+    let boundless_mps3 = 2.0 * usable.max_brake_mps2 / simulator.cell_s();
+    simulator.envelope.jerk_mps3 = usable.jerk_mps3.min(boundless_mps3);
+    let attack = sequential::attack(&mut simulator, objective, budget)?;
     Ok(AttackResult {
         attack,
-        evaluations: bench.evaluations,
-        programs: bench.programs,
+        evaluations: simulator.evaluations,
+        programs: simulator.programs,
     })
 }
 

@@ -338,16 +338,19 @@ impl ControlGrids {
 fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<ControlGrids, AvoidError> {
     let step_s = scenario.spec().step_s;
     let coarse = (0.1 / step_s).round().max(1.0) as usize;
-    let wanted = match options.grid_s {
+    let requested = match options.grid_s {
         Some(grid_s) => {
             whole_multiple(grid_s, step_s).ok_or(AvoidError::Grid { grid_s, step_s })?
         }
         None => coarse,
     };
-    let mut cells = vec![coarse.max(wanted), wanted, 1];
+    let mut cells = vec![coarse.max(requested), requested, 1];
     cells.dedup();
     Ok(ControlGrids {
-        first_deciding: cells.iter().position(|&cell| cell == wanted).unwrap_or(0),
+        first_deciding: cells
+            .iter()
+            .position(|&cell| cell == requested)
+            .unwrap_or(0),
         cells,
     })
 }

@@ -199,9 +199,9 @@ mod tests {
         let first = value(&start);
         let mut descent = TrustRegionDescent::new(limits, pace, start, first);
         for _ in 0..200 {
-            let asked = descent.ask();
-            assert!(asked.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
-            descent.tell(&asked.iter().map(|x| value(x)).collect::<Vec<_>>());
+            let proposals = descent.ask();
+            assert!(proposals.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
+            descent.tell(&proposals.iter().map(|x| value(x)).collect::<Vec<_>>());
         }
         assert!(descent.ask().is_empty(), "it ends");
         assert!(
@@ -226,8 +226,8 @@ mod tests {
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut descent = TrustRegionDescent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);
-            let asked = descent.ask();
-            descent.tell(&vec![strange; asked.len()]);
+            let proposals = descent.ask();
+            descent.tell(&vec![strange; proposals.len()]);
             assert!(descent.ask().is_empty());
         }
     }

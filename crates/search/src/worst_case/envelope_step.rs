@@ -30,10 +30,10 @@ struct KnotPosition {
 
 impl HatFunctions {
     /// Creates equidistant knots until `until_s`, shifted by `phase` of their distance, and a few after it.
-    pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
-        let knots_s = knot_times_s(bench, until_s, phase);
-        let positions = (0..bench.cell_count()).map(|cell| {
-            let middle_s = (cell as f64 + 0.5) * bench.cell_s();
+    pub(super) fn new(simulator: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
+        let knots_s = knot_times_s(simulator, until_s, phase);
+        let positions = (0..simulator.cell_count()).map(|cell| {
+            let middle_s = (cell as f64 + 0.5) * simulator.cell_s();
             KnotPosition::new(&knots_s, middle_s)
         });
         Self {
@@ -87,11 +87,11 @@ impl HatFunctions {
     }
 }
 
-fn knot_times_s(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f64> {
+fn knot_times_s(simulator: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f64> {
     let [early_count, late_count] = KNOT_COUNTS;
-    let all_s = bench.cell_count() as f64 * bench.cell_s();
+    let all_s = simulator.cell_count() as f64 * simulator.cell_s();
     let until_s = until_s.min(all_s);
-    let apart_s = (until_s / early_count as f64).max(bench.cell_s());
+    let apart_s = (until_s / early_count as f64).max(simulator.cell_s());
     let early_s = (0..=early_count).map(|knot| (knot as f64 + phase) * apart_s);
     let mut knots_s: Vec<f64> = std::iter::once(0.0)
         .chain(early_s)
@@ -174,16 +174,16 @@ impl EnvelopeStep<'_> {
     /// Returns the profile after the step; `None` if the solver fails.
     pub(super) fn solve(
         &self,
-        bench: &mut ProfileSimulator<'_>,
+        simulator: &mut ProfileSimulator<'_>,
         goal: StepGoal,
     ) -> Option<ProposedProfile> {
-        bench.programs += 1;
+        simulator.programs += 1;
         let variables = Variables::new(self.hats.knots);
         let mut program = QuadraticProgram::new(variables.count());
-        self.add_envelope_rows(bench, &mut program);
+        self.add_envelope_rows(simulator, &mut program);
         program.add_inequality(&[(variables.shortfall, -1.0)], 0.0);
         program.add_inequality(&[(variables.peak, -1.0)], 0.0);
-        self.add_goal(bench, &mut program, variables, goal);
+        self.add_goal(simulator, &mut program, variables, goal);
         let QuadraticSolution::Optimal { point, .. } = program.solve() else {
             return None;
         };
@@ -191,7 +191,7 @@ impl EnvelopeStep<'_> {
             return None;
         }
         Some(ProposedProfile {
-            cells_mps2: self.apply_clamped(bench, &point),
+            cells_mps2: self.apply_clamped(simulator, &point),
             predicted_margin_m: match goal {
                 StepGoal::Margin => self.margin_m + self.linear_change_m(&point),
                 StepGoal::Cost { margin_m, .. } => margin_m,
@@ -210,7 +210,7 @@ impl EnvelopeStep<'_> {
 
     fn add_goal(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
         variables: Variables,
         goal: StepGoal,
@@ -230,19 +230,19 @@ impl EnvelopeStep<'_> {
                 falls.push((variables.shortfall, -1.0));
                 program.add_inequality(&falls, margin_m - self.margin_m);
                 program.add_linear_cost(variables.shortfall, SHORTFALL_COST);
-                self.add_cost(bench, program, objective, variables.peak);
+                self.add_cost(simulator, program, objective, variables.peak);
             }
         }
     }
 
     /// Adds the limits of acceleration and jerk, where the trust region reaches them.
-    fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
+    fn add_envelope_rows(&self, simulator: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
         let region_mps2 = self.trust_region_mps2;
         for knot in 0..self.hats.knots {
             program.add_inequality(&[(knot, 1.0)], region_mps2);
             program.add_inequality(&[(knot, -1.0)], region_mps2);
         }
-        let max_brake_mps2 = bench.envelope.max_brake_mps2;
+        let max_brake_mps2 = simulator.envelope.max_brake_mps2;
         let mut last_mps2 = 0.0;
         let mut last_terms = [(0, 0.0); 2];
         for (cell, &accel_mps2) in self.profile_mps2.iter().enumerate() {
@@ -254,7 +254,7 @@ impl EnvelopeStep<'_> {
                 program.add_inequality(&negative(&terms), max_brake_mps2 + accel_mps2);
             }
             let change = difference(terms, last_terms);
-            self.add_jerk_rows(bench, program, &change, accel_mps2 - last_mps2);
+            self.add_jerk_rows(simulator, program, &change, accel_mps2 - last_mps2);
             last_mps2 = accel_mps2;
             last_terms = terms;
         }
@@ -263,12 +263,12 @@ impl EnvelopeStep<'_> {
     /// Limits the jerk between two cells, whose accelerations differ by `jump_mps2` now and by `change` in a step.
     fn add_jerk_rows(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
         change: &[(usize, f64)],
         jump_mps2: f64,
     ) {
-        let max_jump_mps2 = bench.envelope.jerk_mps3 * bench.cell_s();
+        let max_jump_mps2 = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let weights: f64 = change.iter().map(|(_, weight)| weight.abs()).sum();
         let reach_mps2 = self.trust_region_mps2 * weights;
         if jump_mps2 + reach_mps2 > max_jump_mps2 {
@@ -281,7 +281,7 @@ impl EnvelopeStep<'_> {
 
     fn add_cost(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
         objective: AttackObjective,
         peak: usize,
@@ -291,7 +291,7 @@ impl EnvelopeStep<'_> {
             1e-4
         } else {
             1.0
-        } * bench.cell_s();
+        } * simulator.cell_s();
         for (cell, &accel_mps2) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
             program.add_squared_cost(&terms, weight);
@@ -309,8 +309,8 @@ impl EnvelopeStep<'_> {
     }
 
     /// Returns the changed profile, clamped to the envelope because of the solver's tolerance.
-    fn apply_clamped(&self, bench: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
-        let jump = bench.envelope.jerk_mps3 * bench.cell_s();
+    fn apply_clamped(&self, simulator: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
+        let jump = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let mut before = 0.0_f64;
         let mut changed = self.profile_mps2.to_vec();
         for (cell, accel_mps2) in changed.iter_mut().enumerate() {
@@ -320,7 +320,7 @@ impl EnvelopeStep<'_> {
                 .iter()
                 .filter_map(|&(knot, w)| Some(w * change.get(knot)?))
                 .sum();
-            let wanted = (*accel_mps2 + by).clamp(-bench.envelope.max_brake_mps2, 0.0);
+            let wanted = (*accel_mps2 + by).clamp(-simulator.envelope.max_brake_mps2, 0.0);
             // Removes the solver's residue of a zero.
             let wanted = if wanted > -1e-6 { 0.0 } else { wanted };
             before = wanted.clamp(before - jump, before + jump);

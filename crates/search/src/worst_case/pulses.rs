@@ -56,17 +56,17 @@ impl ScanSize {
 }
 
 /// Returns pulses and ramps of several depths, lengths and onsets: 40, 112 or 864, depending on the budget.
-pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
+pub(super) fn scan(simulator: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
     let ScanSize {
         depths,
         lengths,
         onsets,
         forms,
     } = ScanSize::for_budget(budget);
-    let cells = bench.cell_count();
-    let spacing_mps2 = bench.envelope.max_brake_mps2 / depths as f64;
+    let cells = simulator.cell_count();
+    let spacing_mps2 = simulator.envelope.max_brake_mps2 / depths as f64;
     // From 0.4 s to the whole duration, on a logarithmic scale.
-    let shortest = (0.4 / bench.cell_s()).max(1.0);
+    let shortest = (0.4 / simulator.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
     let lengths: Vec<usize> = (0..lengths)
         .map(|index| {
@@ -106,10 +106,10 @@ impl Pulse {
         Self { depth_mps2, ..self }
     }
 
-    pub(super) fn cells_mps2(&self, bench: &ProfileSimulator<'_>) -> Vec<f64> {
-        let most = bench.envelope.jerk_mps3 * bench.cell_s();
+    pub(super) fn cells_mps2(&self, simulator: &ProfileSimulator<'_>) -> Vec<f64> {
+        let most = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let mut before = 0.0_f64;
-        (0..bench.cell_count())
+        (0..simulator.cell_count())
             .map(|cell| {
                 before = self
                     .unlimited_mps2(cell)

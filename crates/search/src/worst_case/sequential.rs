@@ -45,19 +45,22 @@ struct Descent {
 
 /// Returns the best profile found with about `budget` simulations; `None` without a collision.
 pub(super) fn attack(
-    bench: &mut ProfileSimulator<'_>,
+    simulator: &mut ProfileSimulator<'_>,
     objective: AttackObjective,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
-    let mut search = AttackSearch { bench, objective };
+    let mut search = AttackSearch {
+        simulator,
+        objective,
+    };
     let mut best: Option<Descent> = None;
     let mut starts = search.find_starts(budget)?;
-    let left = budget.saturating_sub(search.bench.evaluations);
+    let left = budget.saturating_sub(search.simulator.evaluations);
     starts.truncate((left / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
         // Each descent gets an equal share of the remaining simulations.
-        let spent = search.bench.evaluations;
+        let spent = search.simulator.evaluations;
         let until = spent + budget.saturating_sub(spent) / (count - index);
         let descent = search.descend(start, until)?;
         let is_best = best
@@ -71,12 +74,14 @@ pub(super) fn attack(
         return Ok(None);
     };
     let cells_mps2 = &best.profile.cells_mps2;
-    let report = search.bench.report(cells_mps2, best.predicted_margin_m)?;
+    let report = search
+        .simulator
+        .report(cells_mps2, best.predicted_margin_m)?;
     Ok(Some(report))
 }
 
 struct AttackSearch<'s, 'a> {
-    bench: &'s mut ProfileSimulator<'a>,
+    simulator: &'s mut ProfileSimulator<'a>,
     objective: AttackObjective,
 }
 
@@ -94,8 +99,8 @@ impl AttackSearch<'_, '_> {
         &mut self,
         all: Vec<Vec<f64>>,
     ) -> Result<Vec<SimulatedBraking>, AttackError> {
-        let trials = self.bench.simulate(&all)?;
-        let duration_s = self.bench.scenario.spec().duration_s;
+        let trials = self.simulator.simulate(&all)?;
+        let duration_s = self.simulator.scenario.spec().duration_s;
         let mut simulated = Vec::with_capacity(all.len());
         for (cells_mps2, trial) in all.into_iter().zip(trials) {
             simulated.push(SimulatedBraking {
@@ -110,10 +115,10 @@ impl AttackSearch<'_, '_> {
 
     /// Returns pulses and ramps as starts: the mildest that collide, or those with the smallest margins.
     fn find_starts(&mut self, budget: usize) -> Result<Vec<SimulatedBraking>, AttackError> {
-        let pulses = pulses::scan(self.bench, budget);
+        let pulses = pulses::scan(self.simulator, budget);
         let profiles: Vec<_> = pulses
             .iter()
-            .map(|pulse| pulse.cells_mps2(self.bench))
+            .map(|pulse| pulse.cells_mps2(self.simulator))
             .collect();
         let simulated = self.simulate_profiles(profiles)?;
         let mut all: Vec<(Pulse, SimulatedBraking)> = pulses.into_iter().zip(simulated).collect();
@@ -177,7 +182,7 @@ impl AttackSearch<'_, '_> {
                     pulse.with_depth(0.5 * (pulse.depth_mps2 + misses_mps2))
                 })
                 .collect();
-            let profiles = halves.iter().map(|half| half.cells_mps2(self.bench));
+            let profiles = halves.iter().map(|half| half.cells_mps2(self.simulator));
             let simulated = self.simulate_profiles(profiles.collect())?;
             for (((pulse, misses_mps2), half), point) in pulses
                 .iter_mut()
@@ -202,7 +207,7 @@ impl AttackSearch<'_, '_> {
         let mut trust_region_mps2 = largest_mps2;
         let mut predicted_margin_m = at.margin_m;
         let mut phase = 0.0;
-        while trust_region_mps2 > smallest_mps2 && self.bench.evaluations < until {
+        while trust_region_mps2 > smallest_mps2 && self.simulator.evaluations < until {
             match self.step(&at, trust_region_mps2, phase)? {
                 Some(next) => {
                     at = next.profile;
@@ -227,7 +232,7 @@ impl AttackSearch<'_, '_> {
         trust_region_mps2: f64,
         phase: f64,
     ) -> Result<Option<Descent>, AttackError> {
-        let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
+        let hats = HatFunctions::new(self.simulator, at.until_s + CONTACT_TAIL_S, phase);
         let gradient = self.gradient(at, &hats)?;
         let step = EnvelopeStep {
             profile_mps2: &at.cells_mps2,
@@ -239,7 +244,7 @@ impl AttackSearch<'_, '_> {
         let goals = self.goals(at);
         let proposed: Vec<ProposedProfile> = goals
             .into_iter()
-            .filter_map(|goal| step.solve(self.bench, goal))
+            .filter_map(|goal| step.solve(self.simulator, goal))
             .collect();
         let profiles = proposed.iter().map(|profile| profile.cells_mps2.clone());
         let simulated = self.simulate_profiles(profiles.collect())?;
@@ -284,8 +289,8 @@ impl AttackSearch<'_, '_> {
 
     /// Returns the profile with a release as fast as the jerk allows after the end of the simulation.
     fn trim(&self, mut point: SimulatedBraking) -> SimulatedBraking {
-        let cell_s = self.bench.cell_s();
-        let most = self.bench.envelope.jerk_mps3 * cell_s;
+        let cell_s = self.simulator.cell_s();
+        let most = self.simulator.envelope.jerk_mps3 * cell_s;
         let over = (point.until_s / cell_s).ceil() as usize;
         let mut before = over
             .checked_sub(1)
@@ -300,7 +305,7 @@ impl AttackSearch<'_, '_> {
     }
 
     fn cost(&self, cells_mps2: &[f64]) -> f64 {
-        self.objective.cost(cells_mps2, self.bench.cell_s())
+        self.objective.cost(cells_mps2, self.simulator.cell_s())
     }
 
     /// Returns the gradient of the margin with respect to the knots, in s².
@@ -309,7 +314,7 @@ impl AttackSearch<'_, '_> {
         at: &SimulatedBraking,
         hats: &HatFunctions,
     ) -> Result<Vec<f64>, AttackError> {
-        let most = self.bench.envelope.max_brake_mps2;
+        let most = self.simulator.envelope.max_brake_mps2;
         let by: Vec<f64> = hats
             .means_mps2(&at.cells_mps2)
             .map(|mean| {

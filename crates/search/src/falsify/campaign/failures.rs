@@ -43,11 +43,11 @@ impl FailureKind {
             return Some(Self::ControllerFailed { vehicle });
         }
         Some(match (specification, verdict.contact) {
-            (Specification::NoContact, Some(struck)) => Self::Contact {
-                front_vehicle: struck.front_vehicle,
-                rear_vehicle: struck.rear_vehicle,
-                ego_braking: struck.ego_braking,
-                rear_class: struck.rear_class,
+            (Specification::NoContact, Some(contact)) => Self::Contact {
+                front_vehicle: contact.front_vehicle,
+                rear_vehicle: contact.rear_vehicle,
+                ego_braking: contact.ego_braking,
+                rear_class: contact.rear_class,
             },
             (_, contact) => Self::Violation {
                 has_contact: contact.is_some(),

@@ -109,10 +109,10 @@ impl Study for Campaign {
 
     /// Records are compared, because 0.3.0 has another name for a specification.
     fn is_configured_by(&self, existing: &str) -> bool {
-        let asked = CampaignRecord::from_campaign(self);
+        let requested = CampaignRecord::from_campaign(self);
         let existing: Result<CampaignRecord, _> = toml::from_str(existing);
-        match (asked, existing) {
-            (Ok(asked), Ok(existing)) => asked.has_results_of(existing),
+        match (requested, existing) {
+            (Ok(requested), Ok(existing)) => requested.has_results_of(existing),
             _ => false,
         }
     }

@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn batched_answers_equal_single_answers() {
         let members: Vec<u64> = (0..150).map(|i| i * i % 23).collect();
-        let asked = RefCell::new(Vec::new());
+        let batch_sizes = RefCell::new(Vec::new());
         let learned = run_batched(
             &members,
             |&member, ask| {
@@ -124,7 +124,7 @@ mod tests {
                     .sum::<u64>()
             },
             |questions| {
-                asked.borrow_mut().push(questions.len());
+                batch_sizes.borrow_mut().push(questions.len());
                 questions
                     .iter()
                     .map(|question| question * question)
@@ -135,12 +135,15 @@ mod tests {
             .iter()
             .map(|m| (0..*m).map(|step| (10 * m + step).pow(2)).sum::<u64>());
         assert_eq!(learned, alone.collect::<Vec<_>>());
-        let asked = asked.into_inner();
+        let batch_sizes = batch_sizes.into_inner();
         assert_eq!(
-            asked.iter().sum::<usize>() as u64,
+            batch_sizes.iter().sum::<usize>() as u64,
             members.iter().sum::<u64>()
         );
-        assert!(asked.len() <= 3 * 22 && asked[0] > 50, "{asked:?}");
+        assert!(
+            batch_sizes.len() <= 3 * 22 && batch_sizes[0] > 50,
+            "{batch_sizes:?}"
+        );
     }
 
     #[test]

@@ -131,15 +131,10 @@ impl<'a> Examiner<'a> {
         let original_verdict = self.evaluate(&original, 1, ask)?;
         let aftermath = self.simulate_aftermath(&scenario)?;
         let failed = aftermath.outcome.failed_controller();
-        // With an external controller, drop a failure that the file alone does not reproduce.
         let is_reproduced = self.kind(&verdict) == Some(kind)
             && verdict.failure.is_some() == (verdict.contact.is_none() && failed.is_some());
-        if !is_reproduced
-            && self
-                .campaign
-                .controllers()
-                .any(|driver| driver.source.can_fail())
-        {
+        // With an external controller, drop a failure that the file alone does not reproduce.
+        if !is_reproduced && self.has_external_controller() {
             return Ok(None);
         }
         let deltas_mps = (0..scenario.vehicles().len())
@@ -223,6 +218,12 @@ impl<'a> Examiner<'a> {
             .with_after_contact(AfterContact::Continue);
         let run = Run::new(scenario, options)?;
         Ok(simulate(&run, RecordingLevel::Summary))
+    }
+
+    fn has_external_controller(&self) -> bool {
+        self.campaign
+            .controllers()
+            .any(|controller| controller.source.can_fail())
     }
 
     fn kind(&self, verdict: &RunVerdict) -> Option<FailureKind> {

@@ -52,11 +52,11 @@ fn attempt(
     changed: Vec<f64>,
     holds: &mut dyn FnMut(&[f64]) -> bool,
 ) -> bool {
-    let taken = changed != *current && holds(&changed);
-    if taken {
+    let is_accepted = changed != *current && holds(&changed);
+    if is_accepted {
         *current = changed;
     }
-    taken
+    is_accepted
 }
 
 fn try_nominal(
@@ -255,14 +255,14 @@ mod tests {
             let start = space.draw_point(seed, 0);
             let score = |point: &[f64]| point.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>();
             let limit = score(&start) - 0.3;
-            let mut tried = 0;
+            let mut attempts = 0;
             let mut holds = |values: &[f64]| {
-                tried += 1;
+                attempts += 1;
                 score(&space.point(values)) >= limit
             };
             let shrunk = shrink(&space, &space.values(&start), &mut holds);
             prop_assert!(holds(&shrunk));
-            prop_assert!(tried < 700, "{tried}");
+            prop_assert!(attempts < 700, "{attempts}");
             for (value, parameter) in shrunk.iter().zip(space.coordinate_parameters()) {
                 let [low, high] = parameter.range();
                 prop_assert!((low..=high).contains(value));

@@ -63,13 +63,13 @@ impl Ascent {
 
     /// Returns simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
-        let Some(Some(here)) = plant
+        let Some(Some(current_gaps)) = plant
             .simulate_gaps(std::slice::from_ref(&self.current.profile))
             .pop()
         else {
             return Vec::new();
         };
-        let blocks = self.blocks(plant, &here, stream);
+        let blocks = self.blocks(plant, &current_gaps, stream);
         let nudge_mps2 = (0.5 * self.trust_region_mps2).clamp(0.05, 1.0);
         let by_mps2: Vec<f64> = blocks
             .iter()
@@ -81,7 +81,7 @@ impl Ascent {
             .map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by))
             .collect();
         let nudged = plant.simulate_gaps(&nudged);
-        let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else {
+        let Some(step) = self.best_step(plant, &blocks, &current_gaps, &nudged, &by_mps2) else {
             return Vec::new();
         };
         let shares = STEP_SHARES.map(|share| {
@@ -96,12 +96,13 @@ impl Ascent {
     }
 
     /// Returns blocks of equal length until the last small gap, at a random phase, and few after it.
-    fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
-        let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
-        let last = (0..here.samples)
-            .rev()
-            .find(|&sample| here.gaps_at_sample(sample).any(|gap_m| gap_m < near_m))
-            .unwrap_or(0);
+    fn blocks(
+        &self,
+        plant: &Plant<'_>,
+        current_gaps: &SampledGaps,
+        stream: &mut Stream,
+    ) -> Vec<CellBlock> {
+        let last = self.last_near_sample(current_gaps);
         let until_s = last as f64 * plant.sample_interval_s() + TAIL_S;
         let all = plant.cell_count();
         let until = ((until_s / plant.cell_s()).ceil() as usize).clamp(1, all);
@@ -129,6 +130,15 @@ impl Ascent {
                 })
             })
             .collect()
+    }
+
+    /// Returns the last sample with a gap near the smallest one.
+    fn last_near_sample(&self, gaps: &SampledGaps) -> usize {
+        let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
+        (0..gaps.samples)
+            .rev()
+            .find(|&sample| gaps.gaps_at_sample(sample).any(|gap_m| gap_m < near_m))
+            .unwrap_or(0)
     }
 
     /// Returns a nudge whose sign keeps every cell within the limits, if possible.
@@ -160,7 +170,7 @@ impl Ascent {
         &self,
         plant: &Plant<'_>,
         blocks: &[CellBlock],
-        here: &SampledGaps,
+        current_gaps: &SampledGaps,
         nudged: &[Option<SampledGaps>],
         by_mps2: &[f64],
     ) -> Option<Vec<f64>> {
@@ -169,7 +179,7 @@ impl Ascent {
         let mut program = QuadraticProgram::new(blocks.len() + 1);
         program.add_linear_cost(smallest, -1.0);
         self.add_change_limits(&mut program, plant, blocks);
-        let gaps = linearise(here, nudged, by_mps2);
+        let gaps = linearise(current_gaps, nudged, by_mps2);
         // Drop gaps that stay above the maximum of another one.
         let ceiling_m = gaps
             .iter()
@@ -235,11 +245,11 @@ impl LinearisedGap {
 
 /// Linearises all gaps by finite differences. A slope that was not simulated is 0.
 fn linearise(
-    here: &SampledGaps,
+    current_gaps: &SampledGaps,
     nudged: &[Option<SampledGaps>],
     by_mps2: &[f64],
 ) -> Vec<LinearisedGap> {
-    let finite_gaps_m = here
+    let finite_gaps_m = current_gaps
         .gap_m
         .iter()
         .copied()
